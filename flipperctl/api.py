@@ -1,0 +1,431 @@
+"""The whole contract for plugin authors: the values, the plugin families and their decorators.
+
+In: nothing of the rest of flipperctl. Out: everything that a plugin may import.
+SI units and radians throughout. Frames: world (x forward, z up, the profile's own
+coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
+the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front
+and rear alike; the pitch is positive nose up.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    import torch
+
+__all__ = [
+    "ACTIONS",
+    "Controller",
+    "Network",
+    "ObservationLayout",
+    "Outcome",
+    "Perception",
+    "Plugin",
+    "Profile",
+    "RewardTerm",
+    "RobotGeometry",
+    "RobotState",
+    "Settings",
+    "Terrain",
+    "Transition",
+    "action_index",
+    "candidate_angle",
+    "controller",
+    "network",
+    "reward",
+    "terrain",
+]
+
+FloatArray = NDArray[np.float64]
+
+ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+"""Action index → (front, rear); +1 raises the pair by one angle step (paper Eq. 3)."""
+
+
+def action_index(front: int, rear: int) -> int:
+    """Index of the action that turns the pairs by ``front`` and ``rear`` in {-1, 0, 1}."""
+    return 3 * (front + 1) + (rear + 1)
+
+
+class Settings(BaseModel):
+    """Frozen settings; unknown keys, NaN and infinity are errors."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        validate_default=True,
+    )
+
+
+class RobotGeometry(Settings):
+    """Side-view geometry of a chassis with a front and a rear flipper pair (paper Sec. IV)."""
+
+    chassis_length: float = Field(
+        0.76, gt=0.2, le=3, description="overall length of the chassis, round ends included [m]"
+    )
+    flipper_length: float = Field(
+        0.536, gt=0.2, le=2, description="overall length of a flipper, round ends included [m]"
+    )
+    track_radius: float = Field(
+        0.1, gt=0.01, lt=0.5, description="radius of the tracks' round ends [m]"
+    )
+    angle_limit: float = Field(
+        math.pi / 3, gt=0, le=math.pi / 2, description="largest flipper angle, both ways [rad]"
+    )
+    angle_step: float = Field(
+        math.pi / 12, gt=0, le=math.pi / 2, description="flipper turn of one action [rad]"
+    )
+
+    @property
+    def hinge_offset(self) -> float:
+        """Distance of each flipper hinge from the chassis centre, along the chassis [m]."""
+        return self.chassis_length / 2 - self.track_radius
+
+    @property
+    def flipper_axle(self) -> float:
+        """Distance from the hinge to the centre of the flipper's tip arc [m]."""
+        return self.flipper_length - 2 * self.track_radius
+
+    def clip(self, angle: float) -> float:
+        """The angle limited to what a flipper can reach [rad]."""
+        return min(self.angle_limit, max(-self.angle_limit, angle))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The obstacle in the robot's side plane, from its first edge to its last.
+
+    ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
+    The ground goes on level before the first point and behind the last.
+
+    Raises:
+        ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
+    """
+
+    points: FloatArray
+
+    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]]) -> None:
+        array = np.array(points, dtype=np.float64)
+        if array.size == 0:
+            raise ValueError("a profile needs at least one point; it is empty")
+        if array.ndim != 2 or array.shape[1] != 2:
+            raise ValueError(f"a profile is (V, 2) points of x and z; the shape is {array.shape}")
+        if not np.isfinite(array).all():
+            bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+            raise ValueError(f"profile point {bad} is not finite: {tuple(array[bad].tolist())}")
+        drops = np.flatnonzero(np.diff(array[:, 0]) < 0)
+        if drops.size:
+            i = int(drops[0])
+            raise ValueError(
+                f"x decreases from {array[i, 0]:g} to {array[i + 1, 0]:g} m "
+                f"between profile points {i} and {i + 1}; it may only grow or stay"
+            )
+        array.setflags(write=False)
+        object.__setattr__(self, "points", array)
+
+    @property
+    def start(self) -> float:
+        """x of the first edge [m]."""
+        return float(self.points[0, 0])
+
+    @property
+    def end(self) -> float:
+        """x of the last edge [m]."""
+        return float(self.points[-1, 0])
+
+    def extended(self, before: float, behind: float) -> FloatArray:
+        """The polyline with level ground added, (V + 2, 2) [m]."""
+        first, last = self.points[0], self.points[-1]
+        return np.vstack(
+            [[first[0] - before, first[1]], self.points, [last[0] + behind, last[1]]]
+        )
+
+    def height(self, x: float) -> float:
+        """Height of the ground at x; the higher of the two at a vertical face [m]."""
+        points = self.points
+        right = int(np.searchsorted(points[:, 0], x, side="right"))
+        left = int(np.searchsorted(points[:, 0], x, side="left"))
+        if left < right:
+            return float(points[left:right, 1].max())
+        if right == 0 or right == len(points):
+            return float(points[0 if right == 0 else -1, 1])
+        (x0, z0), (x1, z1) = points[right - 1], points[right]
+        return float(z0 + (z1 - z0) * (x - x0) / (x1 - x0))
+
+    def sample(self, spacing: float, margin: float) -> FloatArray:
+        """Points along the outline, vertical faces included, (P, 2) in world [m].
+
+        x never decreases; ``margin`` metres of level ground are added on both sides.
+        """
+        line = self.extended(margin, margin)
+        lengths = np.hypot(*np.diff(line, axis=0).T)  # (V + 1,) [m]
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = np.arange(0.0, along[-1], spacing)
+        return np.column_stack(
+            [np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])]
+        )
+
+    @cached_property
+    def cloud(self) -> FloatArray:
+        """The outline every 0.02 m with 3 m of level ground on both sides, (P, 2) [m]."""
+        return self.sample(0.02, 3.0)
+
+    def around(self, x: float, reach: float) -> FloatArray:
+        """The points of ``cloud`` within ``reach`` of x, (P', 2) in world [m]."""
+        low, high = np.searchsorted(self.cloud[:, 0], (x - reach, x + reach))
+        return self.cloud[low:high]
+
+
+class Outcome(StrEnum):
+    """How an episode ends."""
+
+    REACHED = "reached"
+    OVERTURNED = "overturned"
+    STUCK = "stuck"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """The robot at one instant."""
+
+    position: FloatArray
+    """(2,) chassis centre in world [m]."""
+    pitch: float
+    """Chassis against level, nose up positive [rad]."""
+    front: float
+    """Front flipper pair in frame R, above the chassis positive [rad]."""
+    rear: float
+    """Rear flipper pair in frame R, above the chassis positive [rad]."""
+    velocity: FloatArray
+    """(2,) of the chassis centre in world [m/s]."""
+    pitch_rate: float
+    """[rad/s]"""
+    time: float
+    """Since the start of the episode [s]."""
+
+
+class ObservationLayout(Settings):
+    """What the N + 3 numbers of an observation are (paper Eqs. 1 and 2)."""
+
+    bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
+    bin_width: float = Field(
+        0.15, gt=0.01, le=1, description="d, width of a bin; the paper gives no number [m]"
+    )
+
+    @property
+    def size(self) -> int:
+        """Length of an observation."""
+        return self.bins + 3
+
+    @property
+    def reach(self) -> float:
+        """Half the length of the perceived ground [m]."""
+        return self.bins * self.bin_width / 2
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name per number, rear to front, then the robot's own angles."""
+        heights = tuple(f"h_{i}" for i in range(1, self.bins + 1))
+        return (*heights, "theta_f1", "theta_f2", "theta_R")
+
+    @property
+    def scale(self) -> FloatArray:
+        """Typical magnitude of each number, (N + 3,) in SI units: networks divide by it."""
+        return np.concatenate([np.full(self.bins, 0.5), np.full(3, math.pi / 3)])
+
+    def describe(self) -> list[dict[str, str]]:
+        """Name, unit, frame and sign of each number, as exported files carry them."""
+        low = -self.reach
+        heights = [
+            {
+                "name": f"h_{i + 1}",
+                "unit": "m",
+                "frame": "L",
+                "meaning": "mean terrain height, up positive, for x in "
+                f"[{low + i * self.bin_width:.3f}, {low + (i + 1) * self.bin_width:.3f}) m",
+            }
+            for i in range(self.bins)
+        ]
+        flipper = {"unit": "rad", "frame": "R"}
+        return [
+            *heights,
+            {"name": "theta_f1", **flipper, "meaning": "front flippers, above chassis positive"},
+            {"name": "theta_f2", **flipper, "meaning": "rear flippers, above chassis positive"},
+            {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch, nose up positive"},
+        ]
+
+
+@dataclass(frozen=True)
+class Perception:
+    """What a controller may know when it decides: sensed, never the true terrain."""
+
+    observation: NDArray[np.float32]
+    """(N + 3,) laid out as ``layout`` says."""
+    points: FloatArray
+    """(P, 2) sensed terrain points in frame L [m]."""
+    pitch: float
+    front: float
+    rear: float
+    robot: RobotGeometry
+    layout: ObservationLayout
+    rng: np.random.Generator
+    """For controllers that draw at random; seeded by the episode."""
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One decision, as reward terms see it."""
+
+    before: RobotState
+    after: RobotState
+    pitches: FloatArray
+    """(T,) pitch at every decision of the episode so far, start and ``after`` included [rad]."""
+    action: tuple[int, int]
+    """(front, rear) in {-1, 0, 1}."""
+    profile: Profile
+    robot: RobotGeometry
+    outcome: Outcome | None = field(default=None)
+    """None while the episode runs."""
+
+
+def candidate_angle(
+    points: FloatArray,
+    pitch: float,
+    robot: RobotGeometry,
+    *,
+    near: float = 0.1,
+    far: float = 0.45,
+    rear: bool = False,
+) -> float:
+    """The flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
+
+    The largest angle in frame R of the vectors from the hinge to the terrain points inflated by
+    the track radius (paper Sec. III-D after Okada et al. 2011): atan2(z, u) + asin(r / distance).
+    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` of the hinge,
+    measured along the chassis, count, since a point under the hinge would outweigh all others.
+    Clipped to what the flipper can reach; 0 without points.
+    """
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    along = cos * points[:, 0] + sin * points[:, 1]
+    up = cos * points[:, 1] - sin * points[:, 0]
+    u = (-along if rear else along) - robot.hinge_offset
+    chosen = (u >= near) & (u <= far)
+    if not chosen.any():
+        return 0.0
+    u, up = u[chosen], up[chosen]
+    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
+    return robot.clip(float((np.arctan2(up, u) + inflation).max()))
+
+
+class Plugin(Settings):
+    """Base of the four families; a plugin's fields are its settings."""
+
+    kind: ClassVar[str]
+    plugin_name: ClassVar[str]
+
+
+class Terrain(Plugin, ABC):
+    """Draws the ground of an episode."""
+
+    kind: ClassVar[str] = "terrain"
+
+    @abstractmethod
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """A profile; every random choice comes from ``rng``."""
+
+
+class RewardTerm(Plugin, ABC):
+    """One summand of the reward; the environment multiplies it by ``weight``."""
+
+    kind: ClassVar[str] = "reward"
+    weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
+
+    @abstractmethod
+    def __call__(self, t: Transition) -> float:
+        """The unweighted reward of one decision [-]."""
+
+
+class Network(Plugin, ABC):
+    """Builds the Q-network."""
+
+    kind: ClassVar[str] = "network"
+
+    @abstractmethod
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """A module from observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
+
+
+class Controller(Plugin, ABC):
+    """A rule that maps what the robot perceives to an action."""
+
+    kind: ClassVar[str] = "controller"
+
+    @abstractmethod
+    def act(self, p: Perception) -> int:
+        """Index into ``ACTIONS``."""
+
+
+registry: dict[tuple[str, str], type[Plugin]] = {}
+"""(kind, name) → class, filled by the decorators when a plugin's module is imported."""
+
+
+PluginT = TypeVar("PluginT", bound=Plugin)
+TerrainT = TypeVar("TerrainT", bound=Terrain)
+RewardT = TypeVar("RewardT", bound=RewardTerm)
+NetworkT = TypeVar("NetworkT", bound=Network)
+ControllerT = TypeVar("ControllerT", bound=Controller)
+
+
+def _register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"plugin name {name!r}: lower-case letters, digits and _ are allowed")
+
+    def decorate(cls: type[PluginT]) -> type[PluginT]:
+        if not issubclass(cls, family):
+            raise TypeError(f"@{family.kind}({name!r}): {cls.__name__} is no {family.__name__}")
+        taken = registry.get((family.kind, name))
+        if taken is not None:
+            raise ValueError(
+                f"two {family.kind} plugins are called {name!r}: "
+                f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
+            )
+        cls.plugin_name = name
+        registry[family.kind, name] = cls
+        return cls
+
+    return decorate
+
+
+def terrain(name: str) -> Callable[[type[TerrainT]], type[TerrainT]]:
+    """Register a ``Terrain`` under ``name``; ``terrain=<name>`` then works everywhere."""
+    return _register(Terrain, name)
+
+
+def reward(name: str) -> Callable[[type[RewardT]], type[RewardT]]:
+    """Register a ``RewardTerm``; add it with ``+reward@rewards.<term>=<name>``."""
+    return _register(RewardTerm, name)
+
+
+def network(name: str) -> Callable[[type[NetworkT]], type[NetworkT]]:
+    """Register a ``Network``; choose it with ``network=<name>``."""
+    return _register(Network, name)
+
+
+def controller(name: str) -> Callable[[type[ControllerT]], type[ControllerT]]:
+    """Register a ``Controller``; choose it with ``--controller <name>``."""
+    return _register(Controller, name)

@@ -1,0 +1,292 @@
+"""The composed configuration as frozen pydantic models: every setting, its default and bounds.
+
+In: plain containers (from Hydra, a checkpoint or keyword arguments). Out: validated models with
+plugin instances inside. A description that says "paper silent" marks a choice of ours.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError, model_validator
+
+from flipperctl import plugins
+from flipperctl.api import (
+    Network,
+    ObservationLayout,
+    Outcome,
+    RewardTerm,
+    RobotGeometry,
+    Settings,
+    Terrain,
+)
+from flipperctl.errors import ConfigError
+from flipperctl.messages import explain
+
+
+class Robot(RobotGeometry):
+    """The robot: geometry from the paper, masses from the laboratory's public robot model."""
+
+    chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
+    flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
+    track_speed: float = Field(
+        0.2, gt=0, le=2, description="speed of all belts' surfaces along their outline [m/s]"
+    )
+    flipper_speed: float = Field(
+        math.radians(25), gt=0.05, le=5, description="turning rate of a flipper pair [rad/s]"
+    )
+    flipper_torque: float = Field(
+        200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
+    )
+
+    @property
+    def decision_period(self) -> float:
+        """Time in which a flipper turns by one angle step [s]."""
+        return self.angle_step / self.flipper_speed
+
+
+class Sim(Settings):
+    """The physics engine."""
+
+    substep: float = Field(
+        0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
+    )
+    iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
+    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
+    friction: float = Field(
+        1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"
+    )
+
+    @model_validator(mode="after")
+    def _divides_the_sample(self) -> Sim:
+        ratio = 0.01 / self.substep
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
+        return self
+
+
+class PerceptionSettings(ObservationLayout):
+    """The point cloud and the observation made of it."""
+
+    density: float = Field(
+        50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
+    )
+    noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
+    )
+    dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
+    horizon: float = Field(
+        10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
+    )
+    angle_noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
+    )
+
+
+class Episode(Settings):
+    """Where an episode starts and how it ends."""
+
+    run_up: float = Field(
+        1.0, ge=0, le=10, description="chassis centre before the first edge at the start [m]"
+    )
+    run_out: float = Field(
+        1.0, ge=0, le=10, description="chassis centre behind the last edge at the finish [m]"
+    )
+    start_noise: float = Field(
+        0.05, ge=0, le=0.5, description="the start shifts uniformly by up to this, both ways [m]"
+    )
+    start_angle_noise: float = Field(
+        0.0, ge=0, le=0.5, description="the same for each flipper's start angle [rad]"
+    )
+    start_angle: float = Field(
+        0.0, ge=-1.5, le=1.5, description="flipper angles at the start; paper silent [rad]"
+    )
+    overturn: float = Field(
+        math.pi / 3, gt=0, le=math.pi / 2, description="pitch that ends as overturned [rad]"
+    )
+    clearance: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="lowest point of the chassis above the ground that still counts as close "
+        "to it at the finish; paper silent [m]",
+    )
+    slack: float = Field(
+        3.0,
+        gt=1,
+        le=100,
+        description="t_max as a multiple of the time the level drive needs; paper silent [-]",
+    )
+    stuck_window: int = Field(
+        20, ge=2, le=1000, description="decisions over which progress is judged [-]"
+    )
+    stuck_progress: float = Field(
+        0.1, ge=0, le=10, description="less progress in the window is stuck; paper silent [m]"
+    )
+
+
+class Agent(Settings):
+    """The double dueling DQN. The paper gives none of these numbers."""
+
+    learning_rate: float = Field(5e-4, gt=0, le=1, description="Adam step at the start [-]")
+    learning_rate_end: float = Field(
+        2e-5, ge=0, le=1, description="Adam step at the end, reached linearly [-]"
+    )
+    gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
+    n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
+    batch_size: int = Field(128, ge=2, le=65536, description="transitions an update [-]")
+    replay_size: int = Field(100_000, ge=100, le=10_000_000, description="transitions kept [-]")
+    learning_starts: int = Field(
+        1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
+    )
+    update_every: int = Field(1, ge=1, le=1000, description="decisions an update [-]")
+    target_rate: float = Field(
+        0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
+    )
+    epsilon_start: float = Field(1.0, ge=0, le=1, description="random actions at the start [-]")
+    epsilon_end: float = Field(0.05, ge=0, le=1, description="random actions at the end [-]")
+    epsilon_decisions: int = Field(
+        15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
+    )
+    gradient_norm: float = Field(10.0, gt=0, le=1e6, description="gradients are clipped to it [-]")
+    reward_scale: float = Field(
+        0.1, gt=0, le=1e6, description="rewards are multiplied by it inside the learner [-]"
+    )
+    act_with: Literal["target", "online"] = Field(
+        "target",
+        description="weights that are validated and exported: the slowly following target "
+        "or the online network [-]",
+    )
+    bootstrap_outcomes: tuple[Outcome, ...] = Field(
+        (), description="outcomes behind which the value goes on instead of ending [-]"
+    )
+
+
+class Train(Settings):
+    """The training run."""
+
+    decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
+    validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
+    validation_episodes: int = Field(
+        40, ge=1, le=10_000, description="episodes a validation, always the same draws [-]"
+    )
+    validation_seed: int = Field(0, ge=0, description="seed of the validation draws [-]")
+    checkpoint_every: int = Field(
+        10_000, ge=1, description="decisions between full checkpoints [-]"
+    )
+    threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
+
+
+class Eval(Settings):
+    """The evaluation."""
+
+    episodes: int = Field(100, ge=1, le=1_000_000, description="episodes a scene [-]")
+    seed: int = Field(0, ge=0, description="seed of the draws, unseen in training [-]")
+    jobs: int = Field(1, ge=1, le=1024, description="processes [-]")
+
+
+def _terrain(value: object) -> object:
+    return plugins.create("terrain", value, "terrain")
+
+
+def _network(value: object) -> object:
+    return plugins.create("network", value, "network")
+
+
+def _rewards(value: object) -> object:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
+    return {str(k): plugins.create("reward", v, f"rewards.{k}") for k, v in value.items()}
+
+
+def _reward_containers(value: Mapping[str, RewardTerm]) -> dict[str, Any]:
+    return {name: plugins.container(term) for name, term in value.items()}
+
+
+AnyTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(plugins.container)]
+AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(plugins.container)]
+AnyRewards = Annotated[
+    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_reward_containers)
+]
+
+PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
+
+
+class EnvConfig(Settings):
+    """Everything the environment is made of."""
+
+    terrain: AnyTerrain
+    rewards: AnyRewards = Field(default_factory=lambda: dict(PAPER_REWARDS))  # type: ignore[arg-type]
+    robot: Robot = Robot()
+    sim: Sim = Sim()
+    perception: PerceptionSettings = PerceptionSettings()
+    episode: Episode = Episode()
+
+
+class EvalConfig(EnvConfig):
+    """An evaluation: the environment and how often."""
+
+    eval: Eval = Eval()
+
+
+class TrainConfig(EnvConfig):
+    """A training run, complete."""
+
+    network: AnyNetwork
+    agent: Agent = Agent()
+    train: Train = Train()
+    eval: Eval = Eval()
+    seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
+    device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
+
+    def environment(self) -> EnvConfig:
+        """The part that the environment is made of."""
+        return EnvConfig(**{name: getattr(self, name) for name in EnvConfig.model_fields})
+
+
+ConfigT = TypeVar("ConfigT", bound=Settings)
+
+
+def parse(model: type[ConfigT], container: Mapping[str, Any]) -> ConfigT:
+    """Validate a composed container.
+
+    Raises:
+        ConfigError: one line with the configuration path, the value and what is allowed.
+    """
+    try:
+        return model(**container)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "", model)) from error
+
+
+def container(config: Settings) -> dict[str, Any]:
+    """The plain container from which ``parse`` makes an equal configuration."""
+    return config.model_dump(mode="json")
+
+
+def merged(config: Settings, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """The container of ``config`` with nested or dotted overrides laid over it.
+
+    A reward term set to None is dropped.
+    """
+    result = container(config)
+    for key, value in overrides.items():
+        *parents, leaf = key.split(".")
+        node = result
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        _lay_over(node, leaf, value)
+    rewards = result.get("rewards", {})
+    result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
+    return result
+
+
+def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
+    old = node.get(key)
+    if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
+        for inner, item in value.items():
+            _lay_over(old, inner, item)
+    else:
+        node[key] = value

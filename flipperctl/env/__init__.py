@@ -1,0 +1,1 @@
+"""Observation, action, reward sum and ends: the task as a Gymnasium environment."""

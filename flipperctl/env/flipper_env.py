@@ -1,0 +1,193 @@
+"""The task as a Gymnasium environment: ``gymnasium.make("flipperctl/Flipper-v0", terrain=…)``.
+
+Data flows one way: terrain → profile → world → state → observation → action → world →
+transition → reward terms.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl import plugins
+from flipperctl.api import (
+    ACTIONS,
+    Outcome,
+    Perception,
+    Profile,
+    RobotState,
+    Transition,
+)
+from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.env.ends import Ends
+from flipperctl.env.metrics import EpisodeMetrics
+from flipperctl.env.rewards import RewardSum
+from flipperctl.errors import NonFiniteError, TerrainError
+from flipperctl.sim.sensing import TerrainSensor
+from flipperctl.sim.world import SAMPLE, World
+
+Observation = NDArray[np.float32]
+
+_DEEPEST_START = 0.005  # [m] of overlap with the ground that counts as standing on it
+
+
+class FlipperEnv(gymnasium.Env[Observation, np.int64]):
+    """One robot that drives across one terrain an episode; the policy turns the flippers.
+
+    Observations are (N + 3,) float32 in SI units, laid out as ``layout`` says; actions are
+    indices into ``flipperctl.api.ACTIONS``. ``info`` carries ``rewards`` (each term's part) and,
+    at the end, ``outcome`` and ``metrics``. Timeout truncates; the other outcomes terminate.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        terrain: Any = "stair",
+        *,
+        config: EnvConfig | None = None,
+        render_mode: str | None = None,
+        **overrides: Any,
+    ) -> None:
+        """``terrain``: a name, a mapping with ``name`` and fields, or an instance.
+
+        ``overrides``: sections of the configuration, nested (``episode={"slack": 2}``) or dotted
+        (``**{"rewards.pitch.lambda_2": 8}``). ``config`` replaces both.
+        """
+        if config is None:
+            plugins.load()
+            config = parse(EnvConfig, merged(EnvConfig(terrain=terrain), overrides))
+        self.config = config
+        self.robot = config.robot
+        self.layout = config.perception
+        self.render_mode = render_mode
+        self._reward = RewardSum(config.rewards)
+        self._samples = math.ceil(config.robot.decision_period / SAMPLE - 1e-9)
+        high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
+        self.observation_space = gymnasium.spaces.Box(
+            -high.astype(np.float32), high.astype(np.float32)
+        )
+        self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw a terrain and put the robot before it; equal seeds give equal episodes."""
+        super().reset(seed=seed)
+        # One stream each, so that sensing noise never changes the terrain that is drawn.
+        terrain_rng, start_rng, self._sensor_rng, self._controller_rng = self.np_random.spawn(4)
+        episode = self.config.episode
+        self.profile = self._draw(terrain_rng)
+        shift, front, rear = start_rng.uniform(-1.0, 1.0, 3)
+        start = self.profile.start - episode.run_up + shift * episode.start_noise
+        angles = [
+            self.robot.clip(episode.start_angle + a * episode.start_angle_noise)
+            for a in (front, rear)
+        ]
+        self.world = World(self.profile, self.robot, self.config.sim, start, *angles)
+        if (depth := self.world.penetration()) > _DEEPEST_START:
+            raise TerrainError(
+                f"terrain {self.config.terrain.plugin_name!r} starts in the robot: they overlap by "
+                f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
+            )
+        margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
+        self._sensor = TerrainSensor(self.profile, self.config.perception, margin + 2.0)
+        self.ends = Ends(self.profile, self.robot, episode, start)
+        self._target = list(angles)
+        self.state = self.world.state()
+        self._pitches = [self.state.pitch]
+        self._metrics = EpisodeMetrics(self.state)
+        self.perception = self._perceive(self.state)
+        return self.perception.observation, {}
+
+    def _draw(self, rng: np.random.Generator) -> Profile:
+        terrain = self.config.terrain
+        try:
+            profile = terrain.generate(rng)
+        except ValueError as error:
+            raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
+        if not isinstance(profile, Profile):
+            raise TerrainError(
+                f"terrain {terrain.plugin_name!r}: generate must return a Profile; "
+                f"it returned a {type(profile).__name__}"
+            )
+        return profile
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Turn the flippers by one action and let the world run for one decision."""
+        move = ACTIONS[int(action)]
+        robot = self.robot
+        self._target = [
+            robot.clip(target + turn * robot.angle_step)
+            for target, turn in zip(self._target, move, strict=True)
+        ]
+        before = self.state
+        outcome = self._run()
+        after = self.state = self._checked(self.world.state())
+        outcome = outcome or self.ends.decision(float(after.position[0]))
+        self._pitches.append(after.pitch)
+        transition = Transition(
+            before, after, np.array(self._pitches), move, self.profile, robot, outcome
+        )
+        parts = self._reward(transition)
+        self._metrics.decision(after, parts)
+        self.perception = self._perceive(after)
+        info: dict[str, Any] = {"rewards": parts}
+        if outcome is not None:
+            info["outcome"] = outcome
+            info["metrics"] = self._metrics.summary()
+        truncated = outcome is Outcome.TIMEOUT
+        terminated = outcome is not None and not truncated
+        return self.perception.observation, sum(parts.values()), terminated, truncated, info
+
+    def _run(self) -> Outcome | None:
+        world, ends, metrics = self.world, self.ends, self._metrics
+        world.command(*self._target)
+        for _ in range(self._samples):
+            world.advance()
+            pitch = world.pitch
+            metrics.sample(pitch)
+            if (outcome := ends.instant(world, pitch)) is not None:
+                return outcome
+        return None
+
+    def _checked(self, state: RobotState) -> RobotState:
+        numbers = (*state.position, *state.velocity, state.pitch, state.front, state.rear)
+        if not all(map(math.isfinite, numbers)):
+            raise NonFiniteError(
+                f"the simulated robot's state is not finite at time {state.time:.2f} s on terrain "
+                f"{self.config.terrain.plugin_name!r}: {state}"
+            )
+        return state
+
+    def _perceive(self, state: RobotState) -> Perception:
+        rng = self._sensor_rng
+        points = self._sensor.points(state.position, rng)
+        angles = np.array([state.front, state.rear, state.pitch])
+        if self.config.perception.angle_noise > 0:
+            angles = angles + rng.normal(0.0, self.config.perception.angle_noise, 3)
+        observation = np.empty(self.layout.size, dtype=np.float32)
+        observation[: self.layout.bins] = self._sensor.heights(points)
+        observation[self.layout.bins :] = angles
+        front, rear, pitch = angles.tolist()
+        return Perception(
+            observation, points, pitch, front, rear, self.robot, self.layout, self._controller_rng
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The scene as an (H, W, 3) picture; None without ``render_mode="rgb_array"``."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            from flipperctl.env.render import Renderer
+
+            self._renderer = Renderer()
+        picture: NDArray[np.uint8] = self._renderer(self)
+        return picture

@@ -1,0 +1,61 @@
+"""Every exception that flipperctl raises on purpose.
+
+``RequestError`` and its children mean that the request was wrong (exit code 2); any other
+``FlipperctlError`` means that the work failed (exit code 1).
+"""
+
+from __future__ import annotations
+
+
+class FlipperctlError(Exception):
+    """Root of the package's own exceptions; its text is shown to the user as it is."""
+
+    exit_code = 1
+
+
+class RequestError(FlipperctlError):
+    """What was asked for cannot be done as asked."""
+
+    exit_code = 2
+
+
+class ConfigError(RequestError):
+    """A configuration value is unknown, of the wrong type or out of bounds."""
+
+
+class PluginError(RequestError):
+    """A plugin is missing, does not import, or takes a name twice."""
+
+
+class TerrainError(RequestError):
+    """A terrain generator returned a profile that no robot can start on."""
+
+
+class CheckpointError(RequestError):
+    """A checkpoint is missing, damaged, foreign, or needs a plugin that is not installed."""
+
+
+class OutputError(RequestError):
+    """A path asked for cannot be written."""
+
+
+class MissingExtraError(RequestError):
+    """An optional dependency is not installed; the text names the extra."""
+
+
+class NonFiniteError(FlipperctlError):
+    """A state, reward or loss is not a finite number; the text says where it came from."""
+
+
+class ExportError(FlipperctlError):
+    """An exported policy does not agree with the trained one."""
+
+
+class WriteError(FlipperctlError):
+    """Writing failed half way (a full disk, say); what was there before is untouched."""
+
+
+class InterruptedRunError(FlipperctlError):
+    """The user interrupted the work; what was done so far is saved."""
+
+    exit_code = 130

@@ -1,0 +1,170 @@
+"""Finds plugins, imports them, and makes instances of them from configuration.
+
+In: the entry-point group ``flipperctl.plugins``, ``FLIPPERCTL_PLUGINS`` and paths given on the
+command line. Out: ``api.registry`` filled, and frozen plugin instances.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pydantic import ValidationError
+
+from flipperctl.api import Plugin, registry
+from flipperctl.errors import ConfigError, PluginError
+from flipperctl.messages import close_match, explain
+
+GROUP = "flipperctl.plugins"
+VARIABLE = "FLIPPERCTL_PLUGINS"
+
+_loaded: set[str] = set()
+
+
+def load(paths: Iterable[str | Path] = ()) -> None:
+    """Import every installed plugin, those of ``FLIPPERCTL_PLUGINS``, and those at ``paths``.
+
+    ``paths`` (``.py`` files or folders) are added to the variable, so that worker processes
+    find them too. Calling it again imports only what is new.
+
+    Raises:
+        PluginError: a plugin is missing, does not import, registers nothing, or takes a name.
+    """
+    for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
+        if entry.value not in _loaded:
+            _importing(entry.value, f"entry point {entry.name!r}", entry.load)
+    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    named += [str(Path(p).absolute()) for p in paths]
+    named = list(dict.fromkeys(named))
+    for path in named:
+        for file in _files(Path(path)):
+            _load_file(file)
+    if named:
+        os.environ[VARIABLE] = os.pathsep.join(named)
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file() and path.suffix == ".py":
+        return [path]
+    if path.is_dir():
+        files = sorted(f for f in path.glob("*.py") if not f.name.startswith("_"))
+        if files:
+            return files
+        raise PluginError(f"plugins: {path} holds no .py file")
+    what = "is no .py file" if path.exists() else "does not exist"
+    raise PluginError(f"plugins: {path} {what}; a .py file or a folder of them is allowed")
+
+
+def _load_file(file: Path) -> None:
+    file = file.resolve()
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = f"flipperctl_user_{file.stem}_{digest}"
+    if name in _loaded:
+        return
+
+    def run() -> ModuleType:
+        spec = importlib.util.spec_from_file_location(name, file)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{file} cannot be imported as Python")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+        return module
+
+    _importing(name, str(file), run)
+
+
+def _importing(name: str, shown: str, run: Any) -> None:
+    before = dict(registry)
+    try:
+        run()
+    except Exception as error:
+        registry.clear()
+        registry.update(before)
+        sys.modules.pop(name, None)
+        raise PluginError(f"plugin {shown} does not import: {_where(error)}") from error
+    if len(registry) == len(before):
+        raise PluginError(
+            f"plugin {shown} registers nothing; "
+            "decorate a class with @terrain, @reward, @network or @controller"
+        )
+    _loaded.add(name)
+
+
+def _where(error: Exception) -> str:
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}: {error.msg}"
+    library = {str(Path(__file__)), str(Path(__file__).with_name("api.py"))}
+    frames = [
+        f
+        for f in traceback.extract_tb(error.__traceback__)
+        if f.filename not in library and "importlib" not in f.filename
+    ]
+    place = f"{frames[-1].filename}:{frames[-1].lineno}: " if frames else ""
+    return f"{place}{type(error).__name__}: {error}"
+
+
+def names(kind: str) -> list[str]:
+    """The registered names of one family, sorted."""
+    return sorted(name for k, name in registry if k == kind)
+
+
+def get(kind: str, name: object, where: str) -> type[Plugin]:
+    """The class registered under ``name``.
+
+    Raises:
+        ConfigError: no plugin of that kind has the name; the text has a close match.
+    """
+    found = registry.get((kind, str(name)))
+    if found is None:
+        raise ConfigError(
+            f"{where}: there is no {kind} plugin {name!r}{close_match(str(name), names(kind))}; "
+            f"registered: {', '.join(names(kind)) or 'none'}"
+        )
+    return found
+
+
+def create(kind: str, settings: object, where: str) -> Plugin:
+    """A plugin instance from its name, or from a mapping with ``name`` and its fields.
+
+    Raises:
+        ConfigError: the name is unknown, or a field is unknown, of the wrong type or out of bounds.
+    """
+    if isinstance(settings, Plugin):
+        return settings
+    if isinstance(settings, str):
+        settings = {"name": settings}
+    if not isinstance(settings, Mapping) or "name" not in settings:
+        raise ConfigError(
+            f"{where}: a plugin's name, or a mapping with 'name' and its fields, "
+            f"is allowed; got {settings!r}"
+        )
+    fields = {k: v for k, v in settings.items() if k != "name"}
+    cls = get(kind, settings["name"], where)
+    try:
+        return cls(**fields)
+    except ValidationError as error:
+        raise ConfigError(explain(error, where, cls)) from error
+
+
+def container(plugin: Plugin) -> dict[str, Any]:
+    """The mapping from which ``create`` makes an equal instance."""
+    return {"name": plugin.plugin_name, **plugin.model_dump(mode="json")}
+
+
+def source(cls: type[Plugin]) -> str:
+    """Where a plugin was defined: its file, or its module for what has none."""
+    try:
+        return f"{inspect.getsourcefile(cls)}:{inspect.getsourcelines(cls)[1]}"
+    except (OSError, TypeError):
+        return cls.__module__

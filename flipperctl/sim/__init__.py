@@ -1,0 +1,1 @@
+"""The pymunk simulator: geometry, belts, the world and sensing. Knows no reward."""

@@ -1,0 +1,5 @@
+"""Built-in Q-networks; torch is imported only when one is built."""
+
+from flipperctl_plugins.networks import at_d3qn, dueling_mlp, mlp
+
+__all__ = ["at_d3qn", "dueling_mlp", "mlp"]

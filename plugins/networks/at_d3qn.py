@@ -1,0 +1,35 @@
+"""The paper's network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from flipperctl.api import Network, ObservationLayout, network
+
+if TYPE_CHECKING:
+    import torch
+
+
+@network("at_d3qn")
+class AtD3qn(Network):
+    """AT-D3QN (paper Sec. III-E): terrain MLP → H′, joined with E by one layer → S′, dueling."""
+
+    terrain: tuple[int, ...] = Field(
+        (64, 64), min_length=1, description="widths of the terrain layers; paper silent [-]"
+    )
+    fused: int = Field(128, ge=1, le=4096, description="width of S′; paper silent [-]")
+    head: int = Field(128, ge=1, le=4096, description="width in each head; paper silent [-]")
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Observation (B, N + 3) → Q (B, n_actions)."""
+        from torch import nn
+
+        from flipperctl_plugins.networks.modules import Dueling, Fusion, Normalise
+
+        return nn.Sequential(
+            Normalise(layout),
+            Fusion(layout, self.terrain, self.fused),
+            Dueling(self.fused, self.head, n_actions),
+        )

@@ -1,0 +1,33 @@
+"""A plain perceptron, for comparison."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from flipperctl.api import Network, ObservationLayout, network
+
+if TYPE_CHECKING:
+    import torch
+
+
+@network("mlp")
+class Mlp(Network):
+    """All N + 3 numbers through one perceptron to Q, as in the first DQN (Mnih et al. 2015)."""
+
+    hidden: tuple[int, ...] = Field(
+        (128, 128), min_length=1, description="widths of the hidden layers [-]"
+    )
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Observation (B, N + 3) → Q (B, n_actions)."""
+        from torch import nn
+
+        from flipperctl_plugins.networks.modules import Normalise, perceptron
+
+        return nn.Sequential(
+            Normalise(layout),
+            perceptron((layout.size, *self.hidden)),
+            nn.Linear(self.hidden[-1], n_actions),
+        )

@@ -1,0 +1,32 @@
+"""R_flipper (paper Eq. 4)."""
+
+import math
+
+from pydantic import Field
+
+from flipperctl.api import RewardTerm, Transition, candidate_angle, reward
+
+
+@reward("flipper")
+class Flipper(RewardTerm):
+    """R_flipper (paper Eq. 4): the front flippers follow the candidate angle."""
+
+    lambda_1: float = Field(1.0, gt=0, le=100, description="slope of the penalty [1/rad]")
+    tolerance: float = Field(
+        math.pi / 36, ge=0, le=1, description="deviation from the candidate that is free [rad]"
+    )
+    near: float = Field(
+        0.1, ge=0, le=1, description="nearest terrain that counts, from the hinge; paper silent [m]"
+    )
+    far: float = Field(
+        0.45, gt=0, le=3, description="farthest terrain that counts, from the hinge; paper silent [m]"
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """In [-1, 0]; -1 where the deviation exceeds 1/λ1."""
+        x = float(t.after.position[0])
+        reach = t.robot.hinge_offset + self.far + t.robot.track_radius
+        points = t.profile.around(x, reach) - t.after.position
+        candidate = candidate_angle(points, t.after.pitch, t.robot, near=self.near, far=self.far)
+        deviation = max(0.0, abs(t.after.front - candidate) - self.tolerance)
+        return -min(1.0, self.lambda_1 * deviation)

@@ -1,0 +1,61 @@
+"""A flight of stairs, up or down (paper Sec. IV-A)."""
+
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from flipperctl.api import Profile, Terrain, terrain
+
+
+@terrain("stair")
+class Stair(Terrain):
+    """Stairs of equal steps; their number and their direction are drawn each episode.
+
+    With ``back``, a flight of its own tread leads back to the level behind the platform.
+    """
+
+    rise: float = Field(0.2, gt=0, le=0.5, description="height of a step [m]")
+    tread: float = Field(0.3, gt=0.05, le=2, description="depth of a step; 0.3 is 33.7° [m]")
+    fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
+    most: int = Field(5, ge=1, le=50, description="largest number of steps [-]")
+    direction: Literal["up", "down", "both"] = Field(
+        "both", description="way of the first flight; both draws one [-]"
+    )
+    platform: float = Field(
+        0.0, ge=0, le=20, description="length of the ground behind the flight [m]"
+    )
+    back: bool = Field(False, description="whether a second flight leads back [-]")
+    back_tread: float = Field(
+        0.3, gt=0.05, le=2, description="depth of a step of the second flight [m]"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.fewest > self.most:
+            raise ValueError(f"fewest ({self.fewest}) must not exceed most ({self.most})")
+        if self.back and self.platform <= 0:
+            raise ValueError("a way back needs a platform longer than 0 m")
+        return self
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """Vertical faces with treads between them."""
+        steps = int(rng.integers(self.fewest, self.most + 1))
+        up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
+        rise = self.rise if up else -self.rise
+        points = _flight(0.0, 0.0, steps, self.tread, rise)
+        x, z = points[-1]
+        if self.platform:
+            points.append((x + self.platform, z))
+        if self.back:
+            points += _flight(x + self.platform, z, steps, self.back_tread, -rise)[1:]
+        return Profile(points)
+
+
+def _flight(x: float, z: float, steps: int, tread: float, rise: float) -> list[tuple[float, float]]:
+    """The outline of a flight that begins at (x, z) with a vertical face."""
+    points = [(x, z)]
+    for step in range(steps):
+        points.append((x + step * tread, z + step * rise))
+        points.append((x + step * tread, z + (step + 1) * rise))
+    return points[1:] if steps else points
