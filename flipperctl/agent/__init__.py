@@ -1,0 +1,1 @@
+"""The learner: replay, losses, schedules and the double dueling DQN."""

@@ -1,0 +1,122 @@
+"""The double dueling DQN: acts and learns. It knows no environment."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.losses import double_q_target, huber
+from flipperctl.agent.replay import Batch
+from flipperctl.agent.schedules import linear
+from flipperctl.api import Network, ObservationLayout
+from flipperctl.config import Agent
+from flipperctl.errors import ConfigError, NonFiniteError
+
+
+def build_network(
+    network: Network, layout: ObservationLayout, n_actions: int
+) -> torch.nn.Module:
+    """The network, after a check of its output's shape.
+
+    Raises:
+        ConfigError: it does not map (B, N + 3) to (B, n_actions) finite float32 numbers.
+    """
+    module = network.build(layout, n_actions)
+    name = f"network {network.plugin_name!r}"
+    if not isinstance(module, torch.nn.Module):
+        raise ConfigError(f"{name}: build must return a torch module; got {type(module).__name__}")
+    probe = torch.zeros(2, layout.size)
+    try:
+        with torch.no_grad():
+            output = module(probe)
+    except RuntimeError as error:
+        raise ConfigError(
+            f"{name} fails on observations of shape {tuple(probe.shape)}: "
+            f"{str(error).splitlines()[0]}"
+        ) from error
+    shape = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+    if shape != (2, n_actions):
+        raise ConfigError(
+            f"{name}: observations (2, {layout.size}) must give Q-values (2, {n_actions}); "
+            f"the output is {shape}"
+        )
+    return module
+
+
+class D3qn:
+    """Online and target network, optimiser, and one method each to act and to learn."""
+
+    def __init__(
+        self,
+        network: Network,
+        layout: ObservationLayout,
+        n_actions: int,
+        settings: Agent,
+        *,
+        seed: int,
+        device: str = "cpu",
+    ) -> None:
+        self.settings = settings
+        self.device = torch.device(device)
+        self._n_actions = n_actions
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.online = build_network(network, layout, n_actions).to(self.device)
+        self.target = copy.deepcopy(self.online).requires_grad_(False)
+        self.optimiser = torch.optim.Adam(
+            self.online.parameters(), lr=settings.learning_rate, fused=True
+        )
+        self._pairs = list(zip(self.target.parameters(), self.online.parameters(), strict=True))
+
+    @property
+    def policy(self) -> torch.nn.Module:
+        """The network that is validated and exported."""
+        return self.target if self.settings.act_with == "target" else self.online
+
+    def act(
+        self, observation: NDArray[np.float32], epsilon: float, rng: np.random.Generator
+    ) -> int:
+        """ε-greedy on the online network."""
+        if rng.random() < epsilon:
+            return int(rng.integers(self._n_actions))
+        with torch.inference_mode():
+            q = self.online(torch.from_numpy(observation).to(self.device).unsqueeze(0))
+        return int(q.argmax())
+
+    def update(self, batch: Batch, share: float) -> float:
+        """One gradient step; ``share`` of the run is over. Returns the loss.
+
+        Raises:
+            NonFiniteError: the loss is not finite.
+        """
+        s = self.settings
+        for group in self.optimiser.param_groups:
+            group["lr"] = linear(s.learning_rate, s.learning_rate_end, share)
+        batch = batch.to(self.device)
+        size = len(batch.action)
+        both = self.online(torch.cat([batch.observation, batch.next_observation]))
+        with torch.no_grad():
+            target = double_q_target(
+                batch.reward * s.reward_scale,
+                batch.discount,
+                both[size:].detach(),
+                self.target(batch.next_observation),
+            )
+        taken = both[:size].gather(1, batch.action.unsqueeze(1)).squeeze(1)
+        loss = huber(taken, target)
+        value = float(loss.detach())
+        if not math.isfinite(value):
+            raise NonFiniteError(f"the learner's loss is {value}; the largest reward of the batch "
+                                 f"is {float(batch.reward.abs().max()):g}")
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.online.parameters(), s.gradient_norm)
+        self.optimiser.step()
+        with torch.no_grad():
+            for slow, fast in self._pairs:
+                slow.lerp_(fast, s.target_rate)
+        return value
