@@ -353,6 +353,8 @@ class RewardTerm(Plugin, ABC):
     """One summand of the reward; the environment multiplies it by ``weight``."""
 
     kind: ClassVar[str] = "reward"
+    bounds: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
+    """Least and largest unweighted value; a term at its least is saturated."""
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
     @abstractmethod

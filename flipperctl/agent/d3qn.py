@@ -120,3 +120,27 @@ class D3qn:
             for slow, fast in self._pairs:
                 slow.lerp_(fast, s.target_rate)
         return value
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """All that learning needs to go on: both networks and the optimiser's moments."""
+        found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
+        found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
+        for index, moments in self.optimiser.state_dict()["state"].items():
+            found |= {f"optimiser.{index}.{k}": v for k, v in moments.items()}
+        return found
+
+    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Take back what ``tensors`` gave."""
+        parts: dict[str, dict[str, torch.Tensor]] = {"online": {}, "target": {}, "optimiser": {}}
+        for name, tensor in tensors.items():
+            part, _, key = name.partition(".")
+            if part in parts:
+                parts[part][key] = tensor
+        self.online.load_state_dict(parts["online"])
+        self.target.load_state_dict(parts["target"])
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in parts["optimiser"].items():
+            index, _, key = name.partition(".")
+            state.setdefault(int(index), {})[key] = tensor
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": state, "param_groups": groups})

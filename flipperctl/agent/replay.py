@@ -94,6 +94,10 @@ class Replay:
         rows = rng.integers(len(self), size=size)
         return Batch(**{n: torch.from_numpy(self.arrays[n][rows]) for n in self.FIELDS})
 
+    def drop_pending(self) -> None:
+        """Forget the decisions that still wait for the n-th reward behind them."""
+        self._pending.clear()
+
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """The part in use of each array; only between episodes is it the whole state."""
         if self._pending:

@@ -1,0 +1,1 @@
+"""Figures for people: drawn terrain, learning curves, one episode. Imports matplotlib."""

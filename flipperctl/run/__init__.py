@@ -1,0 +1,1 @@
+"""Runs: training, evaluation, export, and the files they leave."""

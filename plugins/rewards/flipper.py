@@ -1,6 +1,7 @@
 """R_flipper (paper Eq. 4)."""
 
 import math
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -11,6 +12,7 @@ from flipperctl.api import RewardTerm, Transition, candidate_angle, reward
 class Flipper(RewardTerm):
     """R_flipper (paper Eq. 4): the front flippers follow the candidate angle."""
 
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_1: float = Field(1.0, gt=0, le=100, description="slope of the penalty [1/rad]")
     tolerance: float = Field(
         math.pi / 36, ge=0, le=1, description="deviation from the candidate that is free [rad]"

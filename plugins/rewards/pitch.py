@@ -1,6 +1,7 @@
 """R_pitch (paper Eqs. 5 and 6)."""
 
 import math
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,7 @@ class Pitch(RewardTerm):
     k pitches, which a reward paid at once can know.
     """
 
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_2: float = Field(5.0, gt=0, le=1000, description="slope of the penalty [1/rad]")
     window: int = Field(3, ge=2, le=100, description="k, pitches averaged over; paper silent [-]")
 

@@ -1,0 +1,6 @@
+"""``python -m flipperctl``."""
+
+from flipperctl.cli.main import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""Hydra: from overrides to validated configurations.
+
+In: overrides as the user typed them. Out: ``TrainConfig`` and ``EvalConfig``. Plugin and section
+defaults come from their classes, through Hydra's ConfigStore.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.resources import files
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from flipperctl import plugins
+from flipperctl.api import registry
+from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, container, parse
+from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.messages import close_match
+
+CONFIGS = str(files("flipperctl.configs"))
+_TRAINED = "_trained"  # the terrain of a checkpoint, as a group entry
+_PLUGIN_KEYS = ("terrain", "rewards", "network")
+
+
+def offer_defaults() -> None:
+    """Put every registered plugin's and every section's defaults into the ConfigStore."""
+    store = ConfigStore.instance()
+    for (kind, name), cls in registry.items():
+        fields = {
+            field: info.get_default(call_default_factory=True)
+            for field, info in cls.model_fields.items()
+        }
+        try:
+            node = plugins.container(cls(**fields))
+        except ValueError as error:
+            raise ConfigError(f"{kind} plugin {name!r}: its defaults are not valid: {error}") from error
+        store.store(group=kind, name=name, node=node)
+    for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
+        sections = {
+            name: container(info.default) if hasattr(info.default, "model_dump") else info.default
+            for name, info in model.model_fields.items()
+            if name not in _PLUGIN_KEYS
+        }
+        store.store(name=primary, node=sections)
+
+
+def offer_trained(config: TrainConfig) -> str:
+    """Offer a checkpoint's environment as the primary configuration; returns its name."""
+    store = ConfigStore.instance()
+    whole = container(config.environment())
+    store.store(group="terrain", name=_TRAINED, node=whole.pop("terrain"))
+    name = "flipperctl_eval_trained"
+    defaults = [{"terrain": _TRAINED}, "_self_"]
+    store.store(name=name, node={"defaults": defaults, **whole, "eval": container(Eval())})
+    return name
+
+
+def validated(composed: DictConfig) -> TrainConfig:
+    """The training configuration of what Hydra composed."""
+    return parse(TrainConfig, _plain(composed))
+
+
+def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
+    """One configuration for each combination of the sweeps in ``overrides``.
+
+    Raises:
+        ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
+    """
+    return [parse(TrainConfig, plain) for plain in _compositions("train", overrides)]
+
+
+def compose_eval(
+    overrides: Sequence[str], primary: str = "eval"
+) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
+    """For each combination of sweeps, the configuration and the controller's settings, if any."""
+    found = []
+    for plain in _compositions(primary, overrides):
+        settings = plain.pop("controller", None)
+        found.append((parse(EvalConfig, plain), settings))
+    return found
+
+
+def compose_environment(overrides: Sequence[str]) -> EnvConfig:
+    """The environment of an evaluation with these overrides."""
+    (config, _), *_ = compose_eval(overrides)
+    return config
+
+
+def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, Any]]:
+    with translated(), initialize_config_dir(CONFIGS, version_base="1.3"):
+        for combination in _combinations(overrides):
+            try:
+                yield _plain(compose(primary, combination))
+            except MissingConfigException as error:
+                raise _missing(error) from error
+            except ConfigCompositionException as error:
+                raise _unknown_key(error, primary) from error
+
+
+def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
+    parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
+    choices: list[list[str]] = []
+    for override in parsed:
+        if override.is_sweep_override():
+            key = override.get_key_element()
+            choices.append([f"{key}={value}" for value in override.sweep_string_iterator()])
+        else:
+            choices.append([str(override.input_line)])
+    for combination in itertools.product(*choices):
+        yield list(combination)
+
+
+@contextmanager
+def translated() -> Iterator[None]:
+    """Turn Hydra's and OmegaConf's errors into one of ours, in one line."""
+    try:
+        yield
+    except FlipperctlError:
+        raise
+    except OverrideParseException as error:
+        raise ConfigError(
+            f"{error.override!r} is no override; write key=value, as in terrain=stair "
+            f"({_flat(error)})"
+        ) from error
+    except MissingConfigException as error:
+        raise _missing(error) from error
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_flat(error)) from error
+
+
+def _plain(composed: DictConfig) -> dict[str, Any]:
+    with translated():
+        plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    if not isinstance(plain, dict):
+        raise ConfigError("the configuration is no mapping")
+    return {str(k): v for k, v in plain.items() if k != "hydra"}
+
+
+def _flat(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _missing(error: MissingConfigException) -> ConfigError:
+    group, _, option = str(error.missing_cfg_file or "").rpartition("/")
+    group, option = group.strip("/"), option.removesuffix(".yaml")
+    options = [o for o in (error.options or plugins.names(group)) if not o.startswith("_")]
+    if not group:
+        return ConfigError(_flat(error))
+    what = f"{group} plugin" if plugins.names(group) else group
+    return ConfigError(
+        f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
+        f"known: {', '.join(sorted(options)) or 'none'}"
+    )
+
+
+def _unknown_key(error: ConfigCompositionException, primary: str) -> ConfigError:
+    text = _flat(error)
+    named = re.search(r"Could not (?:override|delete|append)[^']*'([^']+)'", text)
+    if not named:
+        return ConfigError(text)
+    key = named[1].split("@")[0]
+    parents, _, leaf = key.rpartition(".")
+    try:
+        node: Any = _plain(compose(primary))
+        for parent in parents.split(".") if parents else ():
+            node = node[parent]
+        known = [name for name in node if name != "name"]
+    except (KeyError, TypeError):
+        known, leaf = list(_plain(compose(primary))), key
+    cause = error.__cause__
+    if isinstance(cause, OmegaConfBaseException) and "not in struct" not in str(cause):
+        return ConfigError(f"{key}: {_flat(cause)}")
+    return ConfigError(
+        f"{key}: there is no such key{close_match(leaf, known)}; "
+        f"known {'in ' + parents if parents else 'groups and keys'}: {', '.join(sorted(known))}"
+    )

@@ -1,0 +1,218 @@
+"""``flipperctl eval``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from flipperctl.config import EvalConfig
+    from flipperctl.run.policy import ControllerSource
+
+HELP = """Judge a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
+
+OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b judges on both.
+A checkpoint is judged on the terrain it was trained on unless terrain=… says otherwise.
+
+[bold]Examples[/]
+
+  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --episodes 100
+
+  flipperctl eval --checkpoint best.safetensors terrain=paper_step,paper_stair --json
+
+  flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
+
+  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("eval", help=HELP)(evaluate)
+
+
+def evaluate(
+    overrides: Overrides = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
+    ] = None,
+    baseline: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="A controller to compare with, on the same draws."),
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(help="Episodes a scene [100].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the draws [0].")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes [1].")] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for episodes.csv and summary.json.")
+    ] = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    if (checkpoint is None) == (controller is None):
+        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    from flipperctl import plugins as loader
+    from flipperctl.run.files import make_folder
+
+    loader.load(plugins or ())
+    flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
+    given = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
+    found = scenes(given, checkpoint, controller)
+    folder = make_folder(output) if output else None
+
+    source = found[0][1]
+    document: dict[str, Any] = {"controller": source.label(), "scenes": []}
+    rows = [_judge(document, config, source, baseline) for config, source in found]
+    if folder:
+        _write(folder, document, [row for group in rows for row in group])
+    if as_json:
+        print(json.dumps(document, indent=2))
+        return
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    console.print(_table(document))
+    if baseline:
+        console.print(_comparison(document, baseline))
+
+
+def scenes(
+    overrides: list[str], checkpoint: Path | None, controller: str | None
+) -> list[tuple[EvalConfig, ControllerSource]]:
+    """What to judge: a configuration a scene, and the controller; one of the two is given."""
+    from flipperctl import plugins as loader
+    from flipperctl.cli import compose
+    from flipperctl.run.policy import ControllerSource
+
+    compose.offer_defaults()
+    if checkpoint is None:
+        loader.get("controller", controller, "--controller")
+        found = compose.compose_eval([f"controller={controller}", *overrides])
+        return [(config, ControllerSource(settings=settings)) for config, settings in found]
+    from flipperctl.run import checkpoint as checkpoints
+
+    file = checkpoints.find(checkpoint)
+    primary = compose.offer_trained(checkpoints.read(file).config())
+    source = ControllerSource(checkpoint=file)
+    configs = [config for config, _ in compose.compose_eval(overrides, primary)]
+    for config in configs:
+        source.make(config.perception)  # a wrong layout is found before the first episode
+    return [(config, source) for config in configs]
+
+
+def _judge(
+    document: dict[str, Any], config: EvalConfig, source: ControllerSource, baseline: str | None
+) -> list[dict[str, Any]]:
+    from flipperctl import plugins as loader
+    from flipperctl.run.policy import ControllerSource
+    from flipperctl.run.statistics import paired, scene_summary
+
+    terrain = config.terrain.plugin_name
+    rows = _play(config, source, f"{terrain}")
+    scene = scene_summary(terrain, rows)
+    named = [{"terrain": terrain, "controller": source.label(), **row} for row in rows]
+    if baseline:
+        settings = loader.container(loader.create("controller", baseline, "--baseline"))
+        other = _play(config, ControllerSource(settings=settings), f"{terrain}, {baseline}")
+        measures = ("t_cost", "pitch_variation", "pitch_variation_100hz")
+        scene["baseline"] = {
+            "controller": baseline,
+            **scene_summary(terrain, other),
+            "difference": {name: paired(rows, other, name) for name in measures},
+        }
+        named += [{"terrain": terrain, "controller": baseline, **row} for row in other]
+    document["scenes"].append(scene)
+    return named
+
+
+def _play(config: EvalConfig, source: ControllerSource, label: str) -> list[dict[str, Any]]:
+    from rich.console import Console
+    from rich.progress import track
+
+    from flipperctl.run.evaluate import evaluate as run
+
+    s = config.eval
+    episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs)
+    console = Console(stderr=True)
+    return list(
+        track(
+            episodes, label, s.episodes, console=console, transient=True, disable=not console.is_terminal
+        )
+    )
+
+
+def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    import csv
+    import io
+
+    from flipperctl.run.files import write_bytes, write_json
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(folder / "episodes.csv", text.getvalue().encode())
+    write_json(folder / "summary.json", document)
+
+
+def _table(document: dict[str, Any]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=str(document["controller"]), title_justify="left")
+    for heading in ("terrain", "episodes", "success", "outcomes", "t_cost [s]"):
+        table.add_column(heading)
+    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
+        table.add_column(heading)
+    for scene in document["scenes"]:
+        outcomes = " ".join(f"{name} {count}" for name, count in scene["outcomes"].items() if count)
+        table.add_row(
+            scene["terrain"],
+            str(scene["episodes"]),
+            _shown(scene["success"], 3),
+            outcomes,
+            _shown(scene["t_cost"], 1),
+            _shown(scene["pitch_variation"]),
+            _shown(scene["pitch_variation_100hz"]),
+            _shown(scene["max_pitch"]),
+        )
+    return table
+
+
+def _comparison(document: dict[str, Any], baseline: str) -> Table:
+    from rich.table import Table
+
+    title = f"difference to {baseline} on the same draws, where both reached the finish"
+    table = Table(title=title, title_justify="left")
+    for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
+        table.add_column(heading)
+    for scene in document["scenes"]:
+        difference = scene["baseline"]["difference"]
+        pairs = (difference["pitch_variation"] or {}).get("episodes", 0)
+        table.add_row(
+            scene["terrain"],
+            str(pairs),
+            _shown(scene["baseline"]["success"], 3),
+            _shown(difference["t_cost"], 1),
+            _shown(difference["pitch_variation"]),
+        )
+    return table
+
+
+def _shown(found: dict[str, float] | None, digits: int = 2) -> str:
+    if found is None:
+        return "–"
+    mean, low, high = (f"{found[key]:.{digits}f}" for key in ("mean", "low", "high"))
+    return f"{mean} [{low}, {high}]"

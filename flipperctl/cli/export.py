@@ -1,0 +1,69 @@
+"""``flipperctl export``."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli.options import AsJson, PluginPaths
+
+HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
+
+The file is compared with torch on at least 1,000 observations of real rollouts before it takes
+its name; a mismatch fails.
+
+[bold]Examples[/]
+
+  flipperctl export onnx --checkpoint runs/stair/2026-01-31_12-00-00 --output stair.onnx
+
+  flipperctl export pt2 --checkpoint best.safetensors
+"""
+
+
+class Kind(StrEnum):
+    """File formats of a policy."""
+
+    onnx = "onnx"
+    pt2 = "pt2"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("export", help=HELP)(export)
+
+
+def export(
+    kind: Annotated[Kind, typer.Argument(help="The format.")],
+    checkpoint: Annotated[
+        Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="[<terrain>.<format>]", show_default=False)
+    ] = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+    from flipperctl.run import checkpoint as checkpoints
+    from flipperctl.run.export import export as run
+    from flipperctl.run.files import check_writable
+
+    loader.load(plugins or ())
+    saved = checkpoints.read(checkpoints.find(checkpoint))
+    target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
+    check_writable(target)
+    found = run(saved, kind.value, target)
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    print(
+        f"{target}: {found['bytes']} bytes, from {saved.path}\n"
+        f"compared with torch on {found['observations']} observations of rollouts: "
+        f"Q-values differ by at most {found['largest_difference']:.2g}, "
+        f"the chosen action agrees on {found['action_agreement']:.2%}"
+    )

@@ -1,0 +1,90 @@
+"""``flipperctl inspect checkpoint``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from flipperctl.run.checkpoint import Checkpoint
+
+HELP = """Say what a checkpoint is. Nothing in the file is executed, and no plugin is needed.
+
+[bold]Examples[/]
+
+  flipperctl inspect checkpoint runs/stair/2026-01-31_12-00-00
+
+  flipperctl inspect checkpoint best.safetensors --json
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("checkpoint", help=HELP)(show)
+
+
+def show(
+    path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
+    as_json: AsJson = False,
+) -> None:
+    """See HELP."""
+    from flipperctl.run import checkpoint
+
+    found = describe(checkpoint.read(checkpoint.find(path)))
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    _print(found)
+
+
+def describe(saved: Checkpoint) -> dict[str, Any]:
+    """The checkpoint as plain data; the state of the run without its random generators."""
+    document = dict(saved.document)
+    state = document.pop("state", None)
+    if state:
+        document["state"] = {k: v for k, v in state.items() if k not in ("generators", "recent")}
+    prefixes = dict.fromkeys(name.partition(".")[0] for name in saved.tensors)
+    numbers = {prefix: sum(t.numel() for t in saved.part(prefix).values()) for prefix in prefixes}
+    return {
+        "path": str(saved.path),
+        "bytes": saved.path.stat().st_size,
+        "numbers": numbers,
+        **document,
+    }
+
+
+def _print(found: dict[str, Any]) -> None:
+    config, versions = found["config"], found["versions"]
+    kind = "the best policy" if found["kind"] == "best" else "a whole run to go on from"
+    rewards = ", ".join(
+        f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items()
+    )
+    state = found.get("state")
+    best = found.get("validation") or max(
+        (state or {}).get("validations", []),
+        key=lambda v: (v["success_rate"], -v["pitch_variation"]),
+        default=None,
+    )
+    lines = {
+        "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
+        "holds": f"{kind}, format {found['format']}",
+        "trained on": f"{config['terrain']['name']}, seed {config['seed']}",
+        "network": f"{config['network']['name']}",
+        "rewards": rewards,
+        "decision": str(found.get("decision") or (state or {}).get("decision")),
+        "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        "plugins": ", ".join(f"{p['kind']} {p['name']} ({p['module']})" for p in found["plugins"]),
+    }
+    if best:
+        lines["best"] = (
+            f"at decision {best['decision']}: success {best['success_rate']:.1%}, "
+            f"θ̂_R {best['pitch_variation']:.3f} rad, t_cost {best['t_cost']:.1f} s"
+        )
+    for name, text in lines.items():
+        print(f"{name:<11}{text}")

@@ -1,0 +1,103 @@
+"""``flipperctl inspect plugins``."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson, PluginPaths
+
+HELP = """List every registered plugin: from where, and each field with default, bounds and unit.
+
+[bold]Examples[/]
+
+  flipperctl inspect plugins
+
+  flipperctl inspect plugins stair --json
+
+  flipperctl inspect plugins --plugins my_terrain.py
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("plugins", help=HELP)(show)
+
+
+def show(
+    name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+    from flipperctl.api import registry
+    from flipperctl.errors import PluginError
+    from flipperctl.messages import close_match
+
+    loader.load(plugins or ())
+    known = {plugin for _, plugin in registry}
+    if name is not None and name not in known:
+        raise PluginError(f"there is no plugin {name!r}{close_match(name, known)}")
+    found = [describe(k, n) for k, n in sorted(registry) if name in (None, n)]
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    _print(found)
+
+
+def describe(kind: str, name: str) -> dict[str, Any]:
+    """A plugin and its fields as plain data."""
+    from flipperctl import plugins as loader
+    from flipperctl.api import registry
+    from flipperctl.messages import bounds
+
+    cls = registry[kind, name]
+    properties = cls.model_json_schema().get("properties", {})
+    fields = []
+    for field, info in cls.model_fields.items():
+        text, _, unit = (info.description or "").rpartition(" [")
+        default = properties.get(field, {}).get("default", info.default)
+        fields.append(
+            {
+                "name": field,
+                "type": str(getattr(info.annotation, "__name__", info.annotation)),
+                "default": default,
+                "bounds": bounds(cls, field),
+                "unit": unit.rstrip("]"),
+                "description": text or info.description,
+            }
+        )
+    return {
+        "kind": kind,
+        "name": name,
+        "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
+        "module": cls.__module__,
+        "source": loader.source(cls),
+        "fields": fields,
+    }
+
+
+def _print(found: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    for plugin in found:
+        title = Text.assemble((plugin["name"], "bold"), f"  {plugin['kind']}  ", plugin["summary"])
+        console.print(title)
+        console.print(Text(f"  {plugin['source']}", "dim"), soft_wrap=True)
+        if plugin["fields"]:
+            table = Table(box=None, padding=(0, 2), show_header=True, header_style="dim")
+            for heading in ("  field", "default", "bounds", "unit", "meaning"):
+                table.add_column(heading)
+            for field in plugin["fields"]:
+                default = field["default"]
+                shown = f"{default:.4g}" if isinstance(default, float) else str(default)
+                cells = (f"  {field['name']}", shown, field["bounds"], field["unit"])
+                table.add_row(*map(Text, cells), Text(str(field["description"])))
+            console.print(table)
+        console.print()

@@ -1,0 +1,82 @@
+"""``flipperctl inspect reward``: the audit of reward terms over rollouts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.errors import RequestError
+
+HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
+
+A term with a small share of the return is inert; one that saturates at most steps says nothing.
+
+[bold]Examples[/]
+
+  flipperctl inspect reward terrain=stair
+
+  flipperctl inspect reward --checkpoint runs/stair/2026-01-31_12-00-00 rewards.pitch.lambda_2=8
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("reward", help=HELP)(show)
+
+
+def show(
+    overrides: Overrides = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 20,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    from flipperctl import plugins as loader
+    from flipperctl.cli.eval import scenes
+    from flipperctl.run.audit import audit
+
+    loader.load(plugins or ())
+    chosen = None if checkpoint else controller or "okada"
+    (config, source), *_ = scenes(list(overrides or []), checkpoint, chosen)
+    found = audit(config, source, episodes=episodes, seed=config.eval.seed)
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    _print(found)
+
+
+def _print(found: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    title = (
+        f"{found['controller']} on {found['terrain']}: {found['episodes']} episodes, "
+        f"{found['decisions']} decisions, mean return {found['return']:.2f}"
+    )
+    table = Table(title=title, title_justify="left")
+    for heading in ("term", "weight", "mean a decision", "lowest", "highest"):
+        table.add_column(heading)
+    table.add_column("share of the return")
+    table.add_column("saturated")
+    for name, term in found["terms"].items():
+        saturated = term["saturated"]
+        table.add_row(
+            name,
+            f"{term['weight']:g}",
+            *(f"{term[key]:.4f}" for key in ("mean", "lowest", "highest")),
+            f"{term['share']:.1%}",
+            "–" if saturated is None else f"{saturated:.1%}",
+        )
+    Console().print(table)

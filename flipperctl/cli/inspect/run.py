@@ -1,0 +1,91 @@
+"""``flipperctl inspect run``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson
+
+HELP = """Sum up a training run, and plot its learning curves with --output.
+
+[bold]Examples[/]
+
+  flipperctl inspect run runs/stair/2026-01-31_12-00-00 --output curves.png
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("run", help=HELP)(show)
+
+
+def show(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """See HELP."""
+    from flipperctl.errors import RequestError
+    from flipperctl.run.records import read_rows
+
+    metrics = run / "metrics.csv"
+    if not metrics.is_file():
+        raise RequestError(f"{run} holds no metrics.csv; is it a run directory?")
+    rows = read_rows(metrics)
+    episodes = [row for row in rows if row["kind"] == "episode"]
+    validations = [row for row in rows if row["kind"] == "validation"]
+    if output is not None:
+        from flipperctl.report.figure import save
+        from flipperctl.report.learning import learning_figure
+
+        save(learning_figure(episodes, validations, str(run)), output)
+    found = _summary(run, episodes, validations)
+    if as_json:
+        print(json.dumps(found, indent=2))
+        return
+    _print(found)
+    if output is not None:
+        print(f"picture: {output}")
+
+
+def _summary(
+    run: Path, episodes: list[dict[str, str]], validations: list[dict[str, str]]
+) -> dict[str, Any]:
+    summary_file = run / "summary.json"
+    summary = json.loads(summary_file.read_text()) if summary_file.is_file() else None
+    keys = ("decision", "success_rate", "pitch_variation", "t_cost", "return")
+    return {
+        "run": str(run),
+        "summary": summary,
+        "episodes": len(episodes),
+        "validations": [{k: float(row[k]) for k in keys} for row in validations],
+    }
+
+
+def _print(found: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    summary = found["summary"]
+    state = "still running or interrupted" if not summary else "finished"
+    if summary and not summary["finished"]:
+        state = "interrupted; flipperctl train --resume goes on"
+    table = Table(title=f"{found['run']}: {state}", title_justify="left")
+    headings = ("decision", "success", "θ̂_R [rad]", "t_cost [s]", "return")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for row in found["validations"]:
+        table.add_row(
+            f"{row['decision']:.0f}",
+            f"{row['success_rate']:.1%}",
+            f"{row['pitch_variation']:.3f}",
+            f"{row['t_cost']:.1f}",
+            f"{row['return']:.2f}",
+        )
+    Console().print(table)

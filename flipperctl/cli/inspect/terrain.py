@@ -1,0 +1,103 @@
+"""``flipperctl inspect terrain``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+
+if TYPE_CHECKING:
+    from flipperctl.api import Profile
+
+HELP = """Draw a terrain: the numbers of the drawn profiles, and a picture with --output.
+
+[bold]Examples[/]
+
+  flipperctl inspect terrain stair --output stair.png
+
+  flipperctl inspect terrain step terrain.high=0.2 --seed 3 --draws 6 --json
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("terrain", help=HELP)(show)
+
+
+def show(
+    name: Annotated[str, typer.Argument(help="A terrain plugin.")],
+    overrides: Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
+    draws: Annotated[int, typer.Option(min=1, max=100, help="How many profiles to draw.")] = 4,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+    from flipperctl.cli import compose
+    from flipperctl.env.flipper_env import FlipperEnv
+
+    loader.load(plugins or ())
+    loader.get("terrain", name, "terrain")
+    compose.offer_defaults()
+    config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
+    env = FlipperEnv(config=config)
+    profiles = []
+    for draw in range(draws):
+        env.reset(seed=seed + draw)  # as an episode would, so that bad profiles are found here
+        profiles.append(env.profile)
+    numbers = [{"seed": seed + i, **describe(p)} for i, p in enumerate(profiles)]
+    if output is not None:
+        from flipperctl.report.figure import save
+        from flipperctl.report.terrain import terrain_figure
+
+        save(terrain_figure(profiles, name, config.robot), output)
+    if as_json:
+        document = {"terrain": loader.container(config.terrain), "draws": numbers}
+        print(json.dumps(document, indent=2))
+        return
+    _print(name, numbers)
+    if output is not None:
+        print(f"picture: {output}")
+
+
+def describe(profile: Profile) -> dict[str, Any]:
+    """Extent, heights and steepness of a profile; points in world [m]."""
+    import numpy as np
+
+    points = profile.points
+    steps = np.diff(points, axis=0)  # (V - 1, 2) [m]
+    faces = steps[steps[:, 0] == 0, 1]
+    slopes = np.degrees(np.arctan2(steps[:, 1], steps[:, 0]))[steps[:, 0] > 0]
+    return {
+        "length": float(profile.end - profile.start),
+        "lowest": float(points[:, 1].min()),
+        "highest": float(points[:, 1].max()),
+        "climb": float(points[-1, 1] - points[0, 1]),
+        "largest_face": float(np.abs(faces).max(initial=0.0)),
+        "steepest_slope_degrees": float(np.abs(slopes).max(initial=0.0)),
+        "points": points.tolist(),
+    }
+
+
+def _print(name: str, numbers: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=name, title_justify="left")
+    headings = ("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]")
+    for heading in (*headings, "largest face [m]", "steepest slope [°]", "points"):
+        table.add_column(heading, justify="right")
+    keys = ("length", "lowest", "highest", "climb", "largest_face", "steepest_slope_degrees")
+    for row in numbers:
+        table.add_row(
+            str(row["seed"]), *(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))
+        )
+    Console().print(table)

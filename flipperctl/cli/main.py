@@ -1,0 +1,86 @@
+"""The ``flipperctl`` command: its subcommands, and how an error looks to the user."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+from typer.exceptions import TyperException
+
+from flipperctl.cli import eval as eval_command
+from flipperctl.cli import export as export_command
+from flipperctl.cli import inspect as inspect_command
+from flipperctl.cli import train as train_command
+from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+
+DEBUG = "FLIPPERCTL_DEBUG"
+
+app = typer.Typer(
+    name="flipperctl",
+    help="Train, judge, export and explain flipper policies of tracked rescue robots.",
+    no_args_is_help=True,
+    add_completion=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def root(version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
+    """Train, judge, export and explain flipper policies of tracked rescue robots."""
+
+
+train_command.add_to(app)
+eval_command.add_to(app)
+export_command.add_to(app)
+inspect_command.add_to(app)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code (0, 1, 2 or 130)."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
+        from flipperctl import __version__
+
+        print(f"flipperctl {__version__}")
+        sys.exit(0)
+    sys.exit(_run(given))
+
+
+def _run(arguments: list[str]) -> int:
+    debug = os.environ.get(DEBUG) == "1"
+    try:
+        command = typer.main.get_command(app)
+        code = command.main(args=arguments, prog_name="flipperctl", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except FlipperctlError as error:
+        if debug:
+            raise
+        _say(str(error))
+        return error.exit_code
+    except TyperException as error:
+        if debug:
+            raise
+        _say(f"{error.format_message().rstrip('.')}; see flipperctl --help")
+        return RequestError.exit_code
+    except (typer.Abort, KeyboardInterrupt):
+        _say("interrupted")
+        return InterruptedRunError.exit_code
+    except BrokenPipeError:
+        sys.stdout = None  # type: ignore[assignment]  # nobody reads it any more
+        return 1
+    except Exception as error:
+        if debug:
+            raise
+        _say(f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)")
+        return 1
+
+
+def _say(text: str) -> None:
+    print(f"error: {text}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""Live progress of a training run: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from flipperctl.run.records import Listener
+
+_PLAIN_EVERY = 10.0  # [s]
+
+
+def progress(total: int, done: int) -> Listener:
+    """The listener that suits stderr. ``total``, ``done``: decisions."""
+    return Bar(total, done) if sys.stderr.isatty() else Lines(total, done)
+
+
+class _Rate:
+    def __init__(self, done: int) -> None:
+        self._start = time.perf_counter()
+        self._done = done
+
+    def __call__(self, decision: int) -> float:
+        return (decision - self._done) / max(1e-9, time.perf_counter() - self._start)
+
+
+def _validation(row: Mapping[str, Any]) -> str:
+    return (
+        f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
+        f"θ̂_R {row['pitch_variation']:.2f} rad, {row['t_cost']:.1f} s"
+    )
+
+
+def _state(row: Mapping[str, Any], rate: float) -> str:
+    return (
+        f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  "
+        f"loss {row['loss']:.4f}"
+    )
+
+
+class Bar:
+    """A rich progress bar with the state beside it and the last validation above."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._rate = _Rate(done)
+        self._progress = Progress(
+            TextColumn("{task.completed}/{task.total} decisions"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+            console=Console(stderr=True),
+        )
+        self._task = self._progress.add_task("", total=total, completed=done)
+        self._progress.start()
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Move the bar."""
+        decision = row["decision"]
+        text = _state(row, self._rate(decision))
+        self._progress.update(self._task, completed=decision, description=text)
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Print a line above the bar."""
+        self._progress.console.print(_validation(row), highlight=False)
+
+    def close(self) -> None:
+        """Leave the terminal clean."""
+        self._progress.stop()
+
+
+class Lines:
+    """A line every ten seconds and at each validation."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._rate = _Rate(done)
+        self._total = total
+        self._last = time.perf_counter()
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Print a line if the last is ten seconds old."""
+        now = time.perf_counter()
+        if now - self._last < _PLAIN_EVERY:
+            return
+        self._last = now
+        decision, rate = row["decision"], self._rate(row["decision"])
+        left = (self._total - decision) / max(1e-9, rate)
+        print(
+            f"{decision}/{self._total} decisions  {_state(row, rate)}  {left:.0f} s left",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Print a line."""
+        print(_validation(row), file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Nothing to leave."""

@@ -1,0 +1,168 @@
+"""``flipperctl train``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flipperctl.cli.options import Overrides, PluginPaths, no_options
+
+if TYPE_CHECKING:
+    from flipperctl.config import TrainConfig
+
+HYDRA_OPTIONS = [
+    *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
+    *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
+]
+_REDIRECTING = {"-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path"}
+_RESUMABLE = ("train.", "device")
+
+HELP = """Train a policy; progress on stderr, everything else in the run directory.
+
+OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every key.
+
+[bold]Examples[/]
+
+  flipperctl train terrain=stair
+
+  flipperctl train terrain=step seed=3 train.decisions=40000 rewards.pitch.lambda_2=8
+
+  flipperctl train -m terrain=step,stair seed=1,2
+
+  flipperctl train --resume runs/stair/2026-01-31_12-00-00
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    settings = {"ignore_unknown_options": True}  # Hydra's own options arrive as overrides
+    app.command("train", help=HELP, context_settings=settings)(train)
+
+
+def train(
+    overrides: Overrides = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Go on with a run where it stopped."),
+    ] = None,
+    multirun: Annotated[
+        bool, typer.Option("--multirun", "-m", help="One run for each combination of a,b lists.")
+    ] = False,
+    cfg: Annotated[
+        str | None,
+        typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
+    ] = None,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+
+    arguments = list(overrides or [])
+    no_options(arguments, [*HYDRA_OPTIONS, "--resume", "--plugins"])
+    loader.load(plugins or ())
+    if resume is not None:
+        _resume(resume, arguments)
+        return
+    if cfg is not None:
+        arguments += ["--cfg", cfg]
+    if multirun:
+        arguments.append("--multirun")
+    _hydra(arguments, check=cfg is None)
+
+
+def _hydra(arguments: list[str], *, check: bool) -> None:
+    import hydra
+
+    from flipperctl.cli import compose
+    from flipperctl.errors import FlipperctlError
+
+    compose.offer_defaults()
+    if check and not _REDIRECTING & {a.split("=")[0] for a in arguments}:
+        overrides = [a for a in arguments if not a.startswith("-")]
+        own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
+        for config in compose.compose_train(own):  # before Hydra makes a directory
+            _check_device(config)
+    several = "--multirun" in arguments
+    errors: list[FlipperctlError] = []
+
+    def task(composed: Any) -> float | None:
+        try:
+            return _task(composed)
+        except FlipperctlError as error:
+            if several:
+                raise
+            errors.append(error)  # Hydra would add lines of its own
+            return None
+
+    application = hydra.main(
+        version_base="1.3", config_path=compose.CONFIGS, config_name="train"
+    )(task)
+    given, sys.argv = sys.argv, ["flipperctl train", *arguments]
+    try:
+        with compose.translated(), _full_errors():
+            application()
+    finally:
+        sys.argv = given
+    if errors:
+        raise errors[0]
+
+
+def _full_errors() -> Any:
+    """Let Hydra pass exceptions on instead of printing them itself."""
+    import os
+    from unittest.mock import patch
+
+    return patch.dict(os.environ, HYDRA_FULL_ERROR="1")
+
+
+def _task(composed: Any) -> float | None:
+    """One job of Hydra's; in a launcher's worker process the plugins are loaded anew."""
+    from hydra.core.hydra_config import HydraConfig
+
+    from flipperctl import plugins as loader
+    from flipperctl.cli.compose import validated
+    from flipperctl.cli.training import start
+
+    loader.load()
+    config = validated(composed)
+    _check_device(config)
+    best = start(config, Path(HydraConfig.get().runtime.output_dir))["best"]
+    return best and float(best["success_rate"])
+
+
+def _check_device(config: TrainConfig) -> None:
+    import torch
+
+    from flipperctl.errors import ConfigError
+
+    try:
+        torch.empty(0, device=config.device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
+
+
+def _resume(run: Path, overrides: list[str]) -> None:
+    from omegaconf import OmegaConf
+
+    from flipperctl.cli.compose import translated
+    from flipperctl.cli.training import go_on
+    from flipperctl.config import TrainConfig, merged, parse
+    from flipperctl.errors import ConfigError
+    from flipperctl.run import checkpoint
+
+    for override in overrides:
+        if "=" not in override or not override.startswith(_RESUMABLE):
+            raise ConfigError(
+                f"{override!r}: a resumed run keeps its configuration; "
+                "only train.<field>=… and device=… can be given with --resume"
+            )
+    saved = checkpoint.read(checkpoint.find(run, checkpoint.LAST))
+    with translated():
+        changes = OmegaConf.to_container(OmegaConf.from_dotlist(overrides))
+    config = parse(TrainConfig, merged(saved.config(), dict(changes)))  # type: ignore[arg-type]
+    _check_device(config)
+    go_on(config, saved)

@@ -1,0 +1,108 @@
+"""One episode on a page: where the robot was and how it held its chassis and flippers.
+
+In: the states of an episode in order, the profile and the robot's geometry. Out: a figure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator
+
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
+from flipperctl.report.terrain import WIDTH, draw_ground, frame, legend_above, tidy
+from flipperctl.sim.outline import outlines
+
+
+def episode_figure(
+    trace: Sequence[RobotState],
+    profile: Profile,
+    robot: RobotGeometry,
+    title: str = "",
+    *,
+    spacing: float | None = None,
+) -> Figure:
+    """Poses over the terrain, with their times, above pitch and flipper angles against time.
+
+    A pose is drawn at the start, at the end and every ``spacing`` [m] of the chassis centre's
+    path between, by default so far apart that level robots do not touch.
+
+    Raises:
+        ValueError: the trace is empty or the spacing is not above 0.
+    """
+    if not trace:
+        raise ValueError("an episode figure needs at least one state")
+    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+    spacing = 2.1 * reach if spacing is None else spacing
+    if spacing <= 0:
+        raise ValueError(f"the spacing of the poses must be above 0 m; got {spacing:g}")
+    path = np.array([state.position for state in trace])  # (T, 2) [m]
+    shown = [trace[i] for i in pose_indices(path, spacing)]
+    tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
+    low, high = _window(path, profile, reach, max(tops))
+    height = float(np.clip((WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0]), 1.0, 6.0))
+    figure = Figure(figsize=(WIDTH, height + 3.9), layout="constrained")
+    above, below = figure.subplots(2, 1, height_ratios=[height, 2.6])
+    draw_ground(above, profile)
+    centre = above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
+    for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
+        RobotArtist(above, zorder=5.0 + i).show(state, robot)
+        above.annotate(
+            f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
+            textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
+        )  # fmt: skip
+    frame(above, low, high)
+    tidy(above, title, "x [m]", "z [m]")
+    legend_above(above, centre)
+    _draw_angles(below, trace, shown, robot)
+    return figure
+
+
+def pose_indices(path: FloatArray, spacing: float) -> list[int]:
+    """Indices into a path (T, 2) [m]: first, last, and evenly about ``spacing`` [m] between."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    poses = max(1, round(along[-1] / spacing)) + 1
+    wanted = np.linspace(0.0, along[-1], poses)
+    found = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
+    return sorted({*found.tolist(), len(path) - 1})
+
+
+def _window(
+    path: FloatArray, profile: Profile, reach: float, top: float
+) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right of what is shown, (x, z) in world [m]."""
+    low, high = path.min(axis=0), path.max(axis=0)
+    ground = [profile.height(x) for x in (low[0], high[0])]
+    inside = (profile.points[:, 0] >= low[0]) & (profile.points[:, 0] <= high[0])
+    bottom = min([*ground, *profile.points[inside, 1]]) - 0.2
+    margin = reach + 0.1
+    return np.array([low[0] - margin, bottom]), np.array([high[0] + margin, top + 0.25])
+
+
+def _draw_angles(
+    axes: Axes, trace: Sequence[RobotState], shown: Sequence[RobotState], robot: RobotGeometry
+) -> None:
+    time = [state.time for state in trace]
+    lines: list[Line2D] = []
+    for state in shown:
+        axes.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
+    for name, colour, style in (
+        ("pitch", CHASSIS, "-"),
+        ("front", FRONT, "--"),
+        ("rear", REAR, "-."),
+    ):
+        angles = [math.degrees(getattr(state, name)) for state in trace]
+        label = name if name == "pitch" else f"{name} flippers"
+        lines += axes.plot(time, angles, style, color=colour, linewidth=1.6, label=label)
+    limit = math.degrees(robot.angle_limit)
+    axes.set_ylim(-1.1 * limit, 1.1 * limit)
+    axes.margins(x=0.02)
+    axes.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
+    legend_above(axes, lines)
+    tidy(axes, "", "time [s]; dotted: the poses above", "angle [°]")

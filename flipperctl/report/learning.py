@@ -1,0 +1,114 @@
+"""Learning curves of a training run.
+
+In: the rows of ``metrics.csv`` as text. Out: a matplotlib figure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flipperctl.api import FloatArray, Outcome
+from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR
+from flipperctl.report.terrain import WIDTH, legend_above, tidy
+
+WINDOW = 100
+"""Episodes that a curve averages over."""
+
+Rows = Sequence[Mapping[str, str]]
+
+
+def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Figure:
+    """Success, θ̂_R, return and loss with ε against decisions, one above the other.
+
+    Episode rows have the keys decision, outcome, return, pitch_variation, epsilon and loss,
+    validation rows decision, success_rate and pitch_variation; an empty or a missing cell is a
+    gap. Curves are means over the last 100 episodes (fewer at the start), dots one episode.
+
+    Raises:
+        ValueError: a cell is neither empty nor a number; the text names it.
+    """
+    figure = Figure(figsize=(WIDTH, 9.0), layout="constrained")
+    success, pitch, returns, loss = figure.subplots(4, 1, sharex=True)
+    at, checked = column(rows_episode, "decision"), column(rows_validation, "decision")
+    reached = [float(row.get("outcome") == Outcome.REACHED) for row in rows_episode]
+    _curve(success, at, 100 * np.array(reached), CHASSIS)
+    _validation(success, checked, 100 * column(rows_validation, "success_rate"))
+    success.set_ylim(-4, 104)
+    _curve(pitch, at, column(rows_episode, "pitch_variation"), CHASSIS, dots=True)
+    _validation(pitch, checked, column(rows_validation, "pitch_variation"))
+    _curve(returns, at, column(rows_episode, "return"), CHASSIS, dots=True)
+    _losses(loss, at, rows_episode)
+    tidy(success, title, "", "success [%]")
+    tidy(pitch, "", "", r"pitch variation $\hat\theta_R$ [rad]")
+    tidy(returns, "", "", "return [-]")
+    tidy(loss, "", "decisions", "loss [-]")
+    for axes in (success, pitch, returns):
+        legend_above(axes)
+    if not rows_episode:
+        success.text(0.5, 0.5, "no episode yet", transform=success.transAxes, ha="center")
+    figure.align_ylabels()
+    return figure
+
+
+def column(rows: Rows, key: str) -> FloatArray:
+    """One column as numbers, (T,); NaN where a cell is empty or missing."""
+    values = []
+    for i, row in enumerate(rows):
+        text = row.get(key) or "nan"
+        try:
+            values.append(float(text))
+        except ValueError as error:
+            raise ValueError(f"row {i + 1}, {key}: a number is allowed; got {text!r}") from error
+    return np.array(values)
+
+
+def running_mean(values: FloatArray, window: int) -> FloatArray:
+    """Mean of each value and the ``window`` - 1 before it, (T,); NaNs are left out."""
+    known = np.isfinite(values)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
+    count = np.concatenate([[0], np.cumsum(known)])
+    end = np.arange(1, len(values) + 1)
+    start = np.maximum(end - window, 0)
+    weight = count[end] - count[start]
+    mean = (total[end] - total[start]) / np.maximum(weight, 1)
+    return np.where(weight > 0, mean, math.nan)
+
+
+def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bool = False) -> None:
+    if dots:
+        axes.plot(
+            at, values, ".", color=colour, alpha=0.4, markersize=3, markeredgewidth=0,
+            rasterized=True, label="episode",
+        )  # fmt: skip
+    axes.plot(
+        at, running_mean(values, WINDOW), color=colour, linewidth=1.6,
+        label=f"mean of the last {WINDOW} episodes",
+    )  # fmt: skip
+
+
+def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:
+    axes.plot(
+        at, values, "o-", color=FRONT, markersize=5, markeredgecolor="white", linewidth=0.8,
+        label="validation",
+    )  # fmt: skip
+
+
+def _losses(axes: Axes, at: FloatArray, rows: Rows) -> None:
+    """The loss on the left scale, logarithmic where it can be, and ε on the right one."""
+    loss = column(rows, "loss")
+    axes.plot(at, loss, color=CHASSIS, linewidth=1.0, label="loss")
+    if (loss > 0).any():
+        axes.set_yscale("log")
+    right = axes.twinx()
+    right.plot(at, column(rows, "epsilon"), color=REAR, linewidth=1.4, linestyle="--", label="ε")
+    right.set_ylim(0, 1.04)
+    right.set_ylabel("ε, random actions [-]", fontsize=9, color=INK)
+    right.tick_params(labelsize=8, colors=INK)
+    right.spines[["top", "left"]].set_visible(False)
+    right.spines["right"].set_color(FAINT)
+    legend_above(axes, [*axes.get_lines(), *right.get_lines()])

@@ -1,0 +1,192 @@
+"""Pictures of drawn profiles, what all figures share, and how a figure is written.
+
+In: profiles and the robot's geometry. Out: a matplotlib figure, made without pyplot and its
+global state.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.env.render import EARTH, FAINT, GROUND, INK, RobotArtist
+from flipperctl.errors import OutputError, WriteError
+from flipperctl.messages import close_match
+
+SUFFIXES = (".pdf", ".png", ".svg")
+"""File types that ``save`` writes."""
+
+WIDTH = 9.6
+"""Width of every figure [in]."""
+
+_HEADROOM = 0.35  # [m] from the highest point to the dimension of the length
+_SMALL = 12  # further profiles that are drawn
+_COLUMNS = 4  # of small pictures
+
+
+def terrain_figure(profiles: Sequence[Profile], title: str, robot: RobotGeometry) -> Figure:
+    """The first profile large with the robot before it, the next ones small; equal scales.
+
+    The small pictures share one scale; when there are more than twelve the figure says so.
+
+    Raises:
+        ValueError: without profiles.
+    """
+    if not profiles:
+        raise ValueError("a terrain figure needs at least one profile")
+    others = profiles[1 : _SMALL + 1]
+    large = _window(profiles[0], robot)
+    extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
+    rows = -(-len(others) // _COLUMNS)
+    heights = [_height(large[1] - large[0], WIDTH - 1.0)]
+    heights += rows * [_height(extent, WIDTH / _COLUMNS - 0.2) + 0.2]
+    layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
+    figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout=layout)
+    grid = figure.add_gridspec(1 + rows, _COLUMNS, height_ratios=heights)
+    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title)
+    for i, profile in enumerate(others):
+        axes = figure.add_subplot(grid[1 + i // _COLUMNS, i % _COLUMNS])
+        _draw_small(axes, profile, extent, f"draw {i + 2}")
+    left_out = len(profiles) - 1 - len(others)
+    if left_out:
+        figure.supxlabel(f"{left_out} more draws are not shown", fontsize=8, color=FAINT)
+    return figure
+
+
+def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str) -> None:
+    draw_ground(axes, profile)
+    stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
+    RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
+    (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
+    if right > left:
+        above = top + _HEADROOM
+        for x, z in (profile.points[0], profile.points[-1]):
+            axes.plot([x, x], [z, above], ":", color=FAINT, linewidth=0.8)
+        _dimension(axes, (left, above), (right, above), f"length {right - left:.2f} m")
+    if top > bottom:
+        beside = right + 0.65
+        _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
+    frame(axes, *_window(profile, robot))
+    tidy(axes, title, "x [m]", "z [m]")
+
+
+def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str) -> None:
+    draw_ground(axes, profile)
+    points = profile.points
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    frame(axes, middle - extent / 2, middle + extent / 2)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set_color("#C8C8CC")
+    length, height = np.ptp(points, axis=0)
+    size = f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
+    axes.set_title(f"{name}: {size}", fontsize=8, color=INK)
+
+
+def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:
+    """A bar between two points in world [m], the second one above or right of the first."""
+    bar = {"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": INK, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", start, end, arrowprops=bar)
+    axes.annotate(
+        text, ((start[0] + end[0]) / 2, end[1]), xytext=(0, 4), textcoords="offset points",
+        ha="center", va="bottom", fontsize=9, color=INK,
+    )  # fmt: skip
+
+
+def _run_up(robot: RobotGeometry) -> float:
+    """How far before the first edge the robot is drawn [m]."""
+    return max(1.0, robot.hinge_offset + robot.flipper_axle + robot.track_radius + 0.2)
+
+
+def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right of the large picture, (x, z) in world [m]."""
+    low, high = profile.points.min(axis=0), profile.points.max(axis=0)
+    before = 2 * _run_up(robot)
+    return low - np.array([before, 0.25]), high + np.array([1.3, _HEADROOM + 0.3])
+
+
+def _extent(profile: Profile) -> FloatArray:
+    """Width and height of a small picture [m]."""
+    return np.asarray(np.ptp(profile.points, axis=0) + np.array([1.0, 0.3]))
+
+
+def _height(extent: FloatArray, width: float) -> float:
+    """Height of a picture so wide in which the extent fits in equal scales [in]."""
+    return float(np.clip(width * extent[1] / extent[0], 0.5, 5.0))
+
+
+def draw_ground(axes: Axes, profile: Profile, level: float = 60.0) -> None:
+    """Fill the ground, with ``level`` metres of level ground before and behind the profile."""
+    line = profile.extended(level, level)
+    axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - level, color=EARTH, linewidth=0)
+    axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
+
+
+def frame(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    """Show the box from ``low`` to ``high``, (x, z) in world [m], in equal scales."""
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal", adjustable="box")
+
+
+def tidy(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    """Labels, a quiet grid and no frame on the upper and the right side."""
+    axes.set_title(title, loc="left", fontsize=11, color=INK)
+    axes.set_xlabel(x_label, fontsize=9, color=INK)
+    axes.set_ylabel(y_label, fontsize=9, color=INK)
+    axes.tick_params(labelsize=8, colors=INK)
+    axes.grid(True, color="#E6E6E6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
+    """A legend over the right end of the axes, where it hides nothing."""
+    axes.legend(
+        handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
+        fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
+    )  # fmt: skip
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write the figure whole or not at all; equal figures give equal files.
+
+    Raises:
+        OutputError: the suffix is unknown or the path cannot be written.
+        WriteError: writing failed half way; a file that was there before is untouched.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise OutputError(
+            f"{path}: the suffix {path.suffix!r} is unknown; {', '.join(SUFFIXES)} are allowed"
+            + close_match(suffix, SUFFIXES)
+        )
+    if path.is_dir():
+        raise OutputError(f"{path}: cannot be written; it is a folder")
+    buffer = io.BytesIO()
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})
+    with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # else its ids are random
+        figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=undated)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        file = part.open("wb")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written; {error.strerror}") from error
+    try:
+        with file:
+            file.write(buffer.getvalue())
+        os.replace(part, path)
+    except OSError as error:
+        raise WriteError(f"{path}: writing failed; {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)

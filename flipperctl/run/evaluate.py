@@ -1,0 +1,70 @@
+"""Evaluation: a controller on a scene, episode after episode, in one process or several.
+
+In: an environment configuration and a controller's source. Out: one row an episode, the same
+whatever the number of processes.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from flipperctl import plugins
+from flipperctl.config import EnvConfig, container, parse
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError
+from flipperctl.run.policy import ControllerSource
+from flipperctl.run.rollout import play
+from flipperctl.run.seeds import episode_seed
+
+
+class Player:
+    """An environment and a controller, ready to play any episode of an evaluation."""
+
+    def __init__(self, config: EnvConfig, source: ControllerSource, seed: int) -> None:
+        self._env = FlipperEnv(config=config)
+        self._controller = source.make(config.perception)
+        self._seed = seed
+
+    def episode(self, index: int) -> dict[str, Any]:
+        """The row of one episode."""
+        row = play(self._env, self._controller, episode_seed("evaluation", self._seed, index))
+        return {"episode": index, **row}
+
+
+def evaluate(
+    config: EnvConfig, source: ControllerSource, *, episodes: int, seed: int, jobs: int = 1
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of episodes 0 … ``episodes`` - 1, in order, as they are done."""
+    if jobs == 1:
+        player = Player(config, source, seed)
+        yield from map(player.episode, range(episodes))
+        return
+    arguments = (container(config), source, seed)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, episodes), context, _begin, arguments) as pool:
+        try:
+            yield from pool.map(_episode, range(episodes))
+        except BrokenProcessPool as error:
+            raise FlipperctlError("a worker process of the evaluation died") from error
+
+
+_player: Player | None = None  # one a worker process
+
+
+def _begin(config: dict[str, Any], source: ControllerSource, seed: int) -> None:
+    global _player
+    import torch
+
+    torch.set_num_threads(1)
+    plugins.load()
+    _player = Player(parse(EnvConfig, config), source, seed)
+
+
+def _episode(index: int) -> dict[str, Any]:
+    if _player is None:
+        raise RuntimeError("the worker was not begun")
+    return _player.episode(index)

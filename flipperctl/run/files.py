@@ -1,0 +1,74 @@
+"""Writing files so that nothing is ever lost or half-written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from flipperctl.errors import FlipperctlError, OutputError, WriteError
+
+_RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Replace ``path`` by ``data``, whole or not at all.
+
+    Raises:
+        OutputError: the path cannot be written.
+        WriteError: writing failed half way; what was at ``path`` before is untouched.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True) if path.parent.is_dir() else None
+        raise failure(path, error) from error
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Like ``write_bytes``, for a JSON document."""
+    write_bytes(path, (json.dumps(document, indent=2) + "\n").encode())
+
+
+def make_folder(path: Path) -> Path:
+    """The folder, made if it is not there.
+
+    Raises:
+        OutputError: it cannot be made or written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise failure(path, error) from error
+    if not os.access(path, os.W_OK):
+        raise OutputError(f"{path} cannot be written: permission denied")
+    return path
+
+
+def check_writable(path: Path) -> None:
+    """Find out before long work that a file can be written there.
+
+    Raises:
+        OutputError: it cannot.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path} cannot be written: it is a folder")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path} cannot be written: permission denied")
+
+
+def failure(path: Path, error: OSError) -> FlipperctlError:
+    """The error to raise for what the operating system said of ``path``."""
+    reason = os.strerror(error.errno) if error.errno else str(error)
+    if error.errno in _RAN_OUT:
+        return WriteError(f"{path}: writing failed half way ({reason}); the old file is kept")
+    return OutputError(f"{path} cannot be written: {reason}")

@@ -1,0 +1,91 @@
+"""A trained network as a controller, and controllers from a description of a few words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+from flipperctl import plugins
+from flipperctl.agent.d3qn import build_network
+from flipperctl.api import ACTIONS, ObservationLayout, Perception
+from flipperctl.errors import CheckpointError
+from flipperctl.run.checkpoint import Checkpoint, read
+
+
+class Acts(Protocol):
+    """Anything that maps what the robot perceives to an action."""
+
+    def act(self, p: Perception, /) -> int:
+        """Index into ``ACTIONS``."""
+
+
+class QPolicy:
+    """Greedy in the Q-values of a network."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        self.module = module
+        parameter = next(module.parameters(), torch.empty(0))
+        self._device = parameter.device
+
+    def act(self, p: Perception) -> int:
+        """The action of the largest Q-value."""
+        with torch.inference_mode():
+            observation = torch.from_numpy(p.observation).to(self._device)
+            return int(self.module(observation.unsqueeze(0)).argmax())
+
+
+def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
+    """The network of a checkpoint with its trained weights, on the CPU.
+
+    Raises:
+        CheckpointError: the weights do not fit the network.
+    """
+    config = checkpoint.config()
+    module = build_network(config.network, config.perception, len(ACTIONS))
+    kind = checkpoint.document["kind"]
+    weights = checkpoint.part("policy" if kind == "best" else config.agent.act_with)
+    try:
+        module.load_state_dict(weights)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"{checkpoint.path}: the weights do not fit network {config.network.plugin_name!r}: "
+            f"{' '.join(str(error).split())}"
+        ) from error
+    return module.eval().requires_grad_(False)
+
+
+@dataclass(frozen=True)
+class ControllerSource:
+    """Where a controller comes from; small enough to be handed to another process."""
+
+    checkpoint: Path | None = None
+    settings: dict[str, Any] | None = None
+    """``name`` and fields of a controller plugin."""
+
+    def label(self) -> str:
+        """What tables and files call it."""
+        if self.checkpoint is not None:
+            return str(self.checkpoint)
+        return str((self.settings or {})["name"])
+
+    def make(self, layout: ObservationLayout) -> Acts:
+        """The controller.
+
+        Raises:
+            CheckpointError: the policy was trained on another observation layout.
+        """
+        if self.checkpoint is None:
+            return plugins.create("controller", self.settings, "controller")  # type: ignore[return-value]
+        checkpoint = read(self.checkpoint)
+        trained = checkpoint.config().perception
+        asked = (layout.bins, layout.bin_width)
+        if (trained.bins, trained.bin_width) != asked:
+            raise CheckpointError(
+                f"{self.checkpoint}: the policy was trained on {trained.bins} bins of "
+                f"{trained.bin_width:g} m; perception.bins and perception.bin_width ask for "
+                f"{layout.bins} of {layout.bin_width:g} m"
+            )
+        return QPolicy(policy_module(checkpoint))

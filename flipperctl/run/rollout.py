@@ -1,0 +1,25 @@
+"""One episode, played by any controller."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flipperctl.api import ACTIONS
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError
+from flipperctl.run.policy import Acts
+
+
+def play(env: FlipperEnv, controller: Acts, seed: int) -> dict[str, Any]:
+    """Play one episode to its end; returns seed, outcome and the metrics of the episode."""
+    env.reset(seed=seed)
+    while True:
+        action = controller.act(env.perception)
+        if action not in range(len(ACTIONS)):
+            raise FlipperctlError(
+                f"{type(controller).__name__}.act returned {action!r}; "
+                f"0 to {len(ACTIONS) - 1} is allowed"
+            )
+        _, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            return {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}

@@ -1,0 +1,362 @@
+"""The environment: its place in Gymnasium, actions, signs, outcomes, overrides, errors, measures."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from flipperctl import plugins
+from flipperctl.api import (
+    ACTIONS,
+    Outcome,
+    Profile,
+    RewardTerm,
+    Terrain,
+    Transition,
+    action_index,
+    reward,
+    terrain,
+)
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
+
+HOLD = action_index(0, 0)
+FRONT, REAR, PITCH = 15, 16, 17  # behind the 15 heights of an observation
+EXACT = {"start_noise": 0.0}
+
+
+def step_of(height: float) -> dict[str, Any]:
+    return {"name": "step", "low": height, "high": height}
+
+
+def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, ...]]:
+    """What ``step`` returned, decision for decision, to the end of one episode."""
+    chosen = plugins.create("controller", controller, "controller")
+    env.reset(seed=seed)
+    steps = []
+    while True:
+        steps.append(env.step(chosen.act(env.perception)))
+        if steps[-1][2] or steps[-1][3]:
+            return steps
+
+
+# Gymnasium
+
+
+def test_make_finds_the_environment_and_takes_overrides() -> None:
+    env = gymnasium.make("flipperctl/Flipper-v0", terrain="stair", episode={"slack": 2.0})
+    assert isinstance(env.unwrapped, FlipperEnv)
+    assert env.unwrapped.config.terrain.plugin_name == "stair"
+    assert env.unwrapped.config.episode.slack == 2.0
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["stair", "step", "flat"])
+def test_gymnasium_s_own_checker_has_nothing_to_say(name: str) -> None:
+    env = gymnasium.make("flipperctl/Flipper-v0", terrain=name, perception={"noise": 0.01})
+    check_env(env.unwrapped)
+    env.close()
+
+
+def test_observations_are_n_plus_3_numbers_in_the_space() -> None:
+    env = FlipperEnv("stair", perception={"bins": 21})
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == env.observation_space.shape == (24,)
+    assert all(env.observation_space.contains(step[0]) for step in rollout(env, "random"))
+
+
+# Actions and signs
+
+
+@pytest.mark.parametrize(("front", "rear"), ACTIONS)
+def test_each_action_turns_its_pairs_by_one_angle_step(front: int, rear: int) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    observation, *_ = env.step(3 * (front + 1) + (rear + 1))
+    turned = np.array([front, rear]) * math.pi / 12
+    assert observation[[FRONT, REAR]] == pytest.approx(turned, abs=0.01)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_flippers_stop_at_their_limit(way: int) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    for _ in range(6):  # 4 · 15° = 60°, and two more that must not matter
+        observation, *_ = env.step(action_index(way, way))
+    limit = way * math.pi / 3
+    assert observation[[FRONT, REAR]] == pytest.approx([limit, limit], abs=0.02)
+    for _ in range(2):
+        observation, *_ = env.step(action_index(-way, -way))
+    assert observation[FRONT] == pytest.approx(limit / 2, abs=0.02)
+
+
+@pytest.mark.parametrize(("front", "rear", "sign"), [(-1, 0, 1), (0, -1, -1), (1, 1, 0)])
+def test_a_lowered_front_pair_lifts_the_nose_and_a_lowered_rear_pair_the_tail(
+    front: int, rear: int, sign: int
+) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    env.step(action_index(front, rear))
+    observation, *_ = env.step(action_index(front, rear))
+    # The lowered tip, 0.336 m sin 30° = 0.168 m below its hinge, lifts the chassis' end by 5° or
+    # more; raised pairs lift nothing.
+    if sign:
+        assert sign * observation[PITCH] > math.radians(5)
+    else:
+        assert observation[PITCH] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("slope", [0.25, -0.25])
+def test_the_pitch_is_positive_uphill(slope: float, registry: dict) -> None:
+    @terrain("ramp")
+    class Ramp(Terrain):
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return Profile([(0.0, 0.0), (3.0, 3.0 * math.tan(slope))])
+
+    env = FlipperEnv("ramp", episode=EXACT)
+    env.reset(seed=0)
+    for _ in range(20):  # 20 · 0.12 m = 2.4 m: half way along the ramp
+        observation, *_ = env.step(HOLD)
+    assert observation[PITCH] == pytest.approx(slope, abs=0.01)
+    # Ahead on the slope, 1.05 m from the centre: 1.05 tan(0.25) - 0.1 / cos(0.25)
+    ahead = 1.05 * math.tan(slope) - 0.1 / math.cos(slope)
+    assert observation[14] == pytest.approx(ahead, abs=0.01)
+
+
+# Episodes
+
+
+def test_equal_seeds_give_the_same_episode_bit_for_bit() -> None:
+    noisy = {"noise": 0.02, "dropout": 0.1, "angle_noise": 0.01}
+    first, second = (
+        rollout(FlipperEnv("stair", perception=noisy), "random", seed=5) for _ in range(2)
+    )
+    assert len(first) == len(second)
+    for one, other in zip(first, second, strict=True):
+        assert one[0].tobytes() == other[0].tobytes()
+        assert one[1:] == other[1:]
+
+
+def test_a_second_episode_draws_a_new_terrain() -> None:
+    env = FlipperEnv("step")
+    env.reset(seed=0)
+    first = env.profile
+    env.reset()
+    assert not np.array_equal(first.points, env.profile.points)
+
+
+def test_sensing_noise_changes_neither_terrain_nor_start() -> None:
+    clean, noisy = FlipperEnv("step"), FlipperEnv("step", perception={"noise": 0.05})
+    (seen, _), (seen_noisy, _) = clean.reset(seed=3), noisy.reset(seed=3)
+    assert np.array_equal(clean.profile.points, noisy.profile.points)
+    assert np.array_equal(clean.state.position, noisy.state.position)
+    assert not np.array_equal(seen, seen_noisy)
+
+
+def test_the_start_lies_the_run_up_before_the_first_edge() -> None:
+    starts = []
+    for seed in range(20):
+        env = FlipperEnv("step", episode={"run_up": 1.5, "start_noise": 0.1})
+        env.reset(seed=seed)
+        starts.append(env.state.position[0])
+    assert -1.6 <= min(starts) < -1.5 < max(starts) <= -1.4
+
+
+@pytest.mark.parametrize(
+    ("name", "controller", "episode", "outcome"),
+    [
+        ("flat", "level", {}, Outcome.REACHED),
+        (step_of(-1.0), "level", {}, Outcome.OVERTURNED),  # it falls on its nose
+        (step_of(0.4), "level", {}, Outcome.STUCK),  # too high without the flippers' help
+        ("paper_step", "okada", {"slack": 1.05}, Outcome.TIMEOUT),  # 26 s where 30 are needed
+    ],
+)
+def test_each_outcome(
+    name: Any, controller: str, episode: dict[str, float], outcome: Outcome
+) -> None:
+    *before, last = rollout(FlipperEnv(name, episode=episode), controller)
+    _, _, terminated, truncated, info = last
+    assert info["outcome"] == outcome
+    assert truncated == (outcome is Outcome.TIMEOUT)
+    assert terminated == (outcome is not Outcome.TIMEOUT)
+    settlement = 10.0 if outcome is Outcome.REACHED else -10.0
+    assert info["rewards"]["end"] == settlement
+    assert not any("outcome" in step[4] or step[4]["rewards"]["end"] for step in before)
+
+
+def test_the_finish_counts_only_with_the_chassis_close_to_the_ground() -> None:
+    env = FlipperEnv("flat", episode={**EXACT, "slack": 1.5})
+    env.reset(seed=0)
+    over = False
+    while not over:  # on raised stilts, 0.29 m above the ground
+        *_, terminated, truncated, info = env.step(action_index(-1, -1))
+        over = terminated or truncated
+    assert info["outcome"] == Outcome.TIMEOUT
+    assert env.state.position[0] > env.profile.end + 1.0
+
+
+# Overrides
+
+
+def test_dotted_and_nested_overrides_mean_the_same() -> None:
+    dotted = FlipperEnv("stair", **{"episode.slack": 2.0, "rewards.pitch.lambda_2": 8.0})
+    nested = FlipperEnv("stair", episode={"slack": 2.0}, rewards={"pitch": {"lambda_2": 8.0}})
+    assert dotted.config == nested.config
+    assert dotted.config.episode.slack == 2.0
+    assert dotted.config.episode.run_up == 1.0  # its neighbours keep their defaults
+    assert dotted.config.rewards["pitch"].lambda_2 == 8.0
+    assert set(dotted.config.rewards) == {"flipper", "pitch", "end"}
+
+
+def test_a_terrain_s_fields_can_be_set_in_each_form() -> None:
+    mapping = FlipperEnv({"name": "stair", "rise": 0.1})
+    dotted = FlipperEnv("stair", **{"terrain.rise": 0.1})
+    instance = FlipperEnv(plugins.create("terrain", {"name": "stair", "rise": 0.1}, "terrain"))
+    assert mapping.config == dotted.config == instance.config
+    assert mapping.config.terrain.rise == 0.1
+
+
+def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
+    env = FlipperEnv(
+        "stair", **{"rewards.pitch": None, "rewards.smooth": {"name": "pitch", "weight": 0.5}}
+    )
+    env.reset(seed=0)
+    info = env.step(HOLD)[4]
+    assert set(info["rewards"]) == {"flipper", "end", "smooth"}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "path", "help_"),
+    [
+        ({"episode.slak": 2.0}, "episode.slak", "'slack'"),
+        ({"episode": {"slak": 2.0}}, "episode.slak", "'slack'"),
+        ({"episod.slack": 2.0}, "episod", "'episode'"),
+        ({"terrain.ris": 0.1}, "terrain.ris", "'rise'"),
+        ({"terrain.rise": 5.0}, "terrain.rise", "≤ 0.5"),
+        ({"robot.track_speed": "fast"}, "robot.track_speed", "'fast'"),
+        ({"robot.track_speed": math.nan}, "robot.track_speed", "finite"),
+        ({"sim.substep": 0.003}, "sim", "0.01 s"),
+        ({"rewards.pitch.lambda": 1.0}, "rewards.pitch.lambda", "'lambda_2'"),
+        ({"rewards.energy": "ptch"}, "rewards.energy", "'pitch'"),
+        ({"rewards.pich.lambda_2": 1.0}, "rewards.pich", "'pitch'"),
+        ({"rewards": None}, "rewards", "mapping"),
+        ({"rewards": "pitch"}, "rewards", "mapping"),
+        ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
+    ],
+    ids=str,
+)
+def test_a_wrong_override_is_named_with_what_is_allowed(
+    overrides: dict[str, Any], path: str, help_: str
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        FlipperEnv("stair", **overrides)
+    assert str(error.value).startswith(path)
+    assert help_ in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_terrain_gives_a_close_match() -> None:
+    with pytest.raises(ConfigError, match=r"'stiar'; did you mean 'stair'\?"):
+        FlipperEnv("stiar")
+
+
+# Broken plugins
+
+
+@pytest.mark.parametrize(
+    ("generate", "text"),
+    [
+        (lambda: Profile([(0.0, 0.0), (1.0, 0.0), (0.5, 0.2)]), "x decreases from 1 to 0.5 m"),
+        (lambda: Profile([]), "empty"),
+        (lambda: Profile([(0.0, 0.0), (1.0, math.nan)]), "point 1 is not finite"),
+        (lambda: [(0.0, 0.0), (1.0, 0.0)], "must return a Profile; it returned a list"),
+        (lambda: None, "must return a Profile; it returned a NoneType"),
+    ],
+    ids=["x decreases", "empty", "not finite", "list", "None"],
+)
+def test_a_broken_terrain_is_named(
+    generate: Callable[[], Any], text: str, registry: dict
+) -> None:
+    @terrain("broken")
+    class Broken(Terrain):
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return generate()
+
+    with pytest.raises(TerrainError, match="'broken'") as error:
+        FlipperEnv("broken").reset(seed=0)
+    assert text in str(error.value)
+
+
+def test_a_terrain_that_starts_in_the_robot_is_named() -> None:
+    # The front flippers reach 0.28 + 0.336 + 0.1 = 0.716 m ahead of the chassis centre.
+    with pytest.raises(TerrainError, match="'step' starts in the robot"):
+        FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.65}).reset(seed=0)
+    FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.72}).reset(seed=0)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_reward_that_is_not_finite_is_named(value: float, registry: dict) -> None:
+    @reward("broken")
+    class Broken(RewardTerm):
+        def __call__(self, t: Transition) -> float:
+            return value
+
+    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
+    env.reset(seed=0)
+    with pytest.raises(NonFiniteError, match=r"rewards\.mine.*Broken"):
+        env.step(HOLD)
+
+
+def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    lost = dataclasses.replace(env.world.state(), pitch=math.nan)
+    monkeypatch.setattr(env.world, "state", lambda: lost)
+    with pytest.raises(NonFiniteError, match="state is not finite.*'flat'"):
+        env.step(HOLD)
+
+
+# Measures
+
+
+def test_the_metrics_are_what_the_episode_shows() -> None:
+    env = FlipperEnv("paper_step", episode=EXACT)
+    rule = plugins.create("controller", "okada", "controller")
+    env.reset(seed=0)
+    states, rewards, info = [env.state], [], {}
+    while "metrics" not in info:
+        _, value, *_, info = env.step(rule.act(env.perception))
+        states.append(env.state)
+        rewards.append(value)
+    metrics = info["metrics"]
+    angles = np.array([(s.pitch, s.front, s.rear) for s in states])
+    swing, front, rear = np.abs(np.diff(angles, axis=0)).sum(axis=0)
+    assert metrics["pitch_variation"] == pytest.approx(swing)  # paper Eq. 8
+    assert metrics["flipper_travel"] == pytest.approx(front + rear)
+    assert metrics["pitch_variation_100hz"] >= metrics["pitch_variation"] > 1.0
+    assert metrics["max_pitch"] >= np.abs(angles[:, 0]).max()
+    assert metrics["return"] == pytest.approx(sum(rewards))
+    assert metrics["decisions"] == len(rewards)
+    assert metrics["t_cost"] == env.state.time
+
+
+def test_t_cost_is_the_time_to_the_finish_and_not_to_the_end_of_the_decision() -> None:
+    # From 1 m before to 1 m behind 2 m of level ground at 0.2 m/s: 20 s, in the 34th decision.
+    metrics = rollout(FlipperEnv("flat", episode=EXACT), "level")[-1][4]["metrics"]
+    assert metrics["t_cost"] == pytest.approx(20.0, rel=0.005)
+    assert metrics["decisions"] == 34
+    assert metrics["pitch_variation"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_reward_is_the_weighted_sum_of_its_parts() -> None:
+    plain = rollout(FlipperEnv("stair"), "okada")
+    halved = rollout(FlipperEnv("stair", **{"rewards.flipper.weight": 0.5}), "okada")
+    for (_, value, *_, info), (*_, other) in zip(plain, halved, strict=True):
+        assert value == pytest.approx(sum(info["rewards"].values()))
+        assert other["rewards"]["flipper"] == pytest.approx(info["rewards"]["flipper"] / 2)
+    assert any(step[4]["rewards"]["flipper"] < 0 for step in plain)
