@@ -139,20 +139,18 @@ class Profile:
 
     @property
     def start(self) -> float:
-        """x of the first edge [m]."""
+        """X of the first edge [m]."""
         return float(self.points[0, 0])
 
     @property
     def end(self) -> float:
-        """x of the last edge [m]."""
+        """X of the last edge [m]."""
         return float(self.points[-1, 0])
 
     def extended(self, before: float, behind: float) -> FloatArray:
         """The polyline with level ground added, (V + 2, 2) [m]."""
         first, last = self.points[0], self.points[-1]
-        return np.vstack(
-            [[first[0] - before, first[1]], self.points, [last[0] + behind, last[1]]]
-        )
+        return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + behind, last[1]]])
 
     def height(self, x: float) -> float:
         """Height of the ground at x; the higher of the two at a vertical face [m]."""
@@ -175,9 +173,7 @@ class Profile:
         lengths = np.hypot(*np.diff(line, axis=0).T)  # (V + 1,) [m]
         along = np.concatenate([[0.0], np.cumsum(lengths)])
         at = np.arange(0.0, along[-1], spacing)
-        return np.column_stack(
-            [np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])]
-        )
+        return np.column_stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])])
 
     @cached_property
     def cloud(self) -> FloatArray:

@@ -224,6 +224,10 @@ class EnvConfig(Settings):
     perception: PerceptionSettings = PerceptionSettings()
     episode: Episode = Episode()
 
+    def environment(self) -> EnvConfig:
+        """The part that the environment is made of."""
+        return EnvConfig(**{name: getattr(self, name) for name in EnvConfig.model_fields})
+
 
 class EvalConfig(EnvConfig):
     """An evaluation: the environment and how often."""
@@ -240,10 +244,6 @@ class TrainConfig(EnvConfig):
     eval: Eval = Eval()
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
-
-    def environment(self) -> EnvConfig:
-        """The part that the environment is made of."""
-        return EnvConfig(**{name: getattr(self, name) for name in EnvConfig.model_fields})
 
 
 ConfigT = TypeVar("ConfigT", bound=Settings)

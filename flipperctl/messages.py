@@ -32,8 +32,8 @@ def bounds(model: type[BaseModel], field: str) -> str:
 def explain(error: ValidationError, where: str, model: type[BaseModel]) -> str:
     """The first finding of a validation in one line: path, value, what is allowed."""
     first = error.errors()[0]
-    location = ".".join([where, *map(str, first["loc"])]) if where else ".".join(
-        map(str, first["loc"])
+    location = (
+        ".".join([where, *map(str, first["loc"])]) if where else ".".join(map(str, first["loc"]))
     )
     owner, known = _owner(model, first["loc"])
     leaf = str(first["loc"][-1]) if first["loc"] else ""

@@ -1,10 +1,12 @@
 """What every test shares: the built-in plugins, and a registry that is put back."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from flipperctl import api, plugins
+from tests.short import short_config, trainer
 
 plugins.load()  # at import, since tests are parametrised over the registry
 
@@ -18,3 +20,11 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict]:
     yield api.registry
     api.registry.clear()
     api.registry.update(before)
+
+
+@pytest.fixture(scope="session")
+def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a finished training run of 600 decisions; read it, never change it."""
+    folder = tmp_path_factory.mktemp("short_run")
+    trainer(short_config(), folder).run()
+    return folder

@@ -17,9 +17,7 @@ from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
 
 
-def build_network(
-    network: Network, layout: ObservationLayout, n_actions: int
-) -> torch.nn.Module:
+def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
     """The network, after a check of its output's shape.
 
     Raises:
@@ -110,8 +108,10 @@ class D3qn:
         loss = huber(taken, target)
         value = float(loss.detach())
         if not math.isfinite(value):
-            raise NonFiniteError(f"the learner's loss is {value}; the largest reward of the batch "
-                                 f"is {float(batch.reward.abs().max()):g}")
+            raise NonFiniteError(
+                f"the learner's loss is {value}; the largest reward of the batch "
+                f"is {float(batch.reward.abs().max()):g}"
+            )
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.online.parameters(), s.gradient_norm)

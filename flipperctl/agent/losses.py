@@ -11,7 +11,7 @@ def double_q_target(
     next_online: torch.Tensor,
     next_target: torch.Tensor,
 ) -> torch.Tensor:
-    """r + γ · Q_target(s′, argmax_a Q_online(s′, a)), shape (B,). van Hasselt et al. 2016.
+    """R + γ · Q_target(s′, argmax_a Q_online(s′, a)), shape (B,). van Hasselt et al. 2016.
 
     ``reward`` and ``discount`` are (B,), the discount 0 where the episode ended for good;
     ``next_online`` and ``next_target`` are (B, A) at the next observation.

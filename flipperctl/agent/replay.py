@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,7 +45,7 @@ class Replay:
     def __init__(self, capacity: int, size: int, n_step: int, gamma: float) -> None:
         """``size``: length of an observation."""
         self.capacity = capacity
-        self.arrays: dict[str, NDArray[np.generic]] = {
+        self.arrays: dict[str, NDArray[Any]] = {
             "observation": np.zeros((capacity, size), np.float32),
             "action": np.zeros(capacity, np.int64),
             "reward": np.zeros(capacity, np.float32),

@@ -48,7 +48,9 @@ def offer_defaults() -> None:
         try:
             node = plugins.container(cls(**fields))
         except ValueError as error:
-            raise ConfigError(f"{kind} plugin {name!r}: its defaults are not valid: {error}") from error
+            raise ConfigError(
+                f"{kind} plugin {name!r}: its defaults are not valid: {error}"
+            ) from error
         store.store(group=kind, name=name, node=node)
     for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
         sections = {

@@ -149,7 +149,12 @@ def _play(config: EvalConfig, source: ControllerSource, label: str) -> list[dict
     console = Console(stderr=True)
     return list(
         track(
-            episodes, label, s.episodes, console=console, transient=True, disable=not console.is_terminal
+            episodes,
+            label,
+            s.episodes,
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
         )
     )
 

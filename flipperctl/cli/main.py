@@ -69,7 +69,7 @@ def _run(arguments: list[str]) -> int:
         _say("interrupted")
         return InterruptedRunError.exit_code
     except BrokenPipeError:
-        sys.stdout = None  # type: ignore[assignment]  # nobody reads it any more
+        sys.stdout = None  # nobody reads it any more
         return 1
     except Exception as error:
         if debug:

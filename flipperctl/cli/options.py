@@ -16,7 +16,7 @@ PluginPaths = Annotated[
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[OVERRIDE]...", help="key=value, as in terrain=stair or agent.gamma=0.98."),
+    typer.Argument(metavar="OVERRIDE", help="key=value, as in terrain=stair agent.gamma=0.98."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 

@@ -97,9 +97,9 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             errors.append(error)  # Hydra would add lines of its own
             return None
 
-    application = hydra.main(
-        version_base="1.3", config_path=compose.CONFIGS, config_name="train"
-    )(task)
+    application = hydra.main(version_base="1.3", config_path=compose.CONFIGS, config_name="train")(
+        task
+    )
     given, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
         with compose.translated(), _full_errors():

@@ -7,7 +7,7 @@ transition → reward terms.
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -43,7 +43,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     at the end, ``outcome`` and ``metrics``. Timeout truncates; the other outcomes terminate.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {  # noqa: RUF012  # as gymnasium.Env declares it
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(
         self,
@@ -118,9 +121,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             )
         return profile
 
-    def step(
-        self, action: np.int64 | int
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision."""
         move = ACTIONS[int(action)]
         robot = self.robot
@@ -181,7 +182,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             observation, points, pitch, front, rear, self.robot, self.layout, self._controller_rng
         )
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """The scene as an (H, W, 3) picture; None without ``render_mode="rgb_array"``."""
         if self.render_mode is None:
             return None

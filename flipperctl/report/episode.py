@@ -16,7 +16,7 @@ from matplotlib.ticker import MultipleLocator
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
-from flipperctl.report.terrain import WIDTH, draw_ground, frame, legend_above, tidy
+from flipperctl.report.figure import WIDTH, draw_ground, frame, legend_above, tidy
 from flipperctl.sim.outline import outlines
 
 
@@ -30,8 +30,8 @@ def episode_figure(
 ) -> Figure:
     """Poses over the terrain, with their times, above pitch and flipper angles against time.
 
-    A pose is drawn at the start, at the end and every ``spacing`` [m] of the chassis centre's
-    path between, by default so far apart that level robots do not touch.
+    Poses are drawn at the start, at the end and evenly between, at least ``spacing`` [m] of the
+    chassis centre's path apart; by default that is a little less than the robot is long.
 
     Raises:
         ValueError: the trace is empty or the spacing is not above 0.
@@ -39,7 +39,7 @@ def episode_figure(
     if not trace:
         raise ValueError("an episode figure needs at least one state")
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-    spacing = 2.1 * reach if spacing is None else spacing
+    spacing = 1.75 * reach if spacing is None else spacing
     if spacing <= 0:
         raise ValueError(f"the spacing of the poses must be above 0 m; got {spacing:g}")
     path = np.array([state.position for state in trace])  # (T, 2) [m]
@@ -65,9 +65,9 @@ def episode_figure(
 
 
 def pose_indices(path: FloatArray, spacing: float) -> list[int]:
-    """Indices into a path (T, 2) [m]: first, last, and evenly about ``spacing`` [m] between."""
+    """Indices into a path (T, 2) [m]: first, last, evenly between, ``spacing`` apart."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-    poses = max(1, round(along[-1] / spacing)) + 1
+    poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)
     found = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
     return sorted({*found.tolist(), len(path) - 1})
@@ -77,12 +77,11 @@ def _window(
     path: FloatArray, profile: Profile, reach: float, top: float
 ) -> tuple[FloatArray, FloatArray]:
     """Lower left and upper right of what is shown, (x, z) in world [m]."""
-    low, high = path.min(axis=0), path.max(axis=0)
-    ground = [profile.height(x) for x in (low[0], high[0])]
-    inside = (profile.points[:, 0] >= low[0]) & (profile.points[:, 0] <= high[0])
-    bottom = min([*ground, *profile.points[inside, 1]]) - 0.2
     margin = reach + 0.1
-    return np.array([low[0] - margin, bottom]), np.array([high[0] + margin, top + 0.25])
+    (left, _), (right, _) = path.min(axis=0) - margin, path.max(axis=0) + margin
+    inside = (profile.points[:, 0] >= left) & (profile.points[:, 0] <= right)
+    ground = [profile.height(left), profile.height(right), *profile.points[inside, 1]]
+    return np.array([left, min(ground) - 0.2]), np.array([right, top + 0.25])
 
 
 def _draw_angles(

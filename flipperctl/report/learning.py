@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR
-from flipperctl.report.terrain import WIDTH, legend_above, tidy
+from flipperctl.report.figure import WIDTH, legend_above, tidy
 
 WINDOW = 100
 """Episodes that a curve averages over."""

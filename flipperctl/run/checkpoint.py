@@ -54,7 +54,9 @@ class Checkpoint:
         try:
             return parse(TrainConfig, self.document["config"])
         except ConfigError as error:
-            raise CheckpointError(f"{self.path}: its configuration does not fit: {error}") from error
+            raise CheckpointError(
+                f"{self.path}: its configuration does not fit: {error}"
+            ) from error
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
         """The tensors whose names begin with ``prefix.``, without it."""
@@ -90,7 +92,7 @@ def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
 def write(path: Path, document: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> None:
     """Write a checkpoint, whole or not at all."""
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    text = json.dumps(document, sort_keys=True, allow_nan=False)
+    text = json.dumps(document, allow_nan=False)  # order kept: rewards are summed in it
     write_bytes(path, save(held, {"flipperctl": text, "sha256": _digest(text, held)}))
 
 

@@ -43,7 +43,7 @@ def evaluate(
         player = Player(config, source, seed)
         yield from map(player.episode, range(episodes))
         return
-    arguments = (container(config), source, seed)
+    arguments = (container(config.environment()), source, seed)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, episodes), context, _begin, arguments) as pool:
         try:
@@ -52,7 +52,7 @@ def evaluate(
             raise FlipperctlError("a worker process of the evaluation died") from error
 
 
-_player: Player | None = None  # one a worker process
+_player: Player | FlipperctlError | None = None  # one a worker process
 
 
 def _begin(config: dict[str, Any], source: ControllerSource, seed: int) -> None:
@@ -60,11 +60,14 @@ def _begin(config: dict[str, Any], source: ControllerSource, seed: int) -> None:
     import torch
 
     torch.set_num_threads(1)
-    plugins.load()
-    _player = Player(parse(EnvConfig, config), source, seed)
+    try:
+        plugins.load()
+        _player = Player(parse(EnvConfig, config), source, seed)
+    except FlipperctlError as error:  # an initialiser's error would only break the pool
+        _player = error
 
 
 def _episode(index: int) -> dict[str, Any]:
-    if _player is None:
-        raise RuntimeError("the worker was not begun")
+    if not isinstance(_player, Player):
+        raise _player or RuntimeError("the worker was not begun")
     return _player.episode(index)

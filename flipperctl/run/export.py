@@ -112,9 +112,7 @@ def rollout_observations(
     return np.stack(recorder.seen)
 
 
-def compare(
-    module: torch.nn.Module, run: Run, observations: NDArray[np.float32]
-) -> dict[str, Any]:
+def compare(module: torch.nn.Module, run: Run, observations: NDArray[np.float32]) -> dict[str, Any]:
     """Largest difference of Q and agreement of the chosen action, over real observations.
 
     Raises:

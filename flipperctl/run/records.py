@@ -92,7 +92,7 @@ class TensorBoard:
         from torch.utils.tensorboard import SummaryWriter
 
         purge = None if resume_at is None else resume_at + 1
-        self._writer = SummaryWriter(str(folder), purge_step=purge)  # type: ignore[no-untyped-call]
+        self._writer = SummaryWriter(str(folder), purge_step=purge)
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""
@@ -105,11 +105,11 @@ class TensorBoard:
     def _write(self, group: str, row: Mapping[str, Any]) -> None:
         for name, value in row.items():
             if isinstance(value, int | float) and name not in ("decision", "episode", "seed"):
-                self._writer.add_scalar(f"{group}/{name}", value, row["decision"])  # type: ignore[no-untyped-call]
+                self._writer.add_scalar(f"{group}/{name}", value, row["decision"])
 
     def close(self) -> None:
         """Flush and close."""
-        self._writer.close()  # type: ignore[no-untyped-call]
+        self._writer.close()
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

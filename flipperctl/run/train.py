@@ -37,8 +37,10 @@ RECENT = 100
 
 
 class Trainer:
-    """One training run. All that changes while it runs is saved by ``save`` and taken back by
-    ``restore``."""
+    """One training run.
+
+    All that changes while it runs is saved by ``save`` and taken back by ``restore``.
+    """
 
     def __init__(
         self, config: TrainConfig, directory: Path, listeners: Sequence[Listener] = ()

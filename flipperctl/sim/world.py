@@ -7,6 +7,7 @@ of 10 ms. The engine's y is the world's z; its angles are positive nose up.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pymunk
@@ -50,9 +51,7 @@ class World:
         space.collision_bias = 0.2**60  # Chipmunk's default is far too soft at these substeps
         self._add_ground()
 
-        lift = robot.track_radius + robot.flipper_axle * max(
-            0.0, -math.sin(front), -math.sin(rear)
-        )
+        lift = robot.track_radius + robot.flipper_axle * max(0.0, -math.sin(front), -math.sin(rear))
         centre = (start, profile.height(start) + lift)
         half = robot.hinge_offset
         self._chassis = self._add_part(robot.chassis_mass, centre, 0.0, 2 * half)
@@ -64,7 +63,7 @@ class World:
         line = [tuple(p) for p in self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND).tolist()]
         line = [p for i, p in enumerate(line) if i == 0 or p != line[i - 1]]
         ground = self.space.static_body
-        segments = [pymunk.Segment(ground, a, b, 0.0) for a, b in zip(line, line[1:], strict=False)]
+        segments = [pymunk.Segment(ground, a, b, 0.0) for a, b in pairwise(line)]
         for i, segment in enumerate(segments):
             segment.set_neighbors(line[max(i - 1, 0)], line[min(i + 2, len(line) - 1)])
             segment.friction = self.sim.friction
@@ -90,7 +89,7 @@ class World:
         robot = self.robot
         side = math.copysign(1.0, hinge_x)
         turned = side * angle  # the engine's angle of the flipper against the chassis
-        hinge = self._chassis.position + (hinge_x, 0.0)
+        hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0)
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)
@@ -135,7 +134,7 @@ class World:
 
     @property
     def pitch(self) -> float:
-        """[rad]"""
+        """Pitch of the chassis [rad]."""
         return float(self._chassis.angle)
 
     @property

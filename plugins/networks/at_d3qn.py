@@ -24,9 +24,8 @@ class AtD3qn(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from torch import nn
-
         from flipperctl_plugins.networks.modules import Dueling, Fusion, Normalise
+        from torch import nn
 
         return nn.Sequential(
             Normalise(layout),

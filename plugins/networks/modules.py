@@ -1,6 +1,7 @@
 """torch modules that the built-in networks are made of; imported only inside ``build``."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import nn
@@ -28,7 +29,7 @@ class Normalise(nn.Module):
 def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers of the given widths, each followed by a Leaky ReLU."""
     layers: list[nn.Module] = []
-    for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+    for inputs, outputs in pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
     return nn.Sequential(*layers)
 
@@ -44,8 +45,8 @@ class Dueling(nn.Module):
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """(B, features) → (B, n_actions)."""
         advantage = self.advantage(features)
-        value: torch.Tensor = self.value(features)
-        return value + advantage - advantage.mean(dim=1, keepdim=True)
+        q: torch.Tensor = self.value(features) + advantage - advantage.mean(dim=1, keepdim=True)
+        return q
 
 
 class Fusion(nn.Module):

@@ -21,7 +21,10 @@ class Flipper(RewardTerm):
         0.1, ge=0, le=1, description="nearest terrain that counts, from the hinge; paper silent [m]"
     )
     far: float = Field(
-        0.45, gt=0, le=3, description="farthest terrain that counts, from the hinge; paper silent [m]"
+        0.45,
+        gt=0,
+        le=3,
+        description="farthest terrain that counts, from the hinge; paper silent [m]",
     )
 
     def __call__(self, t: Transition) -> float:

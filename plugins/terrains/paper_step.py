@@ -1,9 +1,9 @@
 """The paper's step scene."""
 
+from flipperctl_plugins.terrains.step import Step
 from pydantic import Field
 
 from flipperctl.api import terrain
-from flipperctl_plugins.terrains.step import Step
 
 
 @terrain("paper_step")
@@ -12,6 +12,9 @@ class PaperStep(Step):
 
     low: float = Field(0.4, ge=-1, le=1, description="smallest height, negative is down [m]")
     platform: float = Field(
-        3.0, ge=0, le=20, description="length of the ground behind the step, before the way back [m]"
+        3.0,
+        ge=0,
+        le=20,
+        description="length of the ground behind the step, before the way back [m]",
     )
     back: bool = Field(True, description="whether a second step leads back to the level [-]")

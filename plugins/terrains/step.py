@@ -15,7 +15,10 @@ class Step(Terrain):
     low: float = Field(-0.4, ge=-1, le=1, description="smallest height, negative is down [m]")
     high: float = Field(0.4, ge=-1, le=1, description="largest height [m]")
     platform: float = Field(
-        0.0, ge=0, le=20, description="length of the ground behind the step, before the way back [m]"
+        0.0,
+        ge=0,
+        le=20,
+        description="length of the ground behind the step, before the way back [m]",
     )
     back: bool = Field(False, description="whether a second step leads back to the level [-]")
 

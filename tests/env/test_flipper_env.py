@@ -1,4 +1,4 @@
-"""The environment: its place in Gymnasium, actions, signs, outcomes, overrides, errors, measures."""
+"""The environment: Gymnasium, actions, signs, outcomes, overrides, errors and measures."""
 
 import dataclasses
 import math
@@ -279,9 +279,7 @@ def test_an_unknown_terrain_gives_a_close_match() -> None:
     ],
     ids=["x decreases", "empty", "not finite", "list", "None"],
 )
-def test_a_broken_terrain_is_named(
-    generate: Callable[[], Any], text: str, registry: dict
-) -> None:
+def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, registry: dict) -> None:
     @terrain("broken")
     class Broken(Terrain):
         def generate(self, rng: np.random.Generator) -> Profile:
@@ -317,7 +315,7 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
     env.reset(seed=0)
     lost = dataclasses.replace(env.world.state(), pitch=math.nan)
     monkeypatch.setattr(env.world, "state", lambda: lost)
-    with pytest.raises(NonFiniteError, match="state is not finite.*'flat'"):
+    with pytest.raises(NonFiniteError, match=r"state is not finite.*'flat'"):
         env.step(HOLD)
 
 

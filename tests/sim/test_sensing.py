@@ -37,10 +37,10 @@ def test_a_step_is_averaged_with_the_points_of_its_face() -> None:
 
 def test_frame_l_moves_with_the_robot_and_stays_level() -> None:
     of = sensor(STEP)
-    here, ahead = look(of), look(of, CENTRE + (1.0, 0.2))
+    ahead = look(of, CENTRE + np.array([1.0, 0.2]))
     # 1 m ahead and 0.2 m up on the step: the face is now in the rear bin.
     assert of.heights(ahead) == pytest.approx([0.10833 - 0.5, -0.3, -0.3], abs=1e-5)
-    assert np.diff(here[:, 0]).min() >= 0 and np.diff(ahead[:, 0]).min() >= 0
+    assert np.diff(ahead[:, 0]).min() >= 0
 
 
 @pytest.mark.parametrize(("bins", "width"), [(3, 1.0), (15, 0.15), (7, 0.4)])

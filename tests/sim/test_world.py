@@ -91,9 +91,7 @@ def test_holds_on_a_slope_below_the_angle_of_friction(degrees: float) -> None:
 
 # g (sin a - 0.5 cos a): 9.81 · (0.46947 - 0.44147) = 0.2747, 9.81 · (0.52992 - 0.42402) = 1.0388
 @pytest.mark.parametrize(("degrees", "acceleration"), [(28.0, 0.2747), (32.0, 1.0388)])
-def test_slides_on_a_slope_above_the_angle_of_friction(
-    degrees: float, acceleration: float
-) -> None:
+def test_slides_on_a_slope_above_the_angle_of_friction(degrees: float, acceleration: float) -> None:
     world = on_slope(degrees, friction=0.5)
     before = np.linalg.norm(world.state().velocity)
     run(world, 1.0)
@@ -210,7 +208,8 @@ def test_flippers_turn_one_angle_step_in_one_decision(way: int) -> None:
 
 
 # Each pair carries half of 45 kg at 0.336 m, less its own weight at 0.168 m:
-# 9.81 · (22.5 · 0.336 - 5 · 0.168) = 65.9 N m. Up, the chassis is at 0.1 + 0.336 sin(π/3) = 0.391 m.
+# 9.81 · (22.5 · 0.336 - 5 · 0.168) = 65.9 N m. On its tips, the chassis is
+# 0.1 + 0.336 sin(π/3) = 0.391 m high.
 @pytest.mark.parametrize(("settings", "height"), [({"flipper_torque": 60.0}, 0.1), ({}, 0.391)])
 def test_flippers_lift_the_robot_only_with_enough_torque(
     settings: dict[str, float], height: float

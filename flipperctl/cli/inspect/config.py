@@ -23,9 +23,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("config", help=HELP)(show)
 
 
-def show(
-    overrides: Overrides = None, as_json: AsJson = False, plugins: PluginPaths = None
-) -> None:
+def show(overrides: Overrides = None, as_json: AsJson = False, plugins: PluginPaths = None) -> None:
     """See HELP."""
     from omegaconf import OmegaConf
 

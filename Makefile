@@ -1,0 +1,33 @@
+# Two commands do everything on a fresh machine with Python 3.11+ and make:
+#   make train   sets up, trains terrain=stair for a few minutes, evaluates, prints the table
+#   make test    sets up and runs every check
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DECISIONS ?= 20000
+
+.PHONY: setup train test clean
+
+setup: $(VENV)/ready
+
+$(VENV)/ready: pyproject.toml requirements.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -r requirements.txt
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	touch $@
+
+train: setup
+	$(BIN)/flipperctl train terrain=stair train.decisions=$(DECISIONS) \
+		hydra.run.dir=runs/stair/make_$$(date +%Y-%m-%d_%H-%M-%S)
+	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
+		--episodes 50 --baseline okada
+
+test: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

@@ -1,0 +1,81 @@
+"""What all figures share: the ground, axes, legends, and how a figure is written.
+
+Figures are made without pyplot and its global state.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from flipperctl.api import FloatArray, Profile
+from flipperctl.env.render import EARTH, GROUND, INK
+from flipperctl.errors import OutputError
+from flipperctl.messages import close_match
+from flipperctl.run.files import check_writable, write_bytes
+
+SUFFIXES = (".pdf", ".png", ".svg")
+"""File types that ``save`` writes."""
+
+WIDTH = 9.6
+"""Width of every figure [in]."""
+
+
+def draw_ground(axes: Axes, profile: Profile, level: float = 60.0) -> None:
+    """Fill the ground, with ``level`` metres of level ground before and behind the profile."""
+    line = profile.extended(level, level)
+    axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - level, color=EARTH, linewidth=0)
+    axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
+
+
+def frame(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    """Show the box from ``low`` to ``high``, (x, z) in world [m], in equal scales."""
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal", adjustable="box")
+
+
+def tidy(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    """Labels, a quiet grid and no frame on the upper and the right side."""
+    axes.set_title(title, loc="left", fontsize=11, color=INK)
+    axes.set_xlabel(x_label, fontsize=9, color=INK)
+    axes.set_ylabel(y_label, fontsize=9, color=INK)
+    axes.tick_params(labelsize=8, colors=INK)
+    axes.grid(True, color="#E6E6E6", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
+    """A legend over the right end of the axes, where it hides nothing."""
+    axes.legend(
+        handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
+        fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
+    )  # fmt: skip
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write the figure whole or not at all; equal figures give equal files.
+
+    Raises:
+        OutputError: the suffix is unknown or the path cannot be written.
+        WriteError: writing failed half way; a file that was there before is untouched.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise OutputError(
+            f"{path}: the suffix {path.suffix!r} is unknown; {', '.join(SUFFIXES)} are allowed"
+            + close_match(suffix, SUFFIXES)
+        )
+    check_writable(path)
+    buffer = io.BytesIO()
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})
+    with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # else its ids are random
+        figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=undated)
+    write_bytes(path, buffer.getvalue())

@@ -1,0 +1,185 @@
+"""The learner: acts greedily, learns a fixed batch, repeats itself, names broken networks."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl import plugins
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.replay import Batch
+from flipperctl.api import Network, ObservationLayout
+from flipperctl.config import Agent
+from flipperctl.errors import ConfigError, NonFiniteError
+
+LAYOUT = ObservationLayout()
+ACTIONS = 9
+
+
+class Ramp(Network):
+    """Q rises from action to action, whatever is observed."""
+
+    plugin_name: ClassVar[str] = "ramp"
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """(B, N + 3) → (B, n_actions)."""
+        layer = torch.nn.Linear(layout.size, n_actions)
+        torch.nn.init.zeros_(layer.weight)
+        layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
+        return layer
+
+
+class Foreign(Network):
+    """Builds whatever it is told to."""
+
+    plugin_name: ClassVar[str] = "foreign"
+    module: Any
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Anything."""
+        return self.module
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Networks of this size lose more than they gain by threads."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def not_a_number() -> torch.nn.Module:
+    layer = torch.nn.Linear(LAYOUT.size, ACTIONS)
+    torch.nn.init.constant_(layer.bias, torch.nan)
+    return layer
+
+
+def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
+    built = plugins.create("network", network, "network")
+    assert isinstance(built, Network)
+    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
+
+
+def fixed_batch(size: int = 64) -> Batch:
+    generator = torch.Generator().manual_seed(0)
+    draw = {"generator": generator}
+    return Batch(
+        observation=torch.randn(size, LAYOUT.size, **draw),
+        action=torch.arange(size) % ACTIONS,
+        reward=torch.randn(size, **draw),
+        next_observation=torch.randn(size, LAYOUT.size, **draw),
+        discount=torch.full((size,), 0.5),
+    )
+
+
+def weights(agent: D3qn) -> dict[str, torch.Tensor]:
+    return {name: p.detach().clone() for name, p in agent.online.named_parameters()}
+
+
+def test_acts_greedily_without_epsilon_and_uniformly_with_all_of_it() -> None:
+    agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(), seed=0)
+    rng = np.random.default_rng(0)
+    observation = np.zeros(LAYOUT.size, np.float32)
+    assert {agent.act(observation, 0.0, rng) for _ in range(20)} == {ACTIONS - 1}
+    drawn = np.bincount([agent.act(observation, 1.0, rng) for _ in range(900)])
+    # Each of nine 100 times, ± √(900 · 1/9 · 8/9) = 9
+    assert drawn.tolist() == pytest.approx([100] * 9, abs=36)
+
+
+def test_learning_lowers_the_loss_of_a_fixed_batch() -> None:
+    agent, batch = learner(reward_scale=1.0, target_rate=1e-6), fixed_batch()
+    first = agent.update(batch, 0.0)
+    for _ in range(150):
+        last = agent.update(batch, 0.0)
+    assert last < first / 5
+
+
+@pytest.mark.parametrize("network", plugins.names("network"))
+def test_an_update_moves_every_parameter(network: str) -> None:
+    agent = learner(network)
+    before = weights(agent)
+    agent.update(fixed_batch(), 0.0)
+    still = [name for name, now in weights(agent).items() if torch.equal(now, before[name])]
+    assert still == []
+
+
+def test_equal_seeds_give_equal_weights_and_leave_torch_s_generator_alone() -> None:
+    state = torch.random.get_rng_state()
+    first, second, third = learner(seed=1), learner(seed=1), learner(seed=2)
+    assert torch.equal(state, torch.random.get_rng_state())
+    for agent in (first, second, third):
+        for _ in range(3):
+            agent.update(fixed_batch(), 0.5)
+    same, other = weights(second), weights(third)
+    assert all(torch.equal(w, same[name]) for name, w in weights(first).items())
+    assert not all(torch.equal(w, other[name]) for name, w in weights(first).items())
+
+
+def test_the_target_follows_by_its_share() -> None:
+    agent = learner(target_rate=0.25)
+    before = weights(agent)
+    agent.update(fixed_batch(), 0.0)
+    now = weights(agent)
+    for name, slow in agent.target.named_parameters():
+        expected = 0.75 * before[name] + 0.25 * now[name]
+        assert torch.allclose(slow, expected, atol=1e-7)
+        assert not slow.requires_grad
+
+
+def test_rewards_are_scaled_inside_the_learner() -> None:
+    batch = fixed_batch()
+    tenth = dataclasses.replace(batch, reward=batch.reward / 10)
+    assert learner(reward_scale=0.1).update(batch, 0.0) == pytest.approx(
+        learner(reward_scale=1.0).update(tenth, 0.0)
+    )
+
+
+def test_the_learning_rate_falls_with_the_share_of_the_run() -> None:
+    agent = learner(learning_rate=1e-3, learning_rate_end=2e-4)
+    for share, rate in [(0.0, 1e-3), (0.5, 6e-4), (1.0, 2e-4)]:
+        agent.update(fixed_batch(), share)
+        assert [group["lr"] for group in agent.optimiser.param_groups] == pytest.approx([rate])
+
+
+@pytest.mark.parametrize("act_with", ["target", "online"])
+def test_the_policy_is_the_network_that_the_settings_name(act_with: str) -> None:
+    agent = learner(act_with=act_with)
+    agent.update(fixed_batch(), 0.0)
+    assert agent.policy is getattr(agent, act_with)
+
+
+def test_a_restored_learner_goes_on_as_the_saved_one() -> None:
+    saved, other = learner(seed=1), learner(seed=2)
+    saved.update(fixed_batch(), 0.0)
+    other.restore({name: tensor.clone() for name, tensor in saved.tensors().items()})
+    assert saved.update(fixed_batch(), 0.1) == other.update(fixed_batch(), 0.1)
+    again = weights(other)
+    assert all(torch.equal(w, again[name]) for name, w in weights(saved).items())
+
+
+def test_a_loss_that_is_not_finite_is_an_error() -> None:
+    batch = fixed_batch()
+    batch.reward[3] = torch.inf
+    with pytest.raises(NonFiniteError, match="loss is inf"):
+        learner().update(batch, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("module", "text"),
+    [
+        (torch.nn.Linear(18, 4), r"must give Q-values \(2, 9\); the output is \(2, 4\)"),
+        (torch.nn.Sequential(torch.nn.Linear(18, 9), torch.nn.Flatten(0)), r"output is \(18,\)"),
+        (torch.nn.Linear(5, 9), r"fails on observations of shape \(2, 18\)"),
+        (torch.nn.LSTM(18, 9), "the output is tuple"),
+        (len, "must return a torch module; got builtin_function_or_method"),
+        (not_a_number(), "finite"),
+    ],
+    ids=["too few actions", "flat", "too few inputs", "tuple", "no module", "nan"],
+)
+def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
+    with pytest.raises(ConfigError, match="network 'foreign'.*" + text):
+        D3qn(Foreign(module=module), LAYOUT, ACTIONS, Agent(), seed=0)

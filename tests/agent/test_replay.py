@@ -1,0 +1,118 @@
+"""The n-step replay against sums worked by hand."""
+
+import numpy as np
+import pytest
+
+from flipperctl.agent.replay import Replay
+
+
+def observation(number: float) -> np.ndarray:
+    return np.full(2, number, np.float32)
+
+
+def feed(
+    replay: Replay, rewards: list[float], *, over: bool = True, bootstrap: bool = False
+) -> None:
+    """An episode whose decision i leads from observation i to i + 1 by action i."""
+    for i, reward in enumerate(rewards):
+        last = over and i == len(rewards) - 1
+        replay.add(
+            observation(i), i, reward, observation(i + 1), over=last, bootstrap=bootstrap and last
+        )
+
+
+def rows(replay: Replay) -> list[tuple[float, int, float, float, float]]:
+    """(observation, action, reward, next observation, discount) of every transition, in order."""
+    a = replay.arrays
+    columns = (
+        a["observation"][:, 0],
+        a["action"],
+        a["reward"],
+        a["next_observation"][:, 0],
+        a["discount"],
+    )
+    return [tuple(row) for row in np.column_stack(columns)[: len(replay)].tolist()]
+
+
+def test_one_step_transitions_are_kept_as_they_come() -> None:
+    replay = Replay(10, size=2, n_step=1, gamma=0.5)
+    feed(replay, [1.0, 2.0])
+    assert rows(replay) == [(0, 0, 1.0, 1, 0.5), (1, 1, 2.0, 2, 0.0)]
+
+
+def test_n_steps_are_summed_and_the_rest_is_flushed_at_the_end() -> None:
+    replay = Replay(10, size=2, n_step=3, gamma=0.5)
+    feed(replay, [1.0, 2.0, 4.0, 8.0])
+    assert rows(replay) == [
+        (0, 0, 3.0, 3, 0.125),  # 1 + 2/2 + 4/4, and γ³
+        (1, 1, 6.0, 4, 0.0),  # 2 + 4/2 + 8/4; the episode ended
+        (2, 2, 8.0, 4, 0.0),  # 4 + 8/2
+        (3, 3, 8.0, 4, 0.0),
+    ]
+
+
+def test_the_value_goes_on_behind_an_end_that_is_bootstrapped_through() -> None:
+    replay = Replay(10, size=2, n_step=3, gamma=0.5)
+    feed(replay, [1.0, 2.0], bootstrap=True)  # shorter than n
+    assert rows(replay) == [
+        (0, 0, 2.0, 2, 0.25),  # 1 + 2/2, two decisions later: γ²
+        (1, 1, 2.0, 2, 0.5),
+    ]
+
+
+def test_a_decision_waits_until_its_n_th_reward_is_known() -> None:
+    replay = Replay(10, size=2, n_step=3, gamma=0.5)
+    feed(replay, [1.0, 2.0], over=False)
+    assert len(replay) == 0
+    with pytest.raises(RuntimeError, match="between episodes"):
+        replay.filled()
+
+
+def test_episodes_do_not_mix() -> None:
+    replay = Replay(10, size=2, n_step=3, gamma=0.5)
+    feed(replay, [1.0])
+    feed(replay, [16.0])
+    assert [row[2] for row in rows(replay)] == [1.0, 16.0]
+
+
+def test_the_ring_forgets_the_oldest() -> None:
+    replay = Replay(3, size=2, n_step=1, gamma=0.5)
+    feed(replay, [0.0, 1.0, 2.0, 3.0, 4.0])
+    assert len(replay) == 3
+    assert replay.added == 5
+    assert [row[2] for row in rows(replay)] == [3.0, 4.0, 2.0]  # 3 took the place of 0, 4 of 1
+
+
+def test_samples_are_drawn_from_what_is_filled_by_the_generator_handed_in() -> None:
+    replay = Replay(100, size=2, n_step=1, gamma=0.5)
+    feed(replay, [1.0, 2.0, 3.0])
+    batch = replay.sample(300, np.random.default_rng(0))
+    again = replay.sample(300, np.random.default_rng(0))
+    # Each of the three 100 times, ± √(300 · 1/3 · 2/3) = 8
+    assert batch.reward.unique().tolist() == [1.0, 2.0, 3.0]
+    assert batch.action.bincount().tolist() == pytest.approx([100, 100, 100], abs=33)
+    assert batch.observation.shape == batch.next_observation.shape == (300, 2)
+    assert (batch.action.float() + 1 == batch.reward).all()  # the columns belong together
+    assert (batch.action == again.action).all()
+
+
+def test_a_restored_ring_goes_on_where_the_saved_one_stood() -> None:
+    saved = Replay(4, size=2, n_step=2, gamma=0.5)
+    feed(saved, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    other = Replay(4, size=2, n_step=2, gamma=0.5)
+    feed(other, [7.0], over=False)  # what waits in it is forgotten
+    other.restore({name: array.copy() for name, array in saved.filled().items()}, saved.added)
+    assert rows(other) == rows(saved)
+    for replay in (saved, other):
+        feed(replay, [10.0, 20.0])
+    assert rows(other) == rows(saved)
+    assert [row[2] for row in rows(saved)] == [6.5, 5.0, 20.0, 20.0]  # 4 + 5/2, 5; 10 + 20/2, 20
+
+
+def test_a_ring_that_is_not_full_yet_is_restored() -> None:
+    saved, other = (Replay(5, size=2, n_step=1, gamma=0.5) for _ in range(2))
+    feed(saved, [1.0, 2.0])
+    assert all(len(array) == 2 for array in saved.filled().values())
+    other.restore(saved.filled(), saved.added)
+    feed(other, [3.0])
+    assert [row[2] for row in rows(other)] == [1.0, 2.0, 3.0]

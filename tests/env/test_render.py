@@ -1,0 +1,162 @@
+"""The picture of the scene, and the outlines that it is made of."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray, Outcome, RobotGeometry, RobotState
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.render import CHASSIS, EARTH, HEIGHT, WIDTH, Renderer
+from flipperctl.sim.outline import axles, belt_length, belt_marks, belt_points, capsule, outlines
+
+ROBOT = RobotGeometry()
+MIDDLE = (193, 502)  # row and column of the chassis centre, to which the view is tied [px]
+SCALE = 888 / 3.6  # 0.925 of 960 px show 3.2 times the perceived 1.125 m [px/m]
+
+Picture = NDArray[np.uint8]
+
+
+def at(x: float, z: float, pitch: float = 0.0, front: float = 0.0, rear: float = 0.0) -> RobotState:
+    return RobotState(np.array([x, z]), pitch, front, rear, np.zeros(2), 0.0, 0.0)
+
+
+def coloured(picture: Picture, colour: str) -> FloatArray:
+    """Right of and above the chassis centre, (P, 2) [px]."""
+    rows, columns = np.nonzero((picture == np.rint(255 * np.array(to_rgb(colour)))).all(axis=2))
+    return np.column_stack([columns - MIDDLE[1], MIDDLE[0] - rows]).astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer()
+
+
+@pytest.fixture
+def env() -> FlipperEnv:
+    env = FlipperEnv("paper_step", render_mode="rgb_array")
+    env.reset(seed=1)
+    return env
+
+
+def test_render_returns_a_picture(env: FlipperEnv) -> None:
+    picture = env.render()
+    assert picture is not None
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+    assert picture.dtype == np.uint8
+
+
+def test_equal_states_give_equal_pictures(env: FlipperEnv, renderer: Renderer) -> None:
+    first = renderer(env)
+    env.step(8)
+    assert not np.array_equal(first, renderer(env))
+    env.reset(seed=1)
+    assert np.array_equal(first, renderer(env))
+    assert np.array_equal(first, Renderer()(env))
+
+
+def test_a_picture_outlives_the_next_one(env: FlipperEnv, renderer: Renderer) -> None:
+    first = renderer(env)
+    kept = first.copy()
+    env.step(8)
+    renderer(env)
+    assert np.array_equal(first, kept)
+
+
+@pytest.mark.parametrize("pitch", [-0.5, 0.0, 0.6])
+def test_the_chassis_is_where_and_as_the_state_says(
+    env: FlipperEnv, renderer: Renderer, pitch: float
+) -> None:
+    env.state = at(-0.6, 0.9, pitch)
+    pixels = coloured(renderer(env), CHASSIS)
+    assert np.abs(pixels.mean(axis=0)).max() < 1.5
+    _, axes = np.linalg.eigh(np.cov(pixels.T))
+    long_axis = axes[:, 1]
+    assert math.atan(long_axis[1] / long_axis[0]) == pytest.approx(pitch, abs=0.02)
+    thickness = np.ptp(pixels @ axes[:, 0])
+    assert thickness / SCALE == pytest.approx(2 * 0.072, abs=0.015)  # 0.028 m is belt
+
+
+def test_the_ground_is_to_scale(env: FlipperEnv, renderer: Renderer) -> None:
+    for x in (-0.8, -0.7):
+        env.state = at(x, 0.1)
+        earth = coloured(renderer(env), EARTH)
+        above_level = earth[earth[:, 1] > 0.1 * SCALE]  # 0.2 m up, only the step is left
+        assert above_level[:, 0].min() == pytest.approx(-x * SCALE, abs=4)
+        assert above_level[:, 1].max() == pytest.approx(0.3 * SCALE, abs=4)
+
+
+def test_the_caption_tells_action_and_outcome(env: FlipperEnv, renderer: Renderer) -> None:
+    plain = renderer(env)
+    told = renderer(env, action=(1, 0), outcome=Outcome.REACHED)
+    changed = np.nonzero((plain != told).any(axis=2))[0]
+    assert changed.min() > 0.85 * HEIGHT
+    assert np.array_equal(plain, renderer(env))
+
+
+def test_noisy_and_missing_points_are_no_problem(renderer: Renderer) -> None:
+    env = FlipperEnv("stair", perception={"noise": 0.05, "dropout": 0.95, "angle_noise": 0.05})
+    env.reset(seed=2)
+    env.perception = replace(env.perception, points=np.empty((0, 2)))
+    assert renderer(env).shape == (HEIGHT, WIDTH, 3)
+
+
+def test_matplotlib_is_loaded_late_and_pyplot_never() -> None:
+    code = (
+        "import sys, flipperctl.env.flipper_env as e; assert 'matplotlib' not in sys.modules;"
+        "env = e.FlipperEnv('flat', render_mode='rgb_array'); env.reset(seed=0); env.render();"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_capsule_by_hand() -> None:
+    points = capsule((0, 0), (1, 0), 0.5, arc=3)
+    assert points == pytest.approx(
+        np.array([[0, 0.5], [1, 0.5], [1.5, 0], [1, -0.5], [0, -0.5], [-0.5, 0]]), abs=1e-12
+    )
+
+
+def test_the_level_robot_is_as_long_as_the_paper_says() -> None:
+    parts = outlines(at(2.0, 0.1), ROBOT)
+    lengths = np.ptp(parts[:, :, 0], axis=1)
+    assert lengths == pytest.approx([0.76, 0.536, 0.536])
+    assert np.ptp(parts[:, :, 1], axis=1) == pytest.approx([0.2, 0.2, 0.2])
+    assert parts[1, :, 0].max() == pytest.approx(2.0 + 0.28 + 0.336 + 0.1)
+    assert parts[2, :, 0].min() == pytest.approx(2.0 - 0.28 - 0.336 - 0.1)
+    inner = outlines(at(2.0, 0.1), ROBOT, inset=0.02)
+    assert np.ptp(inner[0], axis=0) == pytest.approx([0.72, 0.16])
+
+
+def test_raised_flippers_are_above_the_chassis() -> None:
+    chassis, front, rear = axles(at(1.0, 0.5, pitch=0.1, front=0.4, rear=0.3), ROBOT)
+    centre, ahead = np.array([1.0, 0.5]), 0.28 * np.array([math.cos(0.1), math.sin(0.1)])
+    assert chassis == pytest.approx(np.array([centre - ahead, centre + ahead]))
+    tip = chassis[1] + 0.336 * np.array([math.cos(0.5), math.sin(0.5)])
+    assert front == pytest.approx(np.array([chassis[1], tip]))
+    tail = chassis[0] + 0.336 * np.array([-math.cos(0.2), math.sin(0.2)])  # 0.3 - 0.1 above level
+    assert rear == pytest.approx(np.array([tail, chassis[0]]))
+
+
+def test_a_belt_runs_forward_above_and_backward_below() -> None:
+    turn = math.pi * 0.5
+    points, forward = belt_points((0, 0), (1, 0), 0.5, np.array([0.25, 1 + turn / 2, 1.5 + turn]))
+    assert points == pytest.approx(np.array([[0.25, 0.5], [1.5, 0], [0.5, -0.5]]), abs=1e-12)
+    assert forward == pytest.approx(np.array([[1, 0], [0, -1], [-1, 0]]), abs=1e-12)
+
+
+def test_marks_ride_with_the_belt() -> None:
+    start = belt_marks((0, 0), (1, 0), 0.1, travel=0.0)
+    later = belt_marks((0, 0), (1, 0), 0.1, travel=0.03)
+    assert later[0] - start[0] == pytest.approx(np.tile([0.03, 0.0], (3, 1)))
+    assert start[0] == pytest.approx(np.array([[0, 0.1], [0.015, 0.085], [0, 0.07]]))
+    around = belt_marks((0, 0), (1, 0), 0.1, travel=belt_length((0, 0), (1, 0), 0.1))
+    assert around == pytest.approx(start, abs=1e-9)
+    assert len(start) == 33  # 2.628 m of belt, a mark about every 0.08 m

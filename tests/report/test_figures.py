@@ -1,0 +1,199 @@
+"""Figures are drawn from what people have, and are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from flipperctl.api import Profile, RobotGeometry, RobotState
+from flipperctl.env.render import BELT
+from flipperctl.errors import OutputError, WriteError
+from flipperctl.report.episode import episode_figure, pose_indices
+from flipperctl.report.learning import column, learning_figure, running_mean
+from flipperctl.report.figure import save
+from flipperctl.report.terrain import terrain_figure
+
+ROBOT = RobotGeometry()
+STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
+LEVEL = Profile([(0.0, 0.0), (2.0, 0.0)])
+
+
+def texts(figure: Figure) -> str:
+    return "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
+
+
+def trace(metres: float = 6.0, states: int = 61) -> list[RobotState]:
+    return [
+        RobotState(np.array([x, 0.1]), 0.2, 0.3, -0.1, np.array([0.2, 0.0]), 0.0, 5 * x)
+        for x in np.linspace(0.0, metres, states)
+    ]
+
+
+def rows(episodes: int) -> list[dict[str, str]]:
+    return [
+        {
+            "decision": str(40 * i),
+            "outcome": "reached" if i % 2 else "stuck",
+            "return": "-3.5",
+            "pitch_variation": "2.5",
+            "epsilon": "0.5",
+            "loss": "" if i < 3 else "0.1",
+        }
+        for i in range(episodes)
+    ]
+
+
+VALIDATIONS = [{"decision": "5000", "success_rate": "0.75", "pitch_variation": "", "t_cost": ""}]
+
+
+def test_terrain_names_length_and_height() -> None:
+    figure = terrain_figure([STEP], "step", ROBOT)
+    assert len(figure.axes) == 1
+    assert "length 2.00 m" in texts(figure)
+    assert "height 0.30 m" in texts(figure)
+    assert figure.axes[0].get_title(loc="left") == "step"
+
+
+def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
+    axes = terrain_figure([STEP], "step", ROBOT).axes[0]
+    belts = [c for c in axes.collections if np.array_equal(c.get_facecolor(), [to_rgba(BELT)])]
+    robot = np.vstack([path.vertices for belt in belts for path in belt.get_paths()])
+    assert robot[:, 0].min() == pytest.approx(-1.0 - 0.716)
+    assert robot[:, 0].max() == pytest.approx(-1.0 + 0.716)
+    assert axes.get_aspect() == 1.0
+
+
+def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> None:
+    figure = terrain_figure([STEP] * 20, "step", ROBOT)
+    assert len(figure.axes) == 13
+    assert figure.axes[1].get_title() == "draw 2: 2.00 × 0.30 m"
+    assert figure.get_supxlabel() == "7 more draws are not shown"
+    save(figure, tmp_path / "many.png")
+
+
+@pytest.mark.parametrize(
+    "points", [[(0, 0)], [(0, 0), (0, -0.4)], [(5, 1), (55, 1)]], ids=["point", "drop", "long"]
+)
+def test_terrain_of_any_extent(points: list[tuple[float, float]], tmp_path: Path) -> None:
+    save(terrain_figure([Profile(points)] * 2, "odd", ROBOT), tmp_path / "odd.png")
+    assert (tmp_path / "odd.png").stat().st_size > 1000
+
+
+def test_terrain_needs_a_profile() -> None:
+    with pytest.raises(ValueError, match="at least one profile"):
+        terrain_figure([], "none", ROBOT)
+
+
+def test_learning_has_a_panel_each_and_the_scale_of_epsilon() -> None:
+    figure = learning_figure(rows(200), VALIDATIONS, "run")
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert [label.split("[")[0].split("$")[0].strip() for label in labels] == [
+        "success", "pitch variation", "return", "loss", "ε, random actions",
+    ]  # fmt: skip
+    curve, points = figure.axes[0].get_lines()
+    assert np.asarray(curve.get_ydata())[-1] == 50.0
+    assert np.asarray(points.get_ydata()).tolist() == [75.0]
+
+
+@pytest.mark.parametrize("episodes", [0, 1, 2, 150])
+def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
+    save(learning_figure(rows(episodes), [], "run"), tmp_path / "run.svg")
+
+
+def test_running_mean_by_hand() -> None:
+    values = np.array([math.nan, 1.0, 3.0, math.nan, 5.0])
+    expected = [math.nan, 1.0, 2.0, 3.0, 5.0]
+    assert running_mean(values, 2) == pytest.approx(np.array(expected), nan_ok=True)
+
+
+def test_a_bad_cell_is_named() -> None:
+    with pytest.raises(ValueError, match=r"row 2, loss: a number is allowed; got 'high'"):
+        column([{"loss": ""}, {"loss": "high"}], "loss")
+
+
+def test_episode_marks_the_same_poses_in_both_panels() -> None:
+    figure = episode_figure(trace(), STEP, ROBOT, "stair", spacing=2.0)
+    above, below = figure.axes
+    assert [text.get_text() for text in above.texts] == ["0.0 s", "10.0 s", "20.0 s", "30.0 s"]
+    curves = {str(line.get_label()): line for line in below.get_lines()}
+    assert np.asarray(curves["pitch"].get_ydata())[0] == pytest.approx(math.degrees(0.2))
+    assert np.asarray(curves["rear flippers"].get_ydata())[0] == pytest.approx(math.degrees(-0.1))
+    upright = [line for line in below.get_lines() if line.get_linestyle() == ":"]
+    assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx([0, 10, 20, 30])
+
+
+def test_poses_keep_their_distance() -> None:
+    path = np.column_stack([np.linspace(0, 1, 11), np.zeros(11)])
+    assert pose_indices(path, 0.45) == [0, 5, 10]
+    assert pose_indices(path, 5.0) == [0, 10]
+    assert pose_indices(path[:1], 5.0) == [0]
+
+
+def test_an_episode_of_one_state_is_drawn(tmp_path: Path) -> None:
+    save(episode_figure(trace()[:1], LEVEL, ROBOT), tmp_path / "one.pdf")
+
+
+def test_an_episode_needs_states_and_a_spacing() -> None:
+    with pytest.raises(ValueError, match="at least one state"):
+        episode_figure([], LEVEL, ROBOT)
+    with pytest.raises(ValueError, match="above 0 m; got -1"):
+        episode_figure(trace(), LEVEL, ROBOT, spacing=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.PDF", b"%PDF")]
+)
+def test_save_writes_by_suffix_and_twice_the_same(name: str, magic: bytes, tmp_path: Path) -> None:
+    path = tmp_path / name
+    save(terrain_figure([STEP], "step", ROBOT), path)
+    first = path.read_bytes()
+    assert first.startswith(magic)
+    save(terrain_figure([STEP], "step", ROBOT), path)
+    assert path.read_bytes() == first
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_save_refuses_an_unknown_suffix(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"'\.pgn' is unknown; .*; did you mean '\.png'\?"):
+        save(Figure(), tmp_path / "a.pgn")
+    with pytest.raises(OutputError, match="'' is unknown"):
+        save(Figure(), tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_save_says_why_a_path_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "folder.png").mkdir()
+    for path, why in (
+        (tmp_path / "none" / "a.png", "there is no folder"),
+        (tmp_path / "file" / "a.png", "there is no folder"),
+        (tmp_path / "folder.png", "it is a folder"),
+    ):
+        with pytest.raises(OutputError, match=f"cannot be written: {why}") as caught:
+            save(Figure(), path)
+        assert str(path) in str(caught.value)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.png"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_failure_half_way_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"before")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(WriteError, match="No space left"):
+        save(Figure(), path)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]

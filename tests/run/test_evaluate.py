@@ -1,0 +1,90 @@
+"""Evaluation: the numbers do not depend on the number of processes; statistics by hand."""
+
+from pathlib import Path
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.config import EnvConfig
+from flipperctl.errors import CheckpointError
+from flipperctl.run import checkpoint
+from flipperctl.run.evaluate import evaluate
+from flipperctl.run.policy import ControllerSource
+from flipperctl.run.seeds import episode_seed
+from flipperctl.run.statistics import interval, paired, scene_summary
+
+OKADA = ControllerSource(settings={"name": "okada"})
+
+
+def test_two_processes_give_the_rows_of_one() -> None:
+    config = EnvConfig(terrain="step")
+    one = list(evaluate(config, OKADA, episodes=4, seed=3))
+    two = list(evaluate(config, OKADA, episodes=4, seed=3, jobs=2))
+    assert one == two
+    assert [row["episode"] for row in one] == [0, 1, 2, 3]
+    assert len({row["seed"] for row in one}) == 4
+
+
+def test_a_policy_is_judged_on_another_terrain(short_run: Path) -> None:
+    source = ControllerSource(checkpoint=short_run / checkpoint.BEST)
+    rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
+    assert rows[0]["outcome"] in ("reached", "stuck", "timeout", "overturned")
+
+
+def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
+    source = ControllerSource(checkpoint=short_run / checkpoint.BEST)
+    config = EnvConfig(terrain="flat", perception={"bins": 11})
+    with pytest.raises(CheckpointError, match="15 bins of 0.15 m.*ask for 11"):
+        list(evaluate(config, source, episodes=1, seed=0))
+
+
+def test_the_streams_of_seeds_never_meet() -> None:
+    streams = ("training", "validation", "evaluation")
+    seeds = [episode_seed(s, seed, i) for s in streams for seed in (0, 1) for i in range(500)]
+    assert len(set(seeds)) == len(seeds)
+
+
+def row(seed: int, outcome: str, variation: float) -> dict[str, object]:
+    measures = dict.fromkeys(("t_cost", "flipper_travel", "max_pitch", "return"), 1.0)
+    both = {"pitch_variation": variation, "pitch_variation_100hz": variation}
+    return {"seed": seed, "outcome": outcome, **measures, **both}
+
+
+def test_interval_of_equal_values_is_a_point_and_of_none_is_none() -> None:
+    assert interval([2.0, 2.0, 2.0]) == {"mean": 2.0, "low": 2.0, "high": 2.0}
+    assert interval([]) is None
+
+
+def test_interval_covers_the_mean_as_the_normal_approximation_says() -> None:
+    # 50 zeros and 50 ones: the mean's standard error is 0.5 / √100 = 0.05, so ± 1.96 · 0.05.
+    found = interval([0.0] * 50 + [1.0] * 50)
+    assert found is not None
+    assert found["low"] == pytest.approx(0.402, abs=0.011)
+    assert found["high"] == pytest.approx(0.598, abs=0.011)
+
+
+def test_scene_summary_counts_outcomes_and_averages_what_reached_the_finish() -> None:
+    rows = [row(0, "reached", 1.0), row(1, "reached", 3.0), row(2, "stuck", 99.0)]
+    scene = scene_summary("step", rows)
+    assert scene["success_rate"] == pytest.approx(2 / 3)
+    assert scene["outcomes"] == {"reached": 2, "overturned": 0, "stuck": 1, "timeout": 0}
+    assert scene["pitch_variation"]["mean"] == 2.0
+    assert scene["pitch_variation"]["range"] == 2.0
+    nobody = scene_summary("step", [row(0, "stuck", 1.0)])
+    assert nobody["t_cost"] is None
+
+
+def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:
+    mine = [row(0, "reached", 1.0), row(1, "reached", 2.0), row(2, "stuck", 9.0)]
+    theirs = [row(0, "reached", 1.5), row(1, "stuck", 0.0), row(2, "reached", 1.0)]
+    found = paired(mine, theirs, "pitch_variation")
+    assert found is not None
+    assert (found["mean"], found["episodes"]) == (-0.5, 1)
+
+
+def test_every_controller_has_a_source() -> None:
+    for name in plugins.names("controller"):
+        source = ControllerSource(settings={"name": name})
+        assert source.label() == name
+        rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
+        assert len(rows) == 1

@@ -1,0 +1,27 @@
+"""A short training run for tests."""
+
+from pathlib import Path
+
+from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.run import checkpoint
+from flipperctl.run.train import Trainer
+
+SHORT = {
+    "train.decisions": 600,
+    "train.validate_every": 300,
+    "train.validation_episodes": 3,
+    "agent.learning_starts": 100,
+    "agent.epsilon_decisions": 400,
+}
+
+
+def short_config(**more: object) -> TrainConfig:
+    """600 decisions on steps."""
+    base = TrainConfig(terrain="step", network="at_d3qn", seed=7)
+    return parse(TrainConfig, merged(base, {**SHORT, **more}))
+
+
+def trainer(config: TrainConfig, folder: Path) -> Trainer:
+    """A trainer whose run directory is ready."""
+    (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)
+    return Trainer(config, folder)

@@ -1,0 +1,183 @@
+"""How plugins are found, and what a user reads when one cannot be."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.errors import ConfigError, PluginError
+
+pytestmark = pytest.mark.usefixtures("registry")
+
+
+def write(path: Path, name: str = "ridge", body: str = "") -> Path:
+    """A plugin file with one terrain."""
+    path.write_text(
+        f"""\
+from flipperctl.api import Profile, Terrain, terrain
+{body}
+@terrain("{name}")
+class Ridge(Terrain):
+    def generate(self, rng):
+        return Profile([(0, 0), (0.3, 0.2), (0.6, 0)])
+"""
+    )
+    return path
+
+
+def test_the_built_ins_come_through_the_entry_point() -> None:
+    assert {"flat", "step", "stair", "paper_step", "paper_stair"} <= set(plugins.names("terrain"))
+    assert {"flipper", "pitch", "end"} <= set(plugins.names("reward"))
+
+
+def test_a_script_may_import_a_built_in_before_the_plugins_are_loaded() -> None:
+    script = "import flipperctl_plugins; from flipperctl import plugins; plugins.load()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_file_is_loaded_once(tmp_path: Path) -> None:
+    file = write(tmp_path / "mine.py")
+    plugins.load([file])
+    plugins.load([file])
+    assert plugins.create("terrain", "ridge", "terrain").generate(None).end == 0.6
+
+
+def test_a_folder_gives_all_its_files_but_private_ones(tmp_path: Path) -> None:
+    write(tmp_path / "one.py", "one")
+    write(tmp_path / "two.py", "two")
+    write(tmp_path / "_private.py", "three")
+    plugins.load([tmp_path])
+    assert {"one", "two"} <= set(plugins.names("terrain"))
+    assert "three" not in plugins.names("terrain")
+
+
+def test_the_variable_names_files_and_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = write(tmp_path / "one.py", "one")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    write(folder / "two.py", "two")
+    monkeypatch.setenv("FLIPPERCTL_PLUGINS", f"{file}{os.pathsep}{folder}")
+    plugins.load()
+    assert {"one", "two"} <= set(plugins.names("terrain"))
+
+
+def test_worker_processes_inherit_the_paths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    plugins.load(["mine.py"])
+    script = "from flipperctl import plugins; plugins.load(); print(plugins.names('terrain'))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd="/", check=True
+    )
+    assert "'ridge'" in done.stdout
+
+
+def test_nothing_is_loaded_from_the_working_directory_unasked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    plugins.load()
+    assert "ridge" not in plugins.names("terrain")
+
+
+@pytest.mark.parametrize(
+    ("body", "text"),
+    [
+        ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("import json; json.loads('{')", "JSONDecodeError"),  # raised inside a library's file
+        ("height: = 0.2", "invalid syntax"),
+    ],
+)
+def test_a_plugin_that_does_not_import_names_file_and_line(
+    tmp_path: Path, body: str, text: str
+) -> None:
+    file = write(tmp_path / "broken.py", body=body)
+    with pytest.raises(PluginError) as error:
+        plugins.load([file])
+    assert f"{file}:2: " in str(error.value)
+    assert text in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_plugin_that_fails_half_way_leaves_nothing_behind(tmp_path: Path) -> None:
+    file = write(tmp_path / "broken.py")
+    file.write_text(file.read_text() + "\n1 / 0\n")
+    with pytest.raises(PluginError):
+        plugins.load([file])
+    assert "ridge" not in plugins.names("terrain")
+    write(file)  # mended, it loads
+    plugins.load([file])
+    assert "ridge" in plugins.names("terrain")
+
+
+def test_a_file_that_registers_nothing_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "empty.py"
+    file.write_text("GRAVITY = 9.81\n")
+    with pytest.raises(PluginError, match="registers nothing; decorate a class"):
+        plugins.load([file])
+
+
+def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
+    one, two = write(tmp_path / "one.py"), write(tmp_path / "two.py")
+    plugins.load([one])
+    with pytest.raises(PluginError) as error:
+        plugins.load([two])
+    text = str(error.value)
+    assert "two terrain plugins are called 'ridge'" in text
+    assert "flipperctl_user_one" in text
+    assert "flipperctl_user_two" in text
+    assert f"{two}:3: " in text
+
+
+def test_a_built_in_name_is_not_taken_silently(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"'stair': flipperctl_plugins\.terrains\.stair\.Stair"):
+        plugins.load([write(tmp_path / "mine.py", "stair")])
+
+
+def test_the_same_name_in_another_family_is_free(tmp_path: Path) -> None:
+    plugins.load([write(tmp_path / "mine.py", "pitch")])
+    assert plugins.get("terrain", "pitch", "") is not plugins.get("reward", "pitch", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("gone.py", "does not exist"), ("notes.txt", r"is no \.py file"), ("empty", r"no \.py file")],
+)
+def test_a_path_without_plugins_says_why(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(PluginError, match=f"{name} .*{text}"):
+        plugins.load([tmp_path / name])
+
+
+def test_a_bad_name_and_a_wrong_family_are_errors(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="plugin name 'My Ridge'"):
+        plugins.load([write(tmp_path / "name.py", "My Ridge")])
+    wrong = write(tmp_path / "family.py")
+    wrong.write_text(wrong.read_text().replace("terrain", "reward"))
+    with pytest.raises(PluginError, match="Ridge is no RewardTerm"):
+        plugins.load([wrong])
+
+
+def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
+    with pytest.raises(ConfigError) as error:
+        plugins.get("terrain", "stairs", "terrain")
+    assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
+    assert "did you mean 'stair'?" in str(error.value)
+    assert "paper_step" in str(error.value)
+
+
+@pytest.mark.parametrize("settings", [3, None, {}, {"rise": 0.1}])
+def test_settings_without_a_name_are_an_error(settings: object) -> None:
+    with pytest.raises(ConfigError, match="terrain: a plugin's name, or a mapping with 'name'"):
+        plugins.create("terrain", settings, "terrain")
