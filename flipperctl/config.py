@@ -130,7 +130,7 @@ class Episode(Settings):
 class Agent(Settings):
     """The double dueling DQN. The paper gives none of these numbers."""
 
-    learning_rate: float = Field(5e-4, gt=0, le=1, description="Adam step at the start [-]")
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Adam step at the start [-]")
     learning_rate_end: float = Field(
         2e-5, ge=0, le=1, description="Adam step at the end, reached linearly [-]"
     )
@@ -141,7 +141,7 @@ class Agent(Settings):
     learning_starts: int = Field(
         1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
     )
-    update_every: int = Field(1, ge=1, le=1000, description="decisions an update [-]")
+    update_every: int = Field(2, ge=1, le=1000, description="decisions an update [-]")
     target_rate: float = Field(
         0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
     )

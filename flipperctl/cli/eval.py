@@ -52,9 +52,11 @@ def evaluate(
         str | None,
         typer.Option(metavar="NAME", help="A controller to compare with, on the same draws."),
     ] = None,
-    episodes: Annotated[int | None, typer.Option(help="Episodes a scene [100].")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the draws [0].")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes [1].")] = None,
+    episodes: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes a scene [100].")
+    ] = None,
+    seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the draws [0].")] = None,
+    jobs: Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")] = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for episodes.csv and summary.json.")
     ] = None,
@@ -71,11 +73,12 @@ def evaluate(
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
     given = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
     found = scenes(given, checkpoint, controller)
+    against = _baseline(baseline) if baseline else None
     folder = make_folder(output) if output else None
 
     source = found[0][1]
     document: dict[str, Any] = {"controller": source.label(), "scenes": []}
-    rows = [_judge(document, config, source, baseline) for config, source in found]
+    rows = [_judge(document, config, source, against) for config, source in found]
     if folder:
         _write(folder, document, [row for group in rows for row in group])
     if as_json:
@@ -113,11 +116,20 @@ def scenes(
     return [(config, source) for config in configs]
 
 
-def _judge(
-    document: dict[str, Any], config: EvalConfig, source: ControllerSource, baseline: str | None
-) -> list[dict[str, Any]]:
+def _baseline(name: str) -> ControllerSource:
     from flipperctl import plugins as loader
     from flipperctl.run.policy import ControllerSource
+
+    plugin = loader.create("controller", name, "--baseline")
+    return ControllerSource(settings=loader.container(plugin))
+
+
+def _judge(
+    document: dict[str, Any],
+    config: EvalConfig,
+    source: ControllerSource,
+    baseline: ControllerSource | None,
+) -> list[dict[str, Any]]:
     from flipperctl.run.statistics import paired, scene_summary
 
     terrain = config.terrain.plugin_name
@@ -125,15 +137,14 @@ def _judge(
     scene = scene_summary(terrain, rows)
     named = [{"terrain": terrain, "controller": source.label(), **row} for row in rows]
     if baseline:
-        settings = loader.container(loader.create("controller", baseline, "--baseline"))
-        other = _play(config, ControllerSource(settings=settings), f"{terrain}, {baseline}")
+        other = _play(config, baseline, f"{terrain}, {baseline.label()}")
         measures = ("t_cost", "pitch_variation", "pitch_variation_100hz")
         scene["baseline"] = {
-            "controller": baseline,
+            "controller": baseline.label(),
             **scene_summary(terrain, other),
             "difference": {name: paired(rows, other, name) for name in measures},
         }
-        named += [{"terrain": terrain, "controller": baseline, **row} for row in other]
+        named += [{"terrain": terrain, "controller": baseline.label(), **row} for row in other]
     document["scenes"].append(scene)
     return named
 

@@ -18,7 +18,7 @@ class Pitch(RewardTerm):
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    lambda_2: float = Field(5.0, gt=0, le=1000, description="slope of the penalty [1/rad]")
+    lambda_2: float = Field(8.0, gt=0, le=1000, description="slope of the penalty [1/rad]")
     window: int = Field(3, ge=2, le=100, description="k, pitches averaged over; paper silent [-]")
 
     def __call__(self, t: Transition) -> float:

@@ -98,6 +98,22 @@ def test_learning_lowers_the_loss_of_a_fixed_batch() -> None:
     assert last < first / 5
 
 
+def test_the_loss_of_one_decision_by_hand() -> None:
+    agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(reward_scale=1.0), seed=0)
+    rising = torch.arange(ACTIONS, dtype=torch.float32)
+    for network, slopes in ((agent.online, rising), (agent.target, 10 - rising)):
+        assert isinstance(network, torch.nn.Linear)
+        network.bias.data.zero_()
+        network.weight.data[:, 0] = slopes  # Q_a = slope_a · (first number of the observation)
+    observation, following = torch.zeros(1, LAYOUT.size), torch.zeros(1, LAYOUT.size)
+    observation[0, 0], following[0, 0] = 2.0, 0.5
+    one, half = torch.tensor([1.0]), torch.tensor([0.5])
+    batch = Batch(observation, torch.tensor([2]), one, following, half)
+    # Q = 2 · 2 = 4; next, the online network prefers action 8, which the target network values
+    # at (10 - 8) · 0.5 = 1; so the target is 1 + 0.5 · 1 = 1.5, and 2.5 off costs 2.5 - 0.5.
+    assert agent.update(batch, 0.0) == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize("network", plugins.names("network"))
 def test_an_update_moves_every_parameter(network: str) -> None:
     agent = learner(network)

@@ -123,7 +123,8 @@ def test_the_front_flippers_pay_for_leaving_the_candidate(
 
 
 def test_the_tolerance_is_a_setting() -> None:
-    assert term("flipper", tolerance=0.0)(transition(state(front=0.08))) == pytest.approx(-0.08)
+    paid = term("flipper", lambda_1=1.0, tolerance=0.0)(transition(state(front=0.08)))
+    assert paid == pytest.approx(-0.08)
 
 
 def test_the_candidate_comes_from_the_true_terrain_in_front() -> None:
@@ -132,12 +133,20 @@ def test_the_candidate_comes_from_the_true_terrain_in_front() -> None:
     # ground before it are lower. Level flippers are off by 0.48996 - 0.08727 = 0.40269.
     step = Profile([(0.0, 0.0), (0.0, 0.2)])
     at = state(x=-0.68)
-    narrow = {"near": 0.38, "far": 0.41}
+    narrow = {"lambda_1": 1.0, "near": 0.38, "far": 0.41}
     assert term("flipper", **narrow)(transition(at, profile=step)) == pytest.approx(
         -0.40269, abs=1e-4
     )
     right = replace(at, front=0.48996)
     assert term("flipper", **narrow)(transition(right, profile=step)) == 0.0
+
+
+def test_the_candidate_is_in_the_frame_of_the_pitched_chassis() -> None:
+    # Nose up by 0.1 over level ground, with the hinge as high above it as the radius: the ground
+    # lies 0.1 below level in frame R. The centre is 0.28 sin(0.1) lower than the hinge.
+    lifted = state(front=0.0, z=0.1 - 0.28 * math.sin(0.1))
+    paid = term("flipper", lambda_1=1.0)(transition(lifted, pitches=(0.1, 0.1)))
+    assert paid == pytest.approx(-(0.1 - math.pi / 36), abs=1e-6)
 
 
 # R_pitch (Eqs. 5 and 6), λ2 = 5 per rad over the last three pitches
@@ -158,12 +167,13 @@ def test_the_candidate_comes_from_the_true_terrain_in_front() -> None:
     ],
 )
 def test_the_chassis_pays_for_its_swing(pitches: tuple[float, ...], value: float) -> None:
-    assert term("pitch")(transition(pitches=pitches)) == pytest.approx(value)
+    paid = term("pitch", lambda_2=5.0, window=3)(transition(pitches=pitches))
+    assert paid == pytest.approx(value)
 
 
 def test_slope_and_window_of_the_swing_are_settings() -> None:
     swinging = transition(pitches=(0.0, 0.06, 0.0, 0.0))
-    assert term("pitch", window=2)(swinging) == 0.0
+    assert term("pitch", window=2, lambda_2=10.0)(swinging) == 0.0
     assert term("pitch", window=4, lambda_2=10.0)(swinging) == pytest.approx(-0.4)  # 10 · 0.12 / 3
 
 
@@ -188,5 +198,6 @@ def test_the_end_settles(outcome: Outcome | None, value: float) -> None:
 
 
 def test_each_part_is_weighted_and_kept_apart() -> None:
-    parts = RewardSum({"a": term("end", weight=0.5), "b": term("end", weight=-2.0)})
+    half, twice = (term("end", settlement=10.0, weight=w) for w in (0.5, -2.0))
+    parts = RewardSum({"a": half, "b": twice})
     assert parts(transition(outcome=Outcome.REACHED)) == {"a": 5.0, "b": -20.0}

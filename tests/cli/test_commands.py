@@ -1,0 +1,238 @@
+"""The commands end to end, as a user types them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from flipperctl.run import checkpoint
+from flipperctl.run.records import read_rows
+from tests.cli.call import RUN, call
+
+QUICK = [f"{key}={value}" for key, value in RUN.items()]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run made by the command line, in its default place."""
+    folder = tmp_path_factory.mktemp("work")
+    done = call("train", "terrain=step", "seed=7", *QUICK, cwd=folder)
+    assert done.code == 0, done.err
+    (made,) = (folder / "runs" / "step").iterdir()
+    assert f"flipperctl eval --checkpoint {made.relative_to(folder)}" in done.err
+    return made
+
+
+def test_train_leaves_every_promised_file(run: Path) -> None:
+    found = {str(p.relative_to(run)) for p in run.rglob("*") if p.is_file()}
+    assert {
+        "config.yaml",
+        "metrics.csv",
+        "summary.json",
+        "checkpoints/best.safetensors",
+        "checkpoints/last.safetensors",
+    } <= found
+    assert any("tfevents" in name for name in found)
+    kinds = {row["kind"] for row in read_rows(run / "metrics.csv")}
+    assert kinds == {"episode", "validation"}
+
+
+def test_multirun_makes_a_run_for_each_combination(tmp_path: Path) -> None:
+    done = call("train", "-m", "terrain=flat,step", "seed=1", *QUICK, cwd=tmp_path)
+    assert done.code == 0, done.err
+    (sweep,) = (tmp_path / "runs" / "multirun").iterdir()
+    names = {p.name for p in sweep.iterdir() if p.is_dir()}
+    assert names == {"0_flat_seed1", "1_step_seed1"}
+    assert all((sweep / name / checkpoint.BEST).is_file() for name in names)
+
+
+def test_cfg_prints_the_composed_configuration_and_trains_nothing(tmp_path: Path) -> None:
+    done = call("train", "terrain=step", "agent.gamma=0.5", "--cfg", "job", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "gamma: 0.5" in done.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "flipperctl", "train", "terrain=step", "hydra.run.dir=r"]
+    budget = ["train.decisions=100000", "agent.learning_starts=50"]
+    process = subprocess.Popen([*command, *budget], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    metrics = tmp_path / "r" / "metrics.csv"
+    while not metrics.is_file() or metrics.read_text().count("\n") < 3:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "flipperctl train --resume r" in err
+    stopped = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document["state"]["decision"]
+    assert 0 < stopped < 100_000
+
+    done = call("train", "--resume", "r", f"train.decisions={stopped + 50}", cwd=tmp_path)
+    assert done.code == 0, done.err
+    state = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document["state"]
+    assert state["decision"] == stopped + 50
+    decisions = [int(row["decision"]) for row in read_rows(metrics)]
+    assert decisions == sorted(decisions)
+
+    again = call("train", "--resume", "r", cwd=tmp_path)
+    assert again.code == 0
+    assert "nothing left to do" in again.err
+
+
+def test_eval_json_is_one_document_on_stdout(run: Path, tmp_path: Path) -> None:
+    arguments = ["--episodes", "2", "--json", "--output", "out", "terrain=step,paper_step"]
+    done = call("eval", "--checkpoint", str(run), *arguments, cwd=tmp_path)
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    assert [scene["terrain"] for scene in document["scenes"]] == ["step", "paper_step"]
+    scene = document["scenes"][0]
+    assert scene["episodes"] == 2
+    assert set(scene["outcomes"]) == {"reached", "overturned", "stuck", "timeout"}
+    assert 0 <= scene["success_rate"] <= 1
+    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == document
+    assert len((tmp_path / "out" / "episodes.csv").read_text().splitlines()) == 1 + 4
+
+
+def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
+    arguments = ["terrain=flat", "--episodes", "2", "--baseline", "level", "--json"]
+    done = call("eval", "--controller", "level", *arguments, cwd=tmp_path)
+    difference = json.loads(done.out)["scenes"][0]["baseline"]["difference"]
+    assert difference["t_cost"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 2}
+    table = call("eval", "--controller", "okada", *arguments[:-1], cwd=tmp_path)
+    assert "difference to level" in table.out
+
+
+def test_eval_overrides_do_not_change_the_network(run: Path, tmp_path: Path) -> None:
+    arguments = ["sim.friction=0.7", "perception.noise=0.01", "--episodes", "1", "--json"]
+    done = call("eval", "--checkpoint", str(run / checkpoint.LAST), *arguments, cwd=tmp_path)
+    assert done.code == 0, done.err
+
+
+def test_export_prints_what_it_compared(run: Path, tmp_path: Path) -> None:
+    done = call("export", "onnx", "--checkpoint", str(run), "--output", "p.onnx", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "the chosen action agrees on 100.00%" in done.out
+    assert (tmp_path / "p.onnx").stat().st_size > 10_000
+
+
+def test_inspect_plugins_shows_origin_unit_bounds_and_default(tmp_path: Path) -> None:
+    done = call("inspect", "plugins", "--json", cwd=tmp_path)
+    plugins = {(p["kind"], p["name"]): p for p in json.loads(done.out)}
+    stair = plugins["terrain", "stair"]
+    assert stair["source"].endswith("stair.py:11")
+    rise = next(field for field in stair["fields"] if field["name"] == "rise")
+    assert (rise["default"], rise["bounds"], rise["unit"]) == (0.2, "> 0, ≤ 0.5", "m")
+    assert "rise" in call("inspect", "plugins", "stair", cwd=tmp_path).out
+
+
+def test_inspect_terrain_draws_and_measures(tmp_path: Path) -> None:
+    done = call("inspect", "terrain", "stair", "--output", "s.png", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    draw = json.loads(done.out)["draws"][0]
+    assert draw["largest_face"] == pytest.approx(0.2)
+    assert abs(draw["climb"]) in [pytest.approx(0.2 * steps) for steps in (3, 4, 5)]
+    assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_inspect_reward_audits_every_term(tmp_path: Path) -> None:
+    done = call("inspect", "reward", "terrain=step", "--episodes", "2", "--json", cwd=tmp_path)
+    terms = json.loads(done.out)["terms"]
+    assert set(terms) == {"flipper", "pitch", "end"}
+    assert sum(term["share"] for term in terms.values()) == pytest.approx(1.0)
+    assert 0 <= terms["pitch"]["saturated"] <= 1
+    assert terms["end"]["saturated"] is None
+
+
+def test_inspect_checkpoint_needs_no_plugin(run: Path, tmp_path: Path) -> None:
+    for name in (checkpoint.BEST, checkpoint.LAST):
+        done = call("inspect", "checkpoint", str(run / name), "--json", cwd=tmp_path)
+        document = json.loads(done.out)
+        assert document["config"]["terrain"]["name"] == "step"
+        assert call("inspect", "checkpoint", str(run / name), cwd=tmp_path).code == 0
+
+
+def test_inspect_run_plots_learning_curves(run: Path, tmp_path: Path) -> None:
+    done = call("inspect", "run", str(run), "--output", "curves.svg", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    assert document["summary"]["finished"] is True
+    assert [v["decision"] for v in document["validations"]][-1] == RUN["train.decisions"]
+    assert (tmp_path / "curves.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_inspect_config_is_what_a_training_would_use(tmp_path: Path) -> None:
+    done = call("inspect", "config", "terrain=step", "~rewards.pitch", "--json", cwd=tmp_path)
+    document = json.loads(done.out)
+    assert document["terrain"]["name"] == "step"
+    assert set(document["rewards"]) == {"flipper", "end"}
+    added = call(
+        "inspect", "config", "+reward@rewards.again=pitch", "rewards.again.weight=0.5", cwd=tmp_path
+    )
+    assert "weight: 0.5" in added.out
+
+
+def test_a_plugin_file_is_usable_at_once(tmp_path: Path) -> None:
+    (tmp_path / "ridge.py").write_text(RIDGE)
+    options = ["--plugins", "ridge.py"]
+    done = call("train", "terrain=ridge", "terrain.height=0.1", *QUICK, *options, cwd=tmp_path)
+    assert done.code == 0, done.err
+    (made,) = (tmp_path / "runs" / "ridge").iterdir()
+    judged = call(
+        "eval", "--checkpoint", str(made), "--episodes", "2", "--jobs", "2", *options, cwd=tmp_path
+    )
+    assert judged.code == 0, judged.err
+    without = call("eval", "--checkpoint", str(made), cwd=tmp_path)
+    assert without.code == 2
+    assert "terrain plugin 'ridge'" in without.err
+
+
+RIDGE = '''
+import numpy as np
+from pydantic import Field
+from flipperctl.api import Profile, Terrain, terrain
+
+@terrain("ridge")
+class Ridge(Terrain):
+    """One triangular ridge across the track."""
+    height: float = Field(0.2, gt=0, le=0.4, description="ridge height [m]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        return Profile([(0, 0), (0.3, self.height), (0.6, 0)])
+'''
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [],
+        ["train"],
+        ["eval"],
+        ["export"],
+        ["inspect"],
+        *(["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")),
+    ],
+)
+def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None:
+    done = call(*command, "--help", cwd=tmp_path)
+    assert done.code == 0
+    if command and command != ["inspect"]:
+        assert f"flipperctl {' '.join(command)}" in done.out.split("Examples")[1]
+
+
+def test_help_imports_neither_torch_nor_hydra() -> None:
+    script = (
+        "import sys, flipperctl.cli.main as m\n"
+        "try: m.main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'torch', 'hydra', 'pymunk', 'gymnasium', 'matplotlib', 'numpy'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    )
+    environment = {**os.environ, "COLUMNS": "120"}
+    subprocess.run(
+        [sys.executable, "-c", script], check=True, env=environment, stdout=subprocess.PIPE
+    )

@@ -1,0 +1,217 @@
+"""Bad input: exit code 2, one or two lines that say what, where and what is allowed; no files."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flipperctl.run import checkpoint
+from tests.cli.call import RUN, call
+
+QUICK = [f"{key}={value}" for key, value in RUN.items()]
+
+
+def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
+    """The error's text, after the checks that hold for every error."""
+    before = sorted(cwd.rglob("*"))
+    done = call(*arguments, cwd=cwd)
+    assert done.code == code, done.err
+    assert done.out == ""
+    assert done.err.startswith("error: ")
+    assert "Traceback" not in done.err
+    assert len(done.err.strip().splitlines()) <= 2, done.err
+    assert sorted(cwd.rglob("*")) == before
+    return done.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["trian"], ["trian", "train"]),
+        (["eval", "--controler", "okada"], ["--controler", "--controller"]),
+        (["train", "--multrun"], ["--multrun", "--multirun"]),
+        (["train", "--experimental-rerun", "x.pickle"], ["--experimental-rerun"]),
+        (["train", "stair"], ["'stair'", "key=value"]),
+        (["train", "terain=stair"], ["terain", "'terrain'"]),
+        (["train", "terrain=stiar"], ["terrain", "'stiar'", "'stair'"]),
+        (["train", "network=at_d3q"], ["network", "'at_d3qn'"]),
+        (["train", "experiment=nope"], ["experiment", "nope"]),
+        (["train", "+reward@rewards.x=pich"], ["reward", "'pitch'"]),
+        (["train", "agent.gama=0.9"], ["agent.gama", "'gamma'"]),
+        (["train", "rewards.pitch.lamda_2=3"], ["rewards.pitch.lamda_2", "'lambda_2'"]),
+        (["train", "~rewards.pich"], ["rewards.pich", "'pitch'"]),
+        (["train", "+agent.gama=0.9"], ["agent.gama", "'gamma'"]),
+        (["train", "agent.gamma=1.5"], ["agent.gamma", "< 1", "1.5"]),
+        (["train", "terrain.fewest=many"], ["terrain.fewest", "integer", "'many'"]),
+        (["train", "terrain.fewest=6"], ["fewest (6) must not exceed most (5)"]),
+        (["train", "terrain.rise=-0.1"], ["terrain.rise", "> 0", "-0.1"]),
+        (["train", "rewards.pitch.lambda_2=inf"], ["rewards.pitch.lambda_2", "finite"]),
+        (["train", "sim.substep=0.003"], ["sim", "substep must divide 0.01"]),
+        (["train", "device=gpu"], ["device", "'gpu'"]),
+        (["train", "-m", "seed=1,2", "agent.gamma=0.9,7"], ["agent.gamma", "7"]),
+        (["train", "--resume", "nowhere"], ["nowhere", "no such run"]),
+        (["train", "--plugins", "nowhere.py"], ["nowhere.py", "does not exist"]),
+        (["eval"], ["--checkpoint", "--controller"]),
+        (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
+        (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
+        (["eval", "--controller", "okada", "--episodes", "0"], ["eval.episodes", "≥ 1"]),
+        (["eval", "--controller", "okada", "--episodes", "x"], ["--episodes", "x"]),
+        (["eval", "--checkpoint", "nowhere"], ["nowhere", "no such run"]),
+        (["export", "onxx", "--checkpoint", "x"], ["onxx", "onnx"]),
+        (["export", "onnx", "--checkpoint", "nowhere"], ["nowhere"]),
+        (["inspect", "plugins", "stiar"], ["'stiar'", "'stair'"]),
+        (["inspect", "terrain", "stiar"], ["'stiar'", "'stair'"]),
+        (["inspect", "terrain", "stair", "--output", "x.bmp"], ["x.bmp", ".png"]),
+        (["inspect", "terrain", "stair", "--output", "no/x.png"], ["no/x.png", "no folder"]),
+        (["inspect", "checkpoint", "nowhere"], ["nowhere"]),
+        (["inspect", "run", "nowhere"], ["nowhere", "metrics.csv"]),
+        (["inspect", "config", "agent.gama=1"], ["'gamma'"]),
+    ],
+    ids=" ".join,
+)
+def test_a_wrong_request_is_named(arguments: list[str], words: list[str], tmp_path: Path) -> None:
+    error = refused(*arguments, cwd=tmp_path)
+    assert [word for word in words if word not in error] == [], error
+
+
+HEADER = """
+import numpy as np
+from flipperctl.api import Profile, RewardTerm, Network, Terrain, network, reward, terrain
+"""
+TERRAIN = (
+    HEADER
+    + """
+@terrain("odd")
+class Odd(Terrain):
+    def generate(self, rng):
+        return Profile({points})
+"""
+)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        ("[(0, 0), (1, 0), (0.5, 0)]", ["x decreases from 1 to 0.5"]),
+        ("[]", ["empty"]),
+        ("[(0, 0), (1, float('nan'))]", ["point 1 is not finite"]),
+        ("[(0, 0), (1, 0, 2)]", ["'odd'"]),
+    ],
+)
+def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path: Path) -> None:
+    (tmp_path / "odd.py").write_text(TERRAIN.format(points=points))
+    for command in (
+        ["inspect", "terrain", "odd"],
+        ["eval", "--controller", "level", "terrain=odd"],
+    ):
+        error = refused(*command, "--plugins", "odd.py", cwd=tmp_path)
+        assert [word for word in ["odd", *words] if word not in error] == [], error
+
+
+def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
+    arguments = ["--controller", "level", "terrain=step", "terrain.low=0.3", "episode.run_up=0.2"]
+    assert "starts in the robot" in refused("eval", *arguments, cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("import nowhere_at_all", ["bad.py:1", "nowhere_at_all"]),
+        ("\n\ndef broken(:\n", ["bad.py:3"]),
+        ("x = 1\n", ["bad.py", "registers nothing"]),
+        (TERRAIN.format(points="[]").replace("odd", "stair"), ["'stair'", "Odd", "Stair"]),
+        (TERRAIN.format(points="[]").replace('"odd"', '"Not A Name"'), ["Not A Name"]),
+    ],
+    ids=["import", "syntax", "nothing", "twice", "name"],
+)
+def test_a_bad_plugin_file_stops_the_command(source: str, words: list[str], tmp_path: Path) -> None:
+    (tmp_path / "bad.py").write_text(source)
+    for command in (["inspect", "plugins"], ["train"]):
+        error = refused(*command, "--plugins", "bad.py", cwd=tmp_path)
+        assert [word for word in words if word not in error] == [], error
+
+
+def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
+    (tmp_path / "r.py").write_text(
+        HEADER + '@reward("hole")\nclass Hole(RewardTerm):\n    def __call__(self, t):\n'
+        "        return float('nan')\n"
+    )
+    done = call("train", "+reward@rewards.hole=hole", *QUICK, "--plugins", "r.py", cwd=tmp_path)
+    assert done.code == 1
+    assert "rewards.hole" in done.err
+    assert "nan" in done.err
+
+
+def test_a_network_of_wrong_output_shape_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "n.py").write_text(
+        HEADER + '@network("narrow")\nclass Narrow(Network):\n'
+        "    def build(self, layout, n_actions):\n"
+        "        import torch\n        return torch.nn.Linear(layout.size, n_actions - 1)\n"
+    )
+    done = call("train", "network=narrow", *QUICK, "--plugins", "n.py", cwd=tmp_path)
+    assert done.code == 2
+    assert "(2, 9)" in done.err
+    assert "(2, 8)" in done.err
+
+
+def test_an_existing_run_is_never_overwritten(short_run: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(short_run, tmp_path / "run"))
+    (run / "config.yaml").write_text("mine")
+    done = call("train", *QUICK, f"hydra.run.dir={run}", cwd=tmp_path)
+    assert done.code == 2
+    assert "already holds a run" in done.err
+    assert (run / "config.yaml").read_text() == "mine"
+    best = checkpoint.BEST
+    assert (run / best).read_bytes() == (short_run / best).read_bytes()
+
+
+def test_resume_keeps_the_configuration(short_run: Path, tmp_path: Path) -> None:
+    error = refused("train", "--resume", str(short_run), "agent.gamma=0.9", cwd=tmp_path)
+    assert "keeps its configuration" in error
+    weights = str(short_run / checkpoint.BEST)
+    assert "holds only the weights" in refused("train", "--resume", weights, cwd=tmp_path)
+
+
+@pytest.mark.parametrize("command", ["eval", "export", "inspect", "resume"])
+@pytest.mark.parametrize("damage", ["flipped", "truncated", "pickle"])
+def test_a_damaged_checkpoint_is_refused_by_every_command(
+    command: str, damage: str, short_run: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "c.safetensors"
+    data = bytearray((short_run / checkpoint.BEST).read_bytes())
+    data[len(data) // 2] ^= 4
+    contents = {"flipped": bytes(data), "truncated": bytes(data[:900]), "pickle": b"\x80\x04N."}
+    path.write_bytes(contents[damage])
+    arguments = {
+        "eval": ["eval", "--checkpoint", str(path)],
+        "export": ["export", "onnx", "--checkpoint", str(path)],
+        "inspect": ["inspect", "checkpoint", str(path)],
+        "resume": ["train", "--resume", str(path)],
+    }[command]
+    error = refused(*arguments, cwd=tmp_path)
+    assert str(path) in error
+    assert ("pickle" if damage == "pickle" else "damaged") in error
+
+
+def test_an_output_that_cannot_be_written_is_refused(short_run: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    run = str(short_run)
+    for arguments in (
+        ["export", "onnx", "--checkpoint", run, "--output", "file/x.onnx"],
+        ["export", "onnx", "--checkpoint", run, "--output", "no/x.onnx"],
+        ["export", "onnx", "--checkpoint", run, "--output", "."],
+        ["eval", "--checkpoint", run, "--episodes", "1", "--output", "file/out"],
+        ["inspect", "run", run, "--output", "file/x.png"],
+        ["train", *QUICK, "hydra.run.dir=file/run"],
+    ):
+        assert "cannot be written" in refused(*arguments, cwd=tmp_path)
+
+
+def test_debug_shows_the_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from flipperctl.errors import ConfigError
+
+    monkeypatch.setenv("FLIPPERCTL_DEBUG", "1")
+    with pytest.raises(ConfigError):
+        call("train", "agent.gamma=7", cwd=tmp_path)
+    assert os.environ["FLIPPERCTL_DEBUG"] == "1"
