@@ -23,7 +23,7 @@ from flipperctl.api import (
     Terrain,
 )
 from flipperctl.errors import ConfigError
-from flipperctl.messages import explain
+from flipperctl.messages import close_match, explain
 
 
 class Robot(RobotGeometry):
@@ -110,7 +110,7 @@ class Episode(Settings):
         0.1,
         gt=0,
         le=1,
-        description="lowest point of the chassis above the ground that still counts as close "
+        description="height of the chassis' higher end above the ground that still counts as close "
         "to it at the finish; paper silent [m]",
     )
     slack: float = Field(
@@ -198,6 +198,13 @@ def _network(value: object) -> object:
 def _rewards(value: object) -> object:
     if not isinstance(value, Mapping):
         raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
+    complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
+    for key in value:
+        if str(key) not in complete:  # a field of a term that is not there
+            raise ConfigError(
+                f"rewards.{key}: there is no such term{close_match(str(key), complete)}; "
+                f"known: {', '.join(complete)}; a new one needs a name"
+            )
     return {str(k): plugins.create("reward", v, f"rewards.{k}") for k, v in value.items()}
 
 
@@ -277,9 +284,11 @@ def merged(config: Settings, overrides: Mapping[str, Any]) -> dict[str, Any]:
         node = result
         for parent in parents:
             node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                raise ConfigError(f"{key}: {parent} is a value, no section; it is {node!r}")
         _lay_over(node, leaf, value)
-    rewards = result.get("rewards", {})
-    result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
+    if isinstance(rewards := result.get("rewards"), dict):
+        result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
     return result
 
 

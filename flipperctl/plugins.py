@@ -12,8 +12,9 @@ import importlib.util
 import inspect
 import os
 import sys
+import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -42,7 +43,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     """
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
         if entry.value not in _loaded:
-            _importing(entry.value, f"entry point {entry.name!r}", entry.load)
+            _importing(entry.value, f"entry point {entry.name!r}", None, entry.load)
     named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
     named += [str(Path(p).absolute()) for p in paths]
     named = list(dict.fromkeys(named))
@@ -81,19 +82,21 @@ def _load_file(file: Path) -> None:
         spec.loader.exec_module(module)
         return module
 
-    _importing(name, str(file), run)
+    _importing(name, str(file), file, run)
 
 
-def _importing(name: str, shown: str, run: Any) -> None:
+def _importing(name: str, shown: str, file: Path | None, run: Callable[[], object]) -> None:
     before = dict(registry)
+    fresh = name not in sys.modules
     try:
         run()
     except Exception as error:
         registry.clear()
         registry.update(before)
         sys.modules.pop(name, None)
-        raise PluginError(f"plugin {shown} does not import: {_where(error)}") from error
-    if len(registry) == len(before):
+        raise PluginError(f"plugin {shown} does not import: {_where(error, file)}") from error
+    if fresh and len(registry) == len(before):
+        sys.modules.pop(name, None)
         raise PluginError(
             f"plugin {shown} registers nothing; "
             "decorate a class with @terrain, @reward, @network or @controller"
@@ -101,16 +104,17 @@ def _importing(name: str, shown: str, run: Any) -> None:
     _loaded.add(name)
 
 
-def _where(error: Exception) -> str:
+def _where(error: Exception, file: Path | None) -> str:
+    """File and line of the plugin's own that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
-    library = {str(Path(__file__)), str(Path(__file__).with_name("api.py"))}
-    frames = [
-        f
-        for f in traceback.extract_tb(error.__traceback__)
-        if f.filename not in library and "importlib" not in f.filename
-    ]
-    place = f"{frames[-1].filename}:{frames[-1].lineno}: " if frames else ""
+    libraries = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+    here = {__file__, str(Path(__file__).with_name("api.py"))}
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [f for f in frames if file is not None and f.filename == str(file)]
+    own = own or [f for f in frames if f.filename not in here and f.filename[0] != "<"]
+    own = [f for f in own if not f.filename.startswith(libraries)] or own
+    place = f"{own[-1].filename}:{own[-1].lineno}: " if own else ""
     return f"{place}{type(error).__name__}: {error}"
 
 
@@ -141,6 +145,11 @@ def create(kind: str, settings: object, where: str) -> Plugin:
         ConfigError: the name is unknown, or a field is unknown, of the wrong type or out of bounds.
     """
     if isinstance(settings, Plugin):
+        if not hasattr(type(settings), "plugin_name"):
+            raise ConfigError(
+                f"{where}: {type(settings).__name__} is not registered; "
+                f"decorate it with @{kind}(<name>)"
+            )
         return settings
     if isinstance(settings, str):
         settings = {"name": settings}

@@ -42,6 +42,11 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
             f"{name}: observations (2, {layout.size}) must give Q-values (2, {n_actions}); "
             f"the output is {shape}"
         )
+    if output.dtype != torch.float32 or not bool(output.isfinite().all()):
+        raise ConfigError(
+            f"{name}: the Q-values must be finite float32 numbers; "
+            f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
+        )
     return module
 
 

@@ -78,6 +78,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
 
     from flipperctl.cli import compose
     from flipperctl.errors import FlipperctlError
+    from flipperctl.run.files import failure
 
     compose.offer_defaults()
     if check and not _REDIRECTING & {a.split("=")[0] for a in arguments}:
@@ -104,6 +105,10 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     try:
         with compose.translated(), _full_errors():
             application()
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise failure(Path(error.filename), error) from error
     finally:
         sys.argv = given
     if errors:

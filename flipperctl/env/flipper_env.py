@@ -1,4 +1,4 @@
-"""The task as a Gymnasium environment: ``gymnasium.make("flipperctl/Flipper-v0", terrain=…)``.
+"""The task as a Gymnasium environment, ``flipperctl/Flipper-v0``.
 
 Data flows one way: terrain → profile → world → state → observation → action → world →
 transition → reward terms.
@@ -76,6 +76,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
         self._renderer: Any = None
+        self._last_move: tuple[int, int] | None = None
+        self._outcome: Outcome | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -102,6 +104,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._sensor = TerrainSensor(self.profile, self.config.perception, margin + 2.0)
         self.ends = Ends(self.profile, self.robot, episode, start)
         self._target = list(angles)
+        self._last_move, self._outcome = None, None
         self.state = self.world.state()
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self.state)
@@ -122,7 +125,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return profile
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Turn the flippers by one action and let the world run for one decision."""
+        """Turn the flippers by one action and let the world run for one decision.
+
+        Raises:
+            ValueError: there is no such action.
+        """
+        if not 0 <= int(action) < len(ACTIONS):
+            raise ValueError(f"there is no action {action!r}; 0 to {len(ACTIONS) - 1} are allowed")
         move = ACTIONS[int(action)]
         robot = self.robot
         self._target = [
@@ -134,6 +143,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         after = self.state = self._checked(self.world.state())
         outcome = outcome or self.ends.decision(float(after.position[0]))
         self._pitches.append(after.pitch)
+        self._last_move, self._outcome = move, outcome
         transition = Transition(
             before, after, np.array(self._pitches), move, self.profile, robot, outcome
         )
@@ -190,5 +200,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             from flipperctl.env.render import Renderer
 
             self._renderer = Renderer()
-        picture: NDArray[np.uint8] = self._renderer(self)
+        picture: NDArray[np.uint8] = self._renderer(
+            self, action=self._last_move, outcome=self._outcome
+        )
         return picture

@@ -56,7 +56,7 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
         (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
         (["eval", "--controller", "okada", "--episodes", "0"], ["eval.episodes", "≥ 1"]),
-        (["eval", "--controller", "okada", "--episodes", "x"], ["--episodes", "x"]),
+        (["eval", "--controller", "okada", "--episodes", "x"], ["eval.episodes", "'x'"]),
         (["eval", "--checkpoint", "nowhere"], ["nowhere", "no such run"]),
         (["export", "onxx", "--checkpoint", "x"], ["onxx", "onnx"]),
         (["export", "onnx", "--checkpoint", "nowhere"], ["nowhere"]),
@@ -197,12 +197,13 @@ def test_a_damaged_checkpoint_is_refused_by_every_command(
 def test_an_output_that_cannot_be_written_is_refused(short_run: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     run = str(short_run)
+    (tmp_path / "metrics.csv").write_text("kind,decision\n")
     for arguments in (
         ["export", "onnx", "--checkpoint", run, "--output", "file/x.onnx"],
         ["export", "onnx", "--checkpoint", run, "--output", "no/x.onnx"],
         ["export", "onnx", "--checkpoint", run, "--output", "."],
         ["eval", "--checkpoint", run, "--episodes", "1", "--output", "file/out"],
-        ["inspect", "run", run, "--output", "file/x.png"],
+        ["inspect", "run", ".", "--output", "file/x.png"],
         ["train", *QUICK, "hydra.run.dir=file/run"],
     ):
         assert "cannot be written" in refused(*arguments, cwd=tmp_path)

@@ -16,8 +16,8 @@ from flipperctl.api import Profile, RobotGeometry, RobotState
 from flipperctl.env.render import BELT
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.report.episode import episode_figure, pose_indices
-from flipperctl.report.learning import column, learning_figure, running_mean
 from flipperctl.report.figure import save
+from flipperctl.report.learning import column, learning_figure, running_mean
 from flipperctl.report.terrain import terrain_figure
 
 ROBOT = RobotGeometry()
