@@ -106,10 +106,11 @@ def read(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: there is no such checkpoint")
     try:
         with path.open("rb") as file:
-            start = file.read(4)
+            start = file.read(9)
     except OSError as error:
         raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
-    if start[:1] == b"\x80" or start == b"PK\x03\x04":
+    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{".
+    if start[8:] != b"{" and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
         raise CheckpointError(
             f"{path} is a pickle or a zip archive, not a safetensors file; "
             "flipperctl never loads these, since they can run code"

@@ -24,6 +24,4 @@ class PaperStair(Stair):
         2.0, ge=0, le=20, description="length of the ground behind the flight [m]"
     )
     back: bool = Field(True, description="whether a second flight leads back [-]")
-    back_tread: float = Field(
-        0.2, gt=0.05, le=2, description="depth of a step of the second flight [m]"
-    )
+    tread_down: float = Field(0.2, gt=0.05, le=2, description="depth of a step that leads down [m]")

@@ -10,13 +10,19 @@ from flipperctl.api import Profile, Terrain, terrain
 
 @terrain("stair")
 class Stair(Terrain):
-    """Stairs of equal steps; their number and their direction are drawn each episode.
+    """Flights of equal steps; their number and their direction are drawn each episode.
 
-    With ``back``, a flight of its own tread leads back to the level behind the platform.
+    With ``back``, a second flight leads back to the level behind the platform.
     """
 
     rise: float = Field(0.2, gt=0, le=0.5, description="height of a step [m]")
-    tread: float = Field(0.3, gt=0.05, le=2, description="depth of a step; 0.3 is 33.7° [m]")
+    tread: float = Field(
+        0.3, gt=0.05, le=2, description="depth of a step that leads up; 0.3 is 33.7° [m]"
+    )
+    tread_down: float = Field(0.3, gt=0.05, le=2, description="depth of a step that leads down [m]")
+    tread_spread: float = Field(
+        0.0, ge=0, le=1, description="each flight's tread is drawn within ± this [m]"
+    )
     fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
     most: int = Field(5, ge=1, le=50, description="largest number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
@@ -26,9 +32,6 @@ class Stair(Terrain):
         0.0, ge=0, le=20, description="length of the ground behind the flight [m]"
     )
     back: bool = Field(False, description="whether a second flight leads back [-]")
-    back_tread: float = Field(
-        0.3, gt=0.05, le=2, description="depth of a step of the second flight [m]"
-    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -36,6 +39,11 @@ class Stair(Terrain):
             raise ValueError(f"fewest ({self.fewest}) must not exceed most ({self.most})")
         if self.back and self.platform <= 0:
             raise ValueError("a way back needs a platform longer than 0 m")
+        if min(self.tread, self.tread_down) - self.tread_spread <= 0.05:
+            raise ValueError(
+                f"treads of {self.tread:g} and {self.tread_down:g} m within ± "
+                f"{self.tread_spread:g} m must stay deeper than 0.05 m"
+            )
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
@@ -43,13 +51,19 @@ class Stair(Terrain):
         steps = int(rng.integers(self.fewest, self.most + 1))
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = self.rise if up else -self.rise
-        points = _flight(0.0, 0.0, steps, self.tread, rise)
+        points = _flight(0.0, 0.0, steps, self._tread(rise, rng), rise)
         x, z = points[-1]
         if self.platform:
             points.append((x + self.platform, z))
         if self.back:
-            points += _flight(x + self.platform, z, steps, self.back_tread, -rise)[1:]
+            points += _flight(x + self.platform, z, steps, self._tread(-rise, rng), -rise)[1:]
         return Profile(points)
+
+    def _tread(self, rise: float, rng: np.random.Generator) -> float:
+        middle = self.tread if rise > 0 else self.tread_down
+        if self.tread_spread == 0:
+            return middle
+        return rng.uniform(middle - self.tread_spread, middle + self.tread_spread)
 
 
 def _flight(x: float, z: float, steps: int, tread: float, rise: float) -> list[tuple[float, float]]:

@@ -99,6 +99,16 @@ def test_a_pickle_is_refused_and_never_executed(tmp_path: Path, how: str) -> Non
     assert trace.exists()
 
 
+def test_a_header_whose_length_looks_like_a_pickle_is_read(best: Path) -> None:
+    saved = checkpoint.read(best)
+    for padding in range(256):  # until the length's lowest byte is a pickle's first, 0x80
+        checkpoint.write(best, {**saved.document, "padding": "x" * padding}, saved.tensors)
+        if best.read_bytes()[:1] == b"\x80":
+            break
+    assert best.read_bytes()[:1] == b"\x80"
+    assert checkpoint.read(best).document["padding"] == "x" * padding
+
+
 def test_a_missing_plugin_is_named(best: Path) -> None:
     saved = checkpoint.read(best)
     text = json.dumps(saved.document).replace("at_d3qn", "their_network")

@@ -1,0 +1,74 @@
+"""What the README shows, works."""
+
+import re
+import shlex
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from flipperctl.env import flipper_env
+from flipperctl.run import checkpoint
+from tests.cli.call import RUN, call
+
+README = (Path(__file__).parents[1] / "README.md").read_text()
+SHOWN = "runs/stair/2026-01-31_12-00-00"
+QUICK = [f"{key}={value}" for key, value in RUN.items()]
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+def commands() -> list[list[str]]:
+    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    words = [shlex.split(line, comments=True) for line in lines]
+    return [w for w in words if w and w[0] == "flipperctl"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as the README's reader has it: a stair run, and the ridge plugin."""
+    folder = tmp_path_factory.mktemp("readme")
+    done = call("train", "terrain=stair", f"hydra.run.dir={SHOWN}", *QUICK, cwd=folder)
+    assert done.code == 0, done.err
+    (ridge,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
+    (folder / "ridge.py").write_text(ridge)
+    return folder
+
+
+def smaller(command: list[str]) -> list[str]:
+    """The same command with a budget for a test; a later override wins."""
+    if command[0] == "train" and "--cfg" not in command:
+        resumed = "--resume" in command
+        return [*command, *(["train.decisions=310"] if resumed else QUICK)]
+    if command[0] == "eval":
+        kept = [word for word in command if word not in ("--episodes", "100")]
+        return [*kept, "--episodes", "1"]
+    return command
+
+
+@pytest.mark.parametrize("command", commands(), ids=" ".join)
+def test_every_command_of_the_readme_runs(command: list[str], folder: Path) -> None:
+    done = call(*smaller(command[1:]), cwd=folder)
+    assert done.code == 0, done.err
+    for word, name in pairwise(command):
+        if word == "--output":
+            assert (folder / name).exists()
+    assert (folder / SHOWN / checkpoint.LAST).is_file()
+
+
+def test_the_environment_example_runs() -> None:
+    (example,) = [b for b in blocks("python") if "gymnasium.make" in b]
+    names: dict[str, object] = {}
+    exec(example, names)
+    assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
+    assert names["picture"].shape[2] == 3
+
+
+def test_the_example_plugin_is_the_readmes(tmp_path: Path) -> None:
+    example = Path(__file__).parents[1] / "examples" / "ridge.py"
+    done = call("inspect", "terrain", "ridge", "--plugins", str(example), cwd=tmp_path)
+    assert done.code == 0, done.err
+    (shown,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
+    assert shown.split("@terrain")[1].split("def")[0] in example.read_text()

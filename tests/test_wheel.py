@@ -1,0 +1,86 @@
+"""The built wheel, installed in an empty virtual environment and run from an empty folder."""
+
+import json
+import os
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TRAIN = ["train", "terrain=step", "seed=7", "train.decisions=300", "train.validation_episodes=2"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a clean copy of what git tracks, as a fresh clone has it."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    files = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in filter(None, files.split("\0")):
+        if (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(out), str(source)]
+    subprocess.run(build, check=True, capture_output=True)
+    (made,) = out.glob("*.whl")
+    return made
+
+
+def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+    folders = {"flipperctl": "flipperctl", "plugins": "flipperctl_plugins"}
+    wanted = {
+        f"{package}/{path.relative_to(ROOT / folder)}"
+        for folder, package in folders.items()
+        for path in (ROOT / folder).rglob("*.py")
+    }
+    wanted |= {
+        f"flipperctl/configs/{path.relative_to(ROOT / 'configs')}"
+        for path in (ROOT / "configs").rglob("*.yaml")
+    }
+    assert wanted - held == set()
+    assert not any(name.startswith(("tests", "examples")) for name in held)
+
+
+def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    environment, empty = tmp_path / "venv", tmp_path / "empty"
+    empty.mkdir()
+    venv.create(environment, with_pip=True)
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
+
+    def run(*command: str) -> str:
+        done = subprocess.run(command, cwd=empty, env=clean, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    python = str(environment / "bin" / "python")
+    pinned = ["--constraint", str(ROOT / "requirements.txt")]
+    # torch first and by itself, so that the pinned CPU build is the one that is found.
+    run(python, "-m", "pip", "install", "--quiet", *pinned, "torch")
+    run(python, "-m", "pip", "install", "--quiet", *pinned, f"{wheel}[onnx]")
+    flipperctl = str(environment / "bin" / "flipperctl")
+
+    run(flipperctl, *TRAIN, "hydra.run.dir=run")
+    judged = run(flipperctl, "eval", "--checkpoint", "run", "--episodes", "2", "--json")
+    assert json.loads(judged)["scenes"][0]["episodes"] == 2
+    run(flipperctl, "export", "onnx", "--checkpoint", "run", "--output", "step.onnx")
+    assert (empty / "step.onnx").is_file()
+    listed = {p["name"] for p in json.loads(run(flipperctl, "inspect", "plugins", "--json"))}
+    assert {"stair", "paper_step", "at_d3qn", "okada", "pitch"} <= listed
+    run(flipperctl, "inspect", "terrain", "stair", "--output", "stair.png")
+    for what in ("checkpoint", "run"):
+        run(flipperctl, "inspect", what, "run")
+    assert "name: stair" in run(flipperctl, "inspect", "config", "terrain=stair")
+    help_text = run(
+        python,
+        "-c",
+        "import gymnasium; "
+        "e = gymnasium.make('flipperctl.env:flipperctl/Flipper-v0', terrain='stair'); "
+        "print(e.reset(seed=1)[0].shape)",
+    )
+    assert help_text.strip() == "(18,)"
