@@ -58,7 +58,8 @@ def evaluate(
     seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the draws [0].")] = None,
     jobs: Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")] = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for episodes.csv and summary.json.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for episodes.csv, summary.json, pictures."),
     ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
@@ -81,6 +82,8 @@ def evaluate(
     rows = [_judge(document, config, source, against) for config, source in found]
     if folder:
         _write(folder, document, [row for group in rows for row in group])
+        for config, source in found:
+            _draw(folder, config, source)
     if as_json:
         print(json.dumps(document, indent=2))
         return
@@ -182,6 +185,18 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
     writer.writerows(rows)
     write_bytes(folder / "episodes.csv", text.getvalue().encode())
     write_json(folder / "summary.json", document)
+
+
+def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
+    """A picture of the scene's first episode."""
+    from flipperctl.report.episode import episode_figure
+    from flipperctl.report.figure import save
+    from flipperctl.run.evaluate import Player
+
+    terrain = config.terrain.plugin_name
+    states, profile = Player(config, source, config.eval.seed).trace(0)
+    figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
+    save(figure, folder / f"{terrain}.png")
 
 
 def _table(document: dict[str, Any]) -> Table:

@@ -13,6 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from flipperctl import plugins
+from flipperctl.api import Profile, RobotState
 from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
@@ -33,6 +34,13 @@ class Player:
         """The row of one episode."""
         row = play(self._env, self._controller, episode_seed("evaluation", self._seed, index))
         return {"episode": index, **row}
+
+    def trace(self, index: int) -> tuple[list[RobotState], Profile]:
+        """The states at every decision of one episode, and the ground it went over."""
+        states: list[RobotState] = []
+        seed = episode_seed("evaluation", self._seed, index)
+        play(self._env, self._controller, seed, states)
+        return states, self._env.profile
 
 
 def evaluate(

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from typing import Any
 
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, RobotState
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.run.policy import Acts
 
 
-def play(env: FlipperEnv, controller: Acts, seed: int) -> dict[str, Any]:
-    """Play one episode to its end; returns seed, outcome and the metrics of the episode."""
+def play(
+    env: FlipperEnv, controller: Acts, seed: int, trace: list[RobotState] | None = None
+) -> dict[str, Any]:
+    """Play one episode to its end; returns seed, outcome and the metrics of the episode.
+
+    The states at every decision, start and end included, are appended to ``trace``.
+    """
     env.reset(seed=seed)
     while True:
+        if trace is not None:
+            trace.append(env.state)
         action = controller.act(env.perception)
         if action not in range(len(ACTIONS)):
             raise FlipperctlError(
@@ -22,4 +29,6 @@ def play(env: FlipperEnv, controller: Acts, seed: int) -> dict[str, Any]:
             )
         _, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
+            if trace is not None:
+                trace.append(env.state)
             return {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}

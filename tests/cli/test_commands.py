@@ -97,6 +97,7 @@ def test_eval_json_is_one_document_on_stdout(run: Path, tmp_path: Path) -> None:
     assert 0 <= scene["success_rate"] <= 1
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == document
     assert len((tmp_path / "out" / "episodes.csv").read_text().splitlines()) == 1 + 4
+    assert (tmp_path / "out" / "paper_step.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
