@@ -234,36 +234,9 @@ class ObservationLayout(Settings):
         return self.bins * self.bin_width / 2
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """One name per number, rear to front, then the robot's own angles."""
-        heights = tuple(f"h_{i}" for i in range(1, self.bins + 1))
-        return (*heights, "theta_f1", "theta_f2", "theta_R")
-
-    @property
     def scale(self) -> FloatArray:
         """Typical magnitude of each number, (N + 3,) in SI units: networks divide by it."""
         return np.concatenate([np.full(self.bins, 0.5), np.full(3, math.pi / 3)])
-
-    def describe(self) -> list[dict[str, str]]:
-        """Name, unit, frame and sign of each number, as exported files carry them."""
-        low = -self.reach
-        heights = [
-            {
-                "name": f"h_{i + 1}",
-                "unit": "m",
-                "frame": "L",
-                "meaning": "mean terrain height, up positive, for x in "
-                f"[{low + i * self.bin_width:.3f}, {low + (i + 1) * self.bin_width:.3f}) m",
-            }
-            for i in range(self.bins)
-        ]
-        flipper = {"unit": "rad", "frame": "R"}
-        return [
-            *heights,
-            {"name": "theta_f1", **flipper, "meaning": "front flippers, above chassis positive"},
-            {"name": "theta_f2", **flipper, "meaning": "rear flippers, above chassis positive"},
-            {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch, nose up positive"},
-        ]
 
 
 @dataclass(frozen=True)

@@ -100,16 +100,14 @@ class D3qn:
         for group in self.optimiser.param_groups:
             group["lr"] = linear(s.learning_rate, s.learning_rate_end, share)
         batch = batch.to(self.device)
-        size = len(batch.action)
-        both = self.online(torch.cat([batch.observation, batch.next_observation]))
         with torch.no_grad():
             target = double_q_target(
                 batch.reward * s.reward_scale,
                 batch.discount,
-                both[size:].detach(),
+                self.online(batch.next_observation),
                 self.target(batch.next_observation),
             )
-        taken = both[:size].gather(1, batch.action.unsqueeze(1)).squeeze(1)
+        taken = self.online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
         loss = huber(taken, target)
         value = float(loss.detach())
         if not math.isfinite(value):

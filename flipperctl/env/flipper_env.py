@@ -26,6 +26,7 @@ from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env.ends import Ends
 from flipperctl.env.metrics import EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
+from flipperctl.env.scene import Scene
 from flipperctl.errors import NonFiniteError, TerrainError
 from flipperctl.sim.sensing import TerrainSensor
 from flipperctl.sim.world import SAMPLE, World
@@ -192,6 +193,21 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             observation, points, pitch, front, rear, self.robot, self.layout, self._controller_rng
         )
 
+    @property
+    def scene(self) -> Scene:
+        """What there is to see now."""
+        return Scene(
+            self.config.terrain.plugin_name,
+            self.profile,
+            self.profile.start - self.config.episode.run_up,
+            self.ends.finish,
+            self.robot.track_speed,
+            self.state,
+            self.perception,
+            self._last_move,
+            self._outcome,
+        )
+
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as an (H, W, 3) picture; None without ``render_mode="rgb_array"``."""
         if self.render_mode is None:
@@ -200,7 +216,5 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             from flipperctl.env.render import Renderer
 
             self._renderer = Renderer()
-        picture: NDArray[np.uint8] = self._renderer(
-            self, action=self._last_move, outcome=self._outcome
-        )
+        picture: NDArray[np.uint8] = self._renderer(self.scene)
         return picture

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     FloatArray,
-    Outcome,
     Perception,
     RobotGeometry,
     RobotState,
@@ -30,7 +29,7 @@ from flipperctl.api import (
 from flipperctl.sim.outline import axles, belt_marks, outlines
 
 if TYPE_CHECKING:
-    from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.env.scene import Scene
 
 # Colours that the colour-blind can tell apart (Okabe and Ito's; the purple is Paul Tol's).
 # The reports use them for the same things.
@@ -95,21 +94,15 @@ class Renderer:
 
     def __call__(
         self,
-        env: FlipperEnv,
-        *,
-        action: tuple[int, int] | None = None,
-        outcome: Outcome | None = None,
+        scene: Scene,
     ) -> NDArray[np.uint8]:
-        """The environment as it stands now, (HEIGHT, WIDTH, 3).
-
-        ``action`` is the (front, rear) that led here and ``outcome`` how the episode ended, if
-        the caller wants them in the caption.
-        """
-        self._look_at(env)
-        self._draw_ground(env)
-        self._robot.show(env.state, env.robot, env.robot.track_speed * env.state.time)
-        self._draw_perception(env.perception, env.state)
-        self._write(env, action, outcome)
+        """A picture of the scene, (HEIGHT, WIDTH, 3)."""
+        self._look_at(scene)
+        self._draw_ground(scene)
+        state, robot = scene.state, scene.perception.robot
+        self._robot.show(state, robot, scene.track_speed * state.time)
+        self._draw_perception(scene.perception, state)
+        self._write(scene)
         self._canvas.draw()
         return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
 
@@ -161,23 +154,22 @@ class Renderer:
                     at, 0.03, "", ha=side, fontsize=12, color=INK, family="DejaVu Sans Mono"
                 )
 
-    def _look_at(self, env: FlipperEnv) -> None:
+    def _look_at(self, scene: Scene) -> None:
         """Centre the view on the chassis, equal in both axes and wide enough for what counts."""
-        robot = env.robot
+        robot, layout = scene.perception.robot, scene.perception.layout
         length = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-        width = 3.2 * max(env.layout.reach, 1.5 * length)
+        width = 3.2 * max(layout.reach, 1.5 * length)
         height = width * (_BOX[3] * HEIGHT) / (_BOX[2] * WIDTH)
-        x, z = env.state.position.tolist()
+        x, z = scene.state.position.tolist()
         self._axes.set_xlim(x - width / 2, x + width / 2)
         self._axes.set_ylim(z - height / 2, z + height / 2)
 
-    def _draw_ground(self, env: FlipperEnv) -> None:
-        line = env.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
+    def _draw_ground(self, scene: Scene) -> None:
+        line = scene.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
         deep = line[:, 1].min() - _LEVEL_GROUND
         self._earth.set_xy(np.vstack([line, [line[-1, 0], deep], [line[0, 0], deep]]))
-        start = env.profile.start - env.config.episode.run_up
-        for (flag, label), x in zip(self._flags, (start, env.ends.finish), strict=True):
-            foot = np.array([x, env.profile.height(x)])
+        for (flag, label), x in zip(self._flags, (scene.start, scene.finish), strict=True):
+            foot = np.array([x, scene.profile.height(x)])
             flag.set_xy(_FLAG + foot)
             label.set_position(tuple(_FLAG[1] + foot))
 
@@ -192,10 +184,8 @@ class Renderer:
         tip = hinge + length * np.array([math.cos(angle), math.sin(angle)])
         self._ray.set_data([hinge[0], tip[0]], [hinge[1], tip[1]])
 
-    def _write(
-        self, env: FlipperEnv, action: tuple[int, int] | None, outcome: Outcome | None
-    ) -> None:
-        state = env.state
+    def _write(self, scene: Scene) -> None:
+        state, action, outcome = scene.state, scene.action, scene.outcome
         doing = [] if action is None else [", ".join(_TURNS[turn] for turn in action)]
         doing += [] if outcome is None else [outcome.value]
         texts = {
@@ -205,7 +195,7 @@ class Renderer:
             "front": _degrees(state.front),
             "rear": _degrees(state.rear),
             "action front, rear": " → ".join(doing) or "–",
-            "terrain": env.config.terrain.plugin_name,
+            "terrain": scene.terrain,
         }
         for name, text in texts.items():
             self._values[name].set_text(text.replace("-", "−"))

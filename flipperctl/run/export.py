@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Perception
+from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError, MissingExtraError
@@ -71,7 +71,7 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
     values: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "package_version": __version__,
-        "observation": layout.describe(),
+        "observation": observation_layout(layout),
         "bins": layout.bins,
         "bin_width": layout.bin_width,
         "actions": table,
@@ -85,6 +85,28 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
         f"flipperctl.{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()
     }
+
+
+def observation_layout(layout: ObservationLayout) -> list[dict[str, str]]:
+    """Name, unit, frame and meaning of each number of an observation."""
+    low, width = -layout.reach, layout.bin_width
+    heights = [
+        {
+            "name": f"h_{i + 1}",
+            "unit": "m",
+            "frame": "L",
+            "meaning": "mean terrain height, up positive, for x in "
+            f"[{low + i * width:.3f}, {low + (i + 1) * width:.3f}) m",
+        }
+        for i in range(layout.bins)
+    ]
+    flipper = {"unit": "rad", "frame": "R"}
+    return [
+        *heights,
+        {"name": "theta_f1", **flipper, "meaning": "front flippers, above chassis positive"},
+        {"name": "theta_f2", **flipper, "meaning": "rear flippers, above chassis positive"},
+        {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch, nose up positive"},
+    ]
 
 
 class _Recorder:

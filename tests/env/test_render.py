@@ -54,19 +54,19 @@ def test_render_returns_a_picture(env: FlipperEnv) -> None:
 
 
 def test_equal_states_give_equal_pictures(env: FlipperEnv, renderer: Renderer) -> None:
-    first = renderer(env)
+    first = renderer(env.scene)
     env.step(8)
-    assert not np.array_equal(first, renderer(env))
+    assert not np.array_equal(first, renderer(env.scene))
     env.reset(seed=1)
-    assert np.array_equal(first, renderer(env))
-    assert np.array_equal(first, Renderer()(env))
+    assert np.array_equal(first, renderer(env.scene))
+    assert np.array_equal(first, Renderer()(env.scene))
 
 
 def test_a_picture_outlives_the_next_one(env: FlipperEnv, renderer: Renderer) -> None:
-    first = renderer(env)
+    first = renderer(env.scene)
     kept = first.copy()
     env.step(8)
-    renderer(env)
+    renderer(env.scene)
     assert np.array_equal(first, kept)
 
 
@@ -75,7 +75,7 @@ def test_the_chassis_is_where_and_as_the_state_says(
     env: FlipperEnv, renderer: Renderer, pitch: float
 ) -> None:
     env.state = at(-0.6, 0.9, pitch)
-    pixels = coloured(renderer(env), CHASSIS)
+    pixels = coloured(renderer(env.scene), CHASSIS)
     assert np.abs(pixels.mean(axis=0)).max() < 1.5
     _, axes = np.linalg.eigh(np.cov(pixels.T))
     long_axis = axes[:, 1]
@@ -87,25 +87,25 @@ def test_the_chassis_is_where_and_as_the_state_says(
 def test_the_ground_is_to_scale(env: FlipperEnv, renderer: Renderer) -> None:
     for x in (-0.8, -0.7):
         env.state = at(x, 0.1)
-        earth = coloured(renderer(env), EARTH)
+        earth = coloured(renderer(env.scene), EARTH)
         above_level = earth[earth[:, 1] > 0.1 * SCALE]  # 0.2 m up, only the step is left
         assert above_level[:, 0].min() == pytest.approx(-x * SCALE, abs=4)
         assert above_level[:, 1].max() == pytest.approx(0.3 * SCALE, abs=4)
 
 
 def test_the_caption_tells_action_and_outcome(env: FlipperEnv, renderer: Renderer) -> None:
-    plain = renderer(env)
-    told = renderer(env, action=(1, 0), outcome=Outcome.REACHED)
+    plain = renderer(env.scene)
+    told = renderer(replace(env.scene, action=(1, 0), outcome=Outcome.REACHED))
     changed = np.nonzero((plain != told).any(axis=2))[0]
     assert changed.min() > 0.85 * HEIGHT
-    assert np.array_equal(plain, renderer(env))
+    assert np.array_equal(plain, renderer(env.scene))
 
 
 def test_noisy_and_missing_points_are_no_problem(renderer: Renderer) -> None:
     env = FlipperEnv("stair", perception={"noise": 0.05, "dropout": 0.95, "angle_noise": 0.05})
     env.reset(seed=2)
     env.perception = replace(env.perception, points=np.empty((0, 2)))
-    assert renderer(env).shape == (HEIGHT, WIDTH, 3)
+    assert renderer(env.scene).shape == (HEIGHT, WIDTH, 3)
 
 
 def test_matplotlib_is_loaded_late_and_pyplot_never() -> None:

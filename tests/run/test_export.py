@@ -10,6 +10,7 @@ import onnxruntime
 import pytest
 import torch
 
+from flipperctl.api import ObservationLayout
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.run import checkpoint, export
 from flipperctl.run.policy import policy_module
@@ -61,6 +62,16 @@ def test_onnx_says_what_it_is(onnx_file: Path) -> None:
     assert float(properties["flipperctl.bin_width"]) == 0.15
     assert {"flipperctl.format_version", "flipperctl.package_version"} <= properties.keys()
     assert str(Path(__file__).parents[2]).encode() not in onnx_file.read_bytes()  # no local path
+
+
+def test_the_layout_names_every_number_of_an_observation() -> None:
+    entries = export.observation_layout(ObservationLayout(bins=5, bin_width=0.2))
+    names = ["h_1", "h_2", "h_3", "h_4", "h_5", "theta_f1", "theta_f2", "theta_R"]
+    assert [entry["name"] for entry in entries] == names
+    assert [entry["unit"] for entry in entries] == ["m"] * 5 + ["rad"] * 3
+    assert [entry["frame"] for entry in entries] == ["L"] * 5 + ["R", "R", "L"]
+    assert "[-0.500, -0.300) m" in entries[0]["meaning"]
+    assert "[0.300, 0.500) m" in entries[4]["meaning"]
 
 
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
