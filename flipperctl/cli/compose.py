@@ -28,7 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
 from flipperctl.api import registry
-from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, container, parse
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container, parse
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.messages import close_match
 
@@ -68,7 +68,7 @@ def offer_trained(config: TrainConfig) -> str:
     store.store(group="terrain", name=_TRAINED, node=whole.pop("terrain"))
     name = "flipperctl_eval_trained"
     defaults = [{"terrain": _TRAINED}, "_self_"]
-    store.store(name=name, node={"defaults": defaults, **whole, "eval": container(Eval())})
+    store.store(name=name, node={"defaults": defaults, **whole, "eval": container(config.eval)})
     return name
 
 

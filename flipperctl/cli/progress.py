@@ -67,6 +67,7 @@ class Bar:
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line above the bar."""
+        self._progress.update(self._task, completed=row["decision"])
         self._progress.console.print(_validation(row), highlight=False)
 
     def close(self) -> None:

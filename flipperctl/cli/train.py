@@ -17,7 +17,6 @@ HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
     *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
 ]
-_REDIRECTING = {"-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path"}
 _RESUMABLE = ("train.", "device")
 
 HELP = """Train a policy; progress on stderr, everything else in the run directory.
@@ -81,12 +80,13 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from flipperctl.run.files import failure
 
     compose.offer_defaults()
-    if check and not _REDIRECTING & {a.split("=")[0] for a in arguments}:
-        overrides = [a for a in arguments if not a.startswith("-")]
+    several = "--multirun" in arguments
+    overrides = [a for a in arguments if a != "--multirun"]
+    # Hydra's rarer options may bring other configuration files; then the job itself checks.
+    if check and not any(a.startswith("-") for a in overrides):
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
         for config in compose.compose_train(own):  # before Hydra makes a directory
             _check_device(config)
-    several = "--multirun" in arguments
     errors: list[FlipperctlError] = []
 
     def task(composed: Any) -> float | None:
