@@ -4,7 +4,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DECISIONS ?= 20000
+DECISIONS ?= 30000
 
 .PHONY: setup train test clean
 

@@ -138,7 +138,7 @@ def get(kind: str, name: object, where: str) -> type[Plugin]:
     return found
 
 
-def create(kind: str, settings: object, where: str) -> Plugin:
+def create(kind: str, settings: object, where: str) -> Any:
     """A plugin instance from its name, or from a mapping with ``name`` and its fields.
 
     Raises:

@@ -118,6 +118,8 @@ def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
     parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
     choices: list[list[str]] = []
     for override in parsed:
+        if override.is_interval_sweep():
+            continue  # a sweeper draws from it; the job checks what was drawn
         if override.is_sweep_override():
             key = override.get_key_element()
             choices.append([f"{key}={value}" for value in override.sweep_string_iterator()])

@@ -10,7 +10,7 @@ import torch
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import build_network
-from flipperctl.api import ACTIONS, ObservationLayout, Perception
+from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
 
@@ -78,7 +78,8 @@ class ControllerSource:
             CheckpointError: the policy was trained on another observation layout.
         """
         if self.checkpoint is None:
-            return plugins.create("controller", self.settings, "controller")  # type: ignore[return-value]
+            controller: Controller = plugins.create("controller", self.settings, "controller")
+            return controller
         checkpoint = read(self.checkpoint)
         trained = checkpoint.config().perception
         asked = (layout.bins, layout.bin_width)
