@@ -1,7 +1,5 @@
 """Composition: sweeps are expanded as Hydra would, and a checkpoint's settings are the defaults."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from flipperctl.cli import compose
@@ -9,9 +7,8 @@ from flipperctl.config import TrainConfig, merged, parse
 
 
 @pytest.fixture(autouse=True)
-def defaults() -> Iterator[None]:
+def defaults() -> None:
     compose.offer_defaults()
-    yield
 
 
 def test_every_combination_of_a_sweep_is_composed() -> None:
