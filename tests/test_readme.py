@@ -43,8 +43,7 @@ def smaller(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         return [*command, *(["train.decisions=310"] if resumed else QUICK)]
     if command[0] == "eval":
-        kept = [word for word in command if word not in ("--episodes", "100")]
-        return [*kept, "--episodes", "1"]
+        return re.sub(r"--episodes \d+", "", " ".join(command)).split() + ["--episodes", "1"]
     return command
 
 

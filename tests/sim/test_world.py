@@ -151,6 +151,27 @@ def test_the_belt_climbs_a_riser(height: float, friction: float) -> None:
     assert crossing(height, friction) == "reached"
 
 
+def test_the_fast_belt_is_the_one_of_pymunks_public_interface(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def public(space: pymunk.Space, speed: float) -> None:
+        def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+            x, y = arbiter.normal
+            arbiter.surface_velocity = (-speed * y, speed * x)
+
+        space.on_collision(TRACK, GROUND, pre_solve=belt)
+
+    def crossed() -> np.ndarray:
+        world = World(Profile([(0.0, 0.0), (0.0, 0.2)]), Robot(), Sim(), -1.0)
+        world.command(0.8, 0.0)
+        return np.array([[*world.position, world.pitch] for _ in range(900) if not world.advance()])
+
+    fast = crossed()
+    monkeypatch.setattr(world_module, "drive", public)
+    assert np.array_equal(fast, crossed())
+    assert fast[-1, 0] > 0.3  # the riser lies behind it
+
+
 def test_one_constant_surface_velocity_would_stall_at_the_riser(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
