@@ -43,7 +43,7 @@ def smaller(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         return [*command, *(["train.decisions=310"] if resumed else QUICK)]
     if command[0] == "eval":
-        return re.sub(r"--episodes \d+", "", " ".join(command)).split() + ["--episodes", "1"]
+        return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
     return command
 
 

@@ -22,7 +22,6 @@ def drive(space: pymunk.Space, speed: float) -> None:
     Chipmunk computes the surface velocity of an arbiter anew each substep, after the collision
     and before ``pre_solve``; so it is set there, each time.
     """
-
     # Called three times a substep, so it reads and writes Chipmunk's own arbiter: the public
     # properties `normal` and `surface_velocity` do the same, and cost a sixth of the whole step.
     read, write = lib.cpArbiterGetNormal, lib.cpArbiterSetSurfaceVelocity
