@@ -225,7 +225,10 @@ class EnvConfig(Settings):
     """Everything the environment is made of."""
 
     terrain: AnyTerrain
-    rewards: AnyRewards = Field(default_factory=lambda: dict(PAPER_REWARDS))  # type: ignore[arg-type]
+    rewards: AnyRewards = Field(
+        # names, which the validator turns into terms
+        default_factory=lambda: dict(PAPER_REWARDS)  # type: ignore[arg-type]
+    )
     robot: Robot = Robot()
     sim: Sim = Sim()
     perception: PerceptionSettings = PerceptionSettings()

@@ -200,13 +200,14 @@ def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
 
 
 def _table(document: dict[str, Any]) -> Table:
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=str(document["controller"]), title_justify="left")
     for heading in ("terrain", "episodes", "success", "outcomes", "t_cost [s]"):
-        table.add_column(heading)
+        table.add_column(escape(heading))
     for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
-        table.add_column(heading)
+        table.add_column(escape(heading))
     for scene in document["scenes"]:
         outcomes = " ".join(f"{name} {count}" for name, count in scene["outcomes"].items() if count)
         table.add_row(
@@ -223,12 +224,13 @@ def _table(document: dict[str, Any]) -> Table:
 
 
 def _comparison(document: dict[str, Any], baseline: str) -> Table:
+    from rich.markup import escape
     from rich.table import Table
 
     title = f"difference to {baseline} on the same draws, where both reached the finish"
     table = Table(title=title, title_justify="left")
     for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
-        table.add_column(heading)
+        table.add_column(escape(heading))
     for scene in document["scenes"]:
         difference = scene["baseline"]["difference"]
         pairs = (difference["pitch_variation"] or {}).get("episodes", 0)

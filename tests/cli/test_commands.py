@@ -107,6 +107,8 @@ def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
     assert difference["t_cost"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 2}
     table = call("eval", "--controller", "okada", *arguments[:-1], cwd=tmp_path)
     assert "difference to level" in table.out
+    assert "[s]" in table.out  # units are no markup
+    assert table.out.count("[rad]") == 4
 
 
 def test_eval_overrides_do_not_change_the_network(run: Path, tmp_path: Path) -> None:
@@ -138,6 +140,7 @@ def test_inspect_terrain_draws_and_measures(tmp_path: Path) -> None:
     draw = json.loads(done.out)["draws"][0]
     assert draw["largest_face"] == pytest.approx(0.2)
     assert abs(draw["climb"]) in [pytest.approx(0.2 * steps) for steps in (3, 4, 5)]
+    assert "[m]" in call("inspect", "terrain", "stair", cwd=tmp_path).out
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
 
 

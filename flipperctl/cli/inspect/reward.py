@@ -59,6 +59,7 @@ def show(
 
 def _print(found: dict[str, Any]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     title = (
@@ -67,7 +68,7 @@ def _print(found: dict[str, Any]) -> None:
     )
     table = Table(title=title, title_justify="left")
     for heading in ("term", "weight", "mean a decision", "lowest", "highest"):
-        table.add_column(heading)
+        table.add_column(escape(heading))
     table.add_column("share of the return")
     table.add_column("saturated")
     for name, term in found["terms"].items():

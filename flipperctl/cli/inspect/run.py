@@ -70,6 +70,7 @@ def _summary(
 
 def _print(found: dict[str, Any]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     summary = found["summary"]
@@ -79,7 +80,7 @@ def _print(found: dict[str, Any]) -> None:
     table = Table(title=f"{found['run']}: {state}", title_justify="left")
     headings = ("decision", "success", "θ̂_R [rad]", "t_cost [s]", "return")
     for heading in headings:
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for row in found["validations"]:
         table.add_row(
             f"{row['decision']:.0f}",

@@ -89,12 +89,13 @@ def describe(profile: Profile) -> dict[str, Any]:
 
 def _print(name: str, numbers: list[dict[str, Any]]) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=name, title_justify="left")
     headings = ("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]")
     for heading in (*headings, "largest face [m]", "steepest slope [°]", "points"):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     keys = ("length", "lowest", "highest", "climb", "largest_face", "steepest_slope_degrees")
     for row in numbers:
         table.add_row(
