@@ -116,7 +116,7 @@ class D3qn:
                 f"is {float(batch.reward.abs().max()):g}"
             )
         self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         torch.nn.utils.clip_grad_norm_(self.online.parameters(), s.gradient_norm)
         self.optimiser.step()
         with torch.no_grad():

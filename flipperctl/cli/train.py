@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -167,7 +167,7 @@ def _resume(run: Path, overrides: list[str]) -> None:
             )
     saved = checkpoint.read(checkpoint.find(run, checkpoint.LAST))
     with translated():
-        changes = OmegaConf.to_container(OmegaConf.from_dotlist(overrides))
-    config = parse(TrainConfig, merged(saved.config(), dict(changes)))  # type: ignore[arg-type]
+        changes = cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.from_dotlist(overrides)))
+    config = parse(TrainConfig, merged(saved.config(), changes))
     _check_device(config)
     go_on(config, saved)

@@ -229,6 +229,20 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
         assert f"flipperctl {' '.join(command)}" in done.out.split("Examples")[1]
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["train"], ["eval"], ["export"]]
+    + [["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")],
+)
+def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
+    needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
+    needed |= {"eval": ["--controller", "level"], "checkpoint": ["x"], "run": ["x"]}
+    arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
+    done = call(*arguments, cwd=tmp_path)
+    assert done.code == 2
+    assert "nowhere.py does not exist" in done.err
+
+
 def test_help_imports_neither_torch_nor_hydra() -> None:
     script = (
         "import sys, flipperctl.cli.main as m\n"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import AsJson
+from flipperctl.cli.options import AsJson, PluginPaths
 
 if TYPE_CHECKING:
     from flipperctl.run.checkpoint import Checkpoint
@@ -31,10 +31,13 @@ def add_to(app: typer.Typer) -> None:
 def show(
     path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
     as_json: AsJson = False,
+    plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl import plugins as loader
     from flipperctl.run import checkpoint
 
+    loader.load(plugins or ())
     found = describe(checkpoint.read(checkpoint.find(path)))
     if as_json:
         print(json.dumps(found, indent=2))

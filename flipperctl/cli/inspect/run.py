@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import AsJson
+from flipperctl.cli.options import AsJson, PluginPaths
 
 HELP = """Sum up a training run, and plot its learning curves with --output.
 
@@ -29,11 +29,14 @@ def show(
         Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
     ] = None,
     as_json: AsJson = False,
+    plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl import plugins as loader
     from flipperctl.errors import RequestError
     from flipperctl.run.records import read_rows
 
+    loader.load(plugins or ())
     metrics = run / "metrics.csv"
     if not metrics.is_file():
         raise RequestError(f"{run} holds no metrics.csv; is it a run directory?")
