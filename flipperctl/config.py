@@ -54,6 +54,11 @@ class Sim(Settings):
         0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
     )
     iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
+    engine: Literal["compiled", "plain"] = Field(
+        "compiled",
+        description="the substeps' loop: machine code, or the plain Python that it equals number "
+        "for number [-]",
+    )
     gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
     friction: float = Field(
         1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"

@@ -11,7 +11,7 @@ from flipperctl.sim.world import World
 
 
 class Ends:
-    """Judges one episode; ``instant`` at every sample, ``decision`` after every decision."""
+    """Judges one episode: ``instant`` wherever a limit may be reached, ``decision`` after each."""
 
     def __init__(self, profile: Profile, robot: Robot, episode: Episode, start: float) -> None:
         """``start``: x of the chassis centre [m]."""
@@ -24,8 +24,9 @@ class Ends:
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_window + 1)
         self._decisions = 0
 
-    def instant(self, world: World, pitch: float) -> Outcome | None:
+    def instant(self, world: World) -> Outcome | None:
         """Overturned, or behind the finish with the whole chassis close to the ground."""
+        pitch = world.pitch
         if abs(pitch) >= self._episode.overturn:
             return Outcome.OVERTURNED
         x, z = world.position

@@ -160,14 +160,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return self.perception.observation, sum(parts.values()), terminated, truncated, info
 
     def _run(self) -> Outcome | None:
-        world, ends, metrics = self.world, self.ends, self._metrics
+        world, ends = self.world, self.ends
         world.command(*self._target)
-        for _ in range(self._samples):
-            world.advance()
-            pitch = world.pitch
-            metrics.sample(pitch)
-            if (outcome := ends.instant(world, pitch)) is not None:
+        left = self._samples
+        while left > 0:
+            pitches = world.advance(left, self.config.episode.overturn, ends.finish)
+            self._metrics.samples(pitches)
+            if (outcome := ends.instant(world)) is not None:
                 return outcome
+            left -= len(pitches)
         return None
 
     def _checked(self, state: RobotState) -> RobotState:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from flipperctl.api import RobotState
+import numpy as np
+
+from flipperctl.api import FloatArray, RobotState
 
 
 class EpisodeMetrics:
@@ -18,12 +20,12 @@ class EpisodeMetrics:
         self._decisions = 0
         self._parts: dict[str, float] = {}
 
-    def sample(self, pitch: float) -> None:
-        """Note the pitch of one 10 ms sample [rad]."""
-        self._variation_100hz += abs(pitch - self._pitch)
-        self._pitch = pitch
-        if abs(pitch) > self._max_pitch:
-            self._max_pitch = abs(pitch)
+    def samples(self, pitches: FloatArray) -> None:
+        """Note the pitch at 10 ms samples, (S,) [rad]."""
+        last = np.concatenate([[self._pitch], pitches])
+        self._variation_100hz += float(np.abs(np.diff(last)).sum())
+        self._max_pitch = max(self._max_pitch, float(np.abs(pitches).max()))
+        self._pitch = float(pitches[-1])
 
     def decision(self, state: RobotState, parts: dict[str, float]) -> None:
         """Note the state after one decision and the reward's parts."""

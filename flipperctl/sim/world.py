@@ -8,18 +8,30 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pymunk
 
-from flipperctl.api import Profile, RobotState
+from flipperctl.api import FloatArray, Profile, RobotState
 from flipperctl.config import Robot, Sim
-from flipperctl.sim.tracks import GROUND, TRACK, drive
+from flipperctl.sim.plain import GROUND, TRACK, PlainLoop
+
+if TYPE_CHECKING:
+    from flipperctl.sim.compiled import CompiledLoop
 
 SAMPLE = 0.01
 """Time between two samples of the state [s]."""
 
 _LEVEL_GROUND = 20.0  # [m] of level ground before and behind the profile
+
+
+def _loop(engine: str) -> type[PlainLoop | CompiledLoop]:
+    if engine == "plain":
+        return PlainLoop
+    from flipperctl.sim.compiled import CompiledLoop  # numba takes a third of a second to import
+
+    return CompiledLoop
 
 
 class World:
@@ -42,7 +54,6 @@ class World:
         self.robot = robot
         self.sim = sim
         self.profile = profile
-        self._substeps = round(SAMPLE / sim.substep)
         self._time = 0.0
         self.space = space = pymunk.Space()
         space.gravity = (0.0, -sim.gravity)
@@ -57,7 +68,9 @@ class World:
         self._chassis = self._add_part(robot.chassis_mass, centre, 0.0, 2 * half)
         self._front, self._front_gear = self._add_flipper(half, front)
         self._rear, self._rear_gear = self._add_flipper(-half, rear)
-        drive(space, robot.track_speed)
+        substeps = round(SAMPLE / sim.substep)
+        loop = _loop(sim.engine)
+        self._loop = loop(space, self._chassis, robot.track_speed, sim.substep, substeps)
 
     def _add_ground(self) -> None:
         line = [tuple(p) for p in self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND).tolist()]
@@ -109,12 +122,18 @@ class World:
         self._front_gear.phase = front
         self._rear_gear.phase = -rear
 
-    def advance(self) -> None:
-        """Run for one sample."""
-        step, dt = self.space.step, self.sim.substep
-        for _ in range(self._substeps):
-            step(dt)
-        self._time += SAMPLE
+    def advance(
+        self, samples: int = 1, pitch_limit: float = math.inf, x_limit: float = math.inf
+    ) -> FloatArray:
+        """Run for up to ``samples`` samples; returns the pitch at each, (S,) [rad].
+
+        Stops behind the sample at which the pitch [rad], either way, or the chassis centre's x [m]
+        reaches its limit.
+        """
+        pitches = np.empty(samples)
+        done = self._loop.run(pitches, pitch_limit, x_limit)
+        self._time += done * SAMPLE
+        return pitches[:done]
 
     @property
     def position(self) -> tuple[float, float]:

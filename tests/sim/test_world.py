@@ -11,7 +11,8 @@ from flipperctl.api import Profile
 from flipperctl.config import Robot, Sim
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim import world as world_module
-from flipperctl.sim.tracks import GROUND, TRACK, drive
+from flipperctl.sim.compiled import CompiledLoop
+from flipperctl.sim.plain import GROUND, TRACK, PlainLoop
 from flipperctl.sim.world import World
 
 FLAT = Profile([(0.0, 0.0)])
@@ -151,42 +152,49 @@ def test_the_belt_climbs_a_riser(height: float, friction: float) -> None:
     assert crossing(height, friction) == "reached"
 
 
-def test_the_fast_belt_is_the_one_of_pymunks_public_interface(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("terrain", ["step", "paper_step", "paper_stair"])
+def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
+    plain, compiled = (
+        FlipperEnv(terrain=terrain, sim={"engine": engine}) for engine in ("plain", "compiled")
+    )
+    assert episode(plain)["metrics"] == episode(compiled)["metrics"]
+    assert plain.state.time == compiled.state.time > 10.0
+    assert np.array_equal(plain.state.position, compiled.state.position)
+
+
+@pytest.mark.parametrize("engine", ["plain", "compiled"])
+@pytest.mark.parametrize("limits", [(math.inf, -4.9), (1e-9, math.inf)], ids=["x", "pitch"])
+def test_both_engines_stop_at_the_sample_that_reaches_a_limit(
+    engine: str, limits: tuple[float, float]
 ) -> None:
-    def public(space: pymunk.Space, speed: float) -> None:
-        def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
-            x, y = arbiter.normal
-            arbiter.surface_velocity = (-speed * y, speed * x)
-
-        space.on_collision(TRACK, GROUND, pre_solve=belt)
-
-    def crossed() -> np.ndarray:
-        world = World(Profile([(0.0, 0.0), (0.0, 0.2)]), Robot(), Sim(), -1.0)
-        world.command(0.8, 0.0)
-        return np.array([[*world.position, world.pitch] for _ in range(900) if not world.advance()])
-
-    fast = crossed()
-    monkeypatch.setattr(world_module, "drive", public)
-    assert np.array_equal(fast, crossed())
-    assert fast[-1, 0] > 0.3  # the riser lies behind it
+    world, other = (World(FLAT, Robot(), Sim(engine=engine), -5.0) for _ in range(2))
+    pitches = world.advance(100, *limits)
+    every = [other.advance()[0] for _ in pitches]
+    assert 0 < len(pitches) < 100
+    assert world.time == pytest.approx(0.01 * len(pitches))
+    assert pitches.tolist() == every
+    assert other.position == world.position
+    reached = (abs(world.pitch), world.position[0])
+    assert any(value >= limit for value, limit in zip(reached, limits, strict=True))
 
 
 def test_one_constant_surface_velocity_would_stall_at_the_riser(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def constant(space: pymunk.Space, speed: float) -> None:
-        for shape in space.shapes:
-            if shape.collision_type == TRACK:
-                shape.surface_velocity = (-speed, 0.0)
+    class Constant(PlainLoop):
+        def drive(self, speed: float) -> None:
+            for shape in self._space.shapes:
+                if shape.collision_type == TRACK:
+                    shape.surface_velocity = (-speed, 0.0)
 
-    monkeypatch.setattr(world_module, "drive", constant)
+    monkeypatch.setattr(world_module, "_loop", lambda engine: Constant)
     level = World(FLAT, Robot(), Sim(), -5.0)
     run(level, 6.0)
     assert level.position[0] == pytest.approx(-3.8, abs=0.02)  # on the flat nothing shows
     assert crossing(0.4, friction=1.0) == "stuck"
 
 
+@pytest.mark.parametrize("loop", [PlainLoop, CompiledLoop])
 # A belt that runs forward below runs up a face before it, back along a ceiling, down a face behind.
 @pytest.mark.parametrize(
     ("pull", "velocity"),
@@ -199,7 +207,9 @@ def test_one_constant_surface_velocity_would_stall_at_the_riser(
     ids=["ground", "face ahead", "ceiling", "face behind"],
 )
 def test_the_belt_runs_along_the_face_that_it_touches(
-    pull: tuple[float, float], velocity: tuple[float, float]
+    pull: tuple[float, float],
+    velocity: tuple[float, float],
+    loop: type[PlainLoop | CompiledLoop],
 ) -> None:
     space = pymunk.Space()
     space.gravity = pull
@@ -211,9 +221,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    drive(space, 0.2)
-    for _ in range(200):
-        space.step(0.005)
+    loop(space, track, 0.2, 0.005, 2).run(np.empty(100), math.inf, math.inf)
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 

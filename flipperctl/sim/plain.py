@@ -1,0 +1,56 @@
+"""The engine's inner loop through pymunk's public interface: the reference for ``compiled``.
+
+Belts: every contact of a track gets the belt's own tangential velocity. A belt's surface runs
+along the outline, so with n the contact normal from track to ground its velocity is
+v·(-n_y, n_x). A shape's ``surface_velocity`` cannot express this: it is one world vector projected
+on the tangent and vanishes at a vertical face.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pymunk
+
+from flipperctl.api import FloatArray
+
+TRACK, GROUND = 1, 2
+"""Collision types."""
+
+
+class PlainLoop:
+    """Steps a space and samples the angle of one of its bodies."""
+
+    def __init__(
+        self, space: pymunk.Space, body: pymunk.Body, speed: float, substep: float, substeps: int
+    ) -> None:
+        """``speed`` of the belts [m/s], ``substep`` [s], ``substeps`` from sample to sample."""
+        self._space, self._body = space, body
+        self._substep, self._substeps = substep, substeps
+        self.drive(speed)
+
+    def drive(self, speed: float) -> None:
+        """Let every contact between a track and the ground move at ``speed`` [m/s]."""
+
+        # Chipmunk computes the surface velocity of an arbiter anew each substep, after the
+        # collision and before `pre_solve`; so it is set there, each time.
+        def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+            normal = arbiter.normal
+            arbiter.surface_velocity = (-speed * normal.y, speed * normal.x)
+
+        self._space.on_collision(TRACK, GROUND, pre_solve=belt)
+
+    def run(self, angles: FloatArray, angle_limit: float, x_limit: float) -> int:
+        """Run for one sample after the other, at most as many as ``angles`` has room for.
+
+        Stops behind the sample at which the body's angle [rad] or x [m] reaches its limit, and
+        returns how many samples there were; ``angles`` holds them.
+        """
+        step, dt, body = self._space.step, self._substep, self._body
+        for sample in range(len(angles)):
+            for _ in range(self._substeps):
+                step(dt)
+            angles[sample] = angle = body.angle
+            if abs(angle) >= angle_limit or body.position.x >= x_limit:
+                return sample + 1
+        return len(angles)
