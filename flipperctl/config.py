@@ -172,6 +172,15 @@ class Agent(Settings):
 class Train(Settings):
     """The training run."""
 
+    mode: Literal["fast", "exact"] = Field(
+        "fast",
+        description="fast: workers play whole episodes while the learner learns, with weights that "
+        "are a few episodes old; exact: the learner's process plays decision by decision with the "
+        "newest weights [-]",
+    )
+    workers: int = Field(
+        1, ge=1, le=1024, description="processes that play when the mode is fast [-]"
+    )
     decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
     validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
     validation_episodes: int = Field(
@@ -182,6 +191,31 @@ class Train(Settings):
         10_000, ge=1, description="decisions between full checkpoints [-]"
     )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
+
+
+class LocalCollector(Settings):
+    """Episodes are played on this machine, in ``train.workers`` processes."""
+
+    name: Literal["local"] = "local"
+
+
+class RayCollector(Settings):
+    """Episodes are played by actors on a Ray cluster."""
+
+    name: Literal["ray"] = "ray"
+    address: str | None = Field(
+        None, description="of the cluster, such as auto or host:port; null starts a local one [-]"
+    )
+    workers: int = Field(2, ge=1, le=100_000, description="actors, each on a CPU of its own [-]")
+    max_lag: int = Field(
+        20_000,
+        ge=1,
+        description="an episode is dropped if the learner is more decisions further than when it "
+        "was ordered [-]",
+    )
+    patience: float = Field(
+        300.0, gt=0, description="time without any episode after which the run fails [s]"
+    )
 
 
 class Eval(Settings):
@@ -256,9 +290,19 @@ class TrainConfig(EnvConfig):
     network: AnyNetwork
     agent: Agent = Agent()
     train: Train = Train()
+    collector: LocalCollector | RayCollector = Field(LocalCollector(), discriminator="name")
     eval: Eval = Eval()
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
+
+    @model_validator(mode="after")
+    def _one_place_to_play(self) -> TrainConfig:
+        if self.train.mode == "exact" and self.collector.name != "local":
+            raise ValueError(
+                f"train.mode=exact plays in the learner's process; collector={self.collector.name} "
+                "needs train.mode=fast"
+            )
+        return self
 
 
 ConfigT = TypeVar("ConfigT", bound=Settings)

@@ -12,6 +12,7 @@ SHORT = {
     "train.validation_episodes": 3,
     "agent.learning_starts": 100,
     "agent.epsilon_decisions": 400,
+    "train.mode": "exact",
 }
 
 

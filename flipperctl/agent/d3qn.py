@@ -50,6 +50,12 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
     return module
 
 
+def greedy(module: torch.nn.Module, observation: NDArray[np.float32]) -> int:
+    """The action of the largest Q-value of a network on the CPU; ``observation`` is (N + 3,)."""
+    with torch.inference_mode():
+        return int(module(torch.from_numpy(observation).unsqueeze(0)).argmax())
+
+
 class D3qn:
     """Online and target network, optimiser, and one method each to act and to learn."""
 
@@ -123,6 +129,11 @@ class D3qn:
             for slow, fast in self._pairs:
                 slow.lerp_(fast, s.target_rate)
         return value
+
+    def weights(self) -> dict[str, NDArray[np.generic]]:
+        """A copy of the online network's weights, for those who play elsewhere."""
+        state = self.online.state_dict()
+        return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that learning needs to go on: both networks and the optimiser's moments."""

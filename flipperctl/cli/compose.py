@@ -28,13 +28,21 @@ from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
 from flipperctl.api import registry
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container, parse
+from flipperctl.config import (
+    EnvConfig,
+    EvalConfig,
+    LocalCollector,
+    RayCollector,
+    TrainConfig,
+    container,
+    parse,
+)
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # the terrain of a checkpoint, as a group entry
-_PLUGIN_KEYS = ("terrain", "rewards", "network")
+_GROUP_KEYS = ("terrain", "rewards", "network", "collector")
 
 
 def offer_defaults() -> None:
@@ -52,11 +60,13 @@ def offer_defaults() -> None:
                 f"{kind} plugin {name!r}: its defaults are not valid: {error}"
             ) from error
         store.store(group=kind, name=name, node=node)
+    for collector in (LocalCollector(), RayCollector()):
+        store.store(group="collector", name=collector.name, node=container(collector))
     for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
         sections = {
             name: container(info.default) if hasattr(info.default, "model_dump") else info.default
             for name, info in model.model_fields.items()
-            if name not in _PLUGIN_KEYS
+            if name not in _GROUP_KEYS
         }
         store.store(name=primary, node=sections)
 

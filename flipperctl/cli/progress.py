@@ -70,6 +70,10 @@ class Bar:
         self._progress.update(self._task, completed=row["decision"])
         self._progress.console.print(_validation(row), highlight=False)
 
+    def note(self, text: str) -> None:
+        """Print it above the bar."""
+        self._progress.console.print(text, highlight=False, markup=False)
+
     def close(self) -> None:
         """Leave the terminal clean."""
         self._progress.stop()
@@ -100,6 +104,10 @@ class Lines:
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line."""
         print(_validation(row), file=sys.stderr, flush=True)
+
+    def note(self, text: str) -> None:
+        """Print it."""
+        print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Nothing to leave."""

@@ -6,10 +6,9 @@ whatever the number of processes.
 
 from __future__ import annotations
 
-import multiprocessing
+import logging
+from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from flipperctl import plugins
@@ -18,8 +17,11 @@ from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.run.policy import ControllerSource
+from flipperctl.run.processes import Job, WorkerDiedError, Workers
 from flipperctl.run.rollout import play
 from flipperctl.run.seeds import episode_seed
+
+_log = logging.getLogger(__name__)
 
 
 class Player:
@@ -51,25 +53,38 @@ def evaluate(
         player = Player(config, source, seed)
         yield from map(player.episode, range(episodes))
         return
-    arguments = (container(config.environment()), source, seed)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, episodes), context, _begin, arguments) as pool:
-        try:
-            yield from pool.map(_episode, range(episodes))
-        except BrokenProcessPool as error:
-            raise FlipperctlError("a worker process of the evaluation died") from error
+    arguments = (container(config.environment()), source, seed, plugins.extra_paths())
+    workers = Workers(min(jobs, episodes), _begin, arguments)
+    try:
+        waiting = deque(workers.submit(_episode, index) for index in range(episodes))
+        for index in range(episodes):
+            yield _result(workers, waiting.popleft(), index)
+    finally:
+        workers.close()
+
+
+def _result(workers: Workers, job: Job, index: int) -> dict[str, Any]:
+    """The row of an episode; once more if its worker died, since equal seeds give equal rows."""
+    try:
+        row: dict[str, Any] = workers.result(job)
+    except WorkerDiedError:
+        _log.warning("a worker died and is replaced; episode %d is played again", index)
+        row = workers.result(workers.submit(_episode, index))
+    return row
 
 
 _player: Player | FlipperctlError | None = None  # one a worker process
 
 
-def _begin(config: dict[str, Any], source: ControllerSource, seed: int) -> None:
+def _begin(
+    config: dict[str, Any], source: ControllerSource, seed: int, plugin_paths: list[str]
+) -> None:
     global _player
     import torch
 
     torch.set_num_threads(1)
     try:
-        plugins.load()
+        plugins.load(plugin_paths)
         _player = Player(parse(EnvConfig, config), source, seed)
     except FlipperctlError as error:  # an initialiser's error would only break the pool
         _player = error

@@ -23,6 +23,9 @@ class Listener(Protocol):
     def validation(self, row: Mapping[str, Any]) -> None:
         """A validation is done."""
 
+    def note(self, text: str) -> None:
+        """Something happened that the user should know."""
+
     def close(self) -> None:
         """The run ended, in whatever way."""
 
@@ -43,6 +46,7 @@ COLUMNS = (
     "flipper_travel",
     "epsilon",
     "loss",
+    "lag",
     "seconds",
 )
 
@@ -74,6 +78,9 @@ class MetricsCsv:
         """Append a row of means."""
         self._write({"kind": "validation", **row})
 
+    def note(self, text: str) -> None:
+        """Not a row's business."""
+
     def _write(self, row: Mapping[str, Any]) -> None:
         try:
             self._writer.writerow(row)
@@ -101,6 +108,10 @@ class TensorBoard:
     def validation(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""
         self._write("validation", row)
+
+    def note(self, text: str) -> None:
+        """Write it as text."""
+        self._writer.add_text("note", text)
 
     def _write(self, group: str, row: Mapping[str, Any]) -> None:
         for name, value in row.items():

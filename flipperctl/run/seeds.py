@@ -15,3 +15,8 @@ def episode_seed(
     """The seed of one episode; equal arguments give equal episodes on every machine."""
     sequence = np.random.SeedSequence(seed, spawn_key=(_STREAMS[stream], episode))
     return int(sequence.generate_state(1, np.uint32)[0])
+
+
+def exploration(seed: int, episode: int) -> np.random.Generator:
+    """What a worker explores one training episode with."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4, episode)))

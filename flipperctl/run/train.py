@@ -1,4 +1,4 @@
-"""The training loop: act → step → store → update, with validation and checkpoints.
+"""The training loop: collect → store → update, with validation and checkpoints.
 
 In: a validated configuration and an empty run directory, or one to go on in. Out: the files of
 ``design``: config.yaml, metrics.csv, events, checkpoints, summary.json.
@@ -18,15 +18,20 @@ from typing import Any
 import numpy as np
 import torch
 
+from numpy.typing import NDArray
+
+from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.run import checkpoint
+from flipperctl.run.collect import Collector, Crew, InProcess, Order, Pipelined, Weights
 from flipperctl.run.files import write_json
 from flipperctl.run.policy import QPolicy
+from flipperctl.run.processes import ProcessCrew
 from flipperctl.run.records import Listener
 from flipperctl.run.rollout import play
 from flipperctl.run.seeds import episode_seed
@@ -50,25 +55,33 @@ class Trainer:
         self.directory = directory
         self.listeners = list(listeners)
         agent = config.agent
-        self.env = FlipperEnv(config=config.environment())
         self._validation_env = FlipperEnv(config=config.environment())
+        layout = self._validation_env.layout
         init, explore, sample = np.random.SeedSequence(config.seed).spawn(3)
         self.agent = D3qn(
             config.network,
-            self.env.layout,
+            layout,
             len(ACTIONS),
             agent,
             seed=int(init.generate_state(1)[0]),
             device=config.device,
         )
-        self.replay = Replay(agent.replay_size, self.env.layout.size, agent.n_step, agent.gamma)
+        self.replay = Replay(agent.replay_size, layout.size, agent.n_step, agent.gamma)
         self._generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
         }
         self.decision = 0
         self.episode = 0
+        self.started = 0
+        """Episodes begun or ordered; each has a seed of its own."""
+        self.lost = 0
+        """Episodes whose worker died."""
+        self.updates = 0
         self.loss = 0.0
+        self._lag = 0
+        self._weights: tuple[int, Weights] | None = None
+        self._resumed: list[Order] = []
         self.recent: deque[bool] = deque(maxlen=RECENT)
         self.validations: list[dict[str, Any]] = []
         self.seconds = 0.0
@@ -92,22 +105,24 @@ class Trainer:
         """
         every = self.config.train
         self._clock = time.perf_counter() - self.seconds
+        collector = self._collector()
         try:
             while self.decision < every.decisions and not stop():
                 started = self.decision
-                self._episode()
+                self._episode(collector)
                 if self.decision // every.validate_every > started // every.validate_every:
                     self._validate()
                 if self.decision // every.checkpoint_every > started // every.checkpoint_every:
-                    self.save()
+                    self.save(collector.outstanding())
             finished = self.decision >= every.decisions
             if finished and (not self.validations or self.last_validated != self.decision):
                 self._validate()
-            self.save()
+            self.save(collector.outstanding())
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
             return summary
         finally:
+            collector.close()
             for listener in self.listeners:
                 listener.close()
 
@@ -116,32 +131,73 @@ class Trainer:
         """The decision of the last validation; 0 before the first."""
         return int(self.validations[-1]["decision"]) if self.validations else 0
 
-    def _episode(self) -> None:
-        config, env, replay = self.config, self.env, self.replay
-        agent = config.agent
-        explore, sample = self._generators["explore"], self._generators["sample"]
-        seed = episode_seed("training", config.seed, self.episode)
-        observation, _ = env.reset(seed=seed)
-        over = False
-        info: dict[str, Any] = {}
-        while not over and self.decision < config.train.decisions:
-            action = self.agent.act(observation, self.epsilon, explore)
-            following, reward, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
-            goes_on = over and info["outcome"] in agent.bootstrap_outcomes
-            replay.add(observation, action, reward, following, over=over, bootstrap=goes_on)
-            observation = following
+    def _collector(self) -> Collector:
+        config = self.config
+        if config.train.mode == "exact":
+            return InProcess(FlipperEnv(config=config.environment()), self._act, self._next_seed)
+        document, paths = container(config), plugins.extra_paths()
+        crew: Crew
+        if config.collector.name == "ray":
+            from flipperctl.run.ray_crew import RayCrew
+
+            crew = RayCrew(config.collector, document, paths)
+        else:
+            crew = ProcessCrew(config.train.workers, document, paths)
+        collector = Pipelined(crew, self._order, self._worker_died, self._in_time)
+        collector.resume(self._resumed)
+        return collector
+
+    def _act(self, observation: NDArray[np.float32]) -> int:
+        return self.agent.act(observation, self.epsilon, self._generators["explore"])
+
+    def _next_seed(self) -> int:
+        self.started += 1
+        return episode_seed("training", self.config.seed, self.started - 1)
+
+    def _order(self) -> Order:
+        if self._weights is None or self._weights[0] != self.updates:
+            self._weights = (self.updates, self.agent.weights())
+        episode = self.started
+        return Order(episode, self._next_seed(), self.epsilon, self.decision, self._weights[1])
+
+    def _worker_died(self, order: Order) -> None:
+        self.lost += 1
+        for listener in self.listeners:
+            listener.note(f"a worker died and is replaced; its episode {order.episode} is dropped")
+
+    def _in_time(self, order: Order) -> bool:
+        self._lag = self.decision - order.decision
+        collector = self.config.collector
+        return collector.name != "ray" or self._lag <= collector.max_lag
+
+    def _episode(self, collector: Collector) -> None:
+        config, replay, agent = self.config, self.replay, self.config.agent
+        sample = self._generators["sample"]
+        ending: dict[str, Any] | None = None
+        for step in collector.episode():
+            ending = step.ending
+            goes_on = ending is not None and ending["outcome"] in agent.bootstrap_outcomes
+            replay.add(
+                step.observation,
+                step.action,
+                step.reward,
+                step.following,
+                over=ending is not None,
+                bootstrap=goes_on,
+            )
             self.decision += 1
             if self.decision >= agent.learning_starts and self.decision % agent.update_every == 0:
                 batch = replay.sample(agent.batch_size, sample)
                 self.loss = self.agent.update(batch, self.decision / config.train.decisions)
-        if not over:  # the budget ended first
+                self.updates += 1
+            if self.decision >= config.train.decisions:
+                break
+        if ending is None:  # the budget ended first
             replay.drop_pending()
             return
         self.episode += 1
-        self.recent.append(info["outcome"] == Outcome.REACHED)
-        row = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
-        self._tell("episode", row)
+        self.recent.append(ending["outcome"] == Outcome.REACHED)
+        self._tell("episode", {"lag": self._lag, **ending})
 
     def _validate(self) -> None:
         settings = self.config.train
@@ -193,14 +249,18 @@ class Trainer:
             "seed": config.seed,
             "decisions": self.decision,
             "episodes": self.episode,
+            "lost_episodes": self.lost,
             "seconds": round(self.seconds, 1),
             "success_rate": sum(self.recent) / max(1, len(self.recent)),
             "best": self.best,
             "last": self.validations[-1] if self.validations else None,
         }
 
-    def save(self) -> None:
-        """Write ``last.safetensors``: everything that training needs to go on."""
+    def save(self, orders: Sequence[Order] = ()) -> None:
+        """Write ``last.safetensors``: everything that training needs to go on.
+
+        ``orders`` are outstanding: a resumed run gives them again.
+        """
         self.seconds = time.perf_counter() - self._clock
         state = {
             "decision": self.decision,
@@ -209,12 +269,19 @@ class Trainer:
             "recent": list(self.recent),
             "validations": self.validations,
             "seconds": self.seconds,
+            "started": self.started,
+            "lost": self.lost,
+            "updates": self.updates,
+            "orders": [[o.episode, o.seed, o.epsilon, o.decision] for o in orders],
             "replay_added": self.replay.added,
             "generators": {n: g.bit_generator.state for n, g in self._generators.items()},
         }
         tensors = self.agent.tensors()
         for name, array in self.replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
+        for index, order in enumerate(orders):
+            for name, array in order.weights.items():
+                tensors[f"order{index}.{name}"] = torch.from_numpy(array)
         document = checkpoint.describe(self.config, "last", state=state)
         checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
@@ -227,7 +294,14 @@ class Trainer:
         for name, generator in self._generators.items():
             generator.bit_generator.state = state["generators"][name]
         self.decision, self.episode = state["decision"], state["episode"]
+        self.started = state.get("started", self.episode)
+        self.lost, self.updates = state.get("lost", 0), state.get("updates", 0)
         self.loss, self.seconds = state["loss"], state["seconds"]
+        self._resumed = []
+        for index, given in enumerate(state.get("orders", [])):
+            weights = {n: t.numpy() for n, t in saved.part(f"order{index}").items()}
+            episode, seed, epsilon, decision = given
+            self._resumed.append(Order(episode, seed, epsilon, decision, weights))
         self.recent.extend(state["recent"])
         self.validations = state["validations"]
 

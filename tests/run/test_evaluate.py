@@ -1,5 +1,7 @@
 """Evaluation: the numbers do not depend on the number of processes; statistics by hand."""
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.run import checkpoint
 from flipperctl.run.evaluate import evaluate
 from flipperctl.run.policy import ControllerSource
+from flipperctl.run.processes import Workers
 from flipperctl.run.seeds import episode_seed
 from flipperctl.run.statistics import interval, paired, scene_summary
 
@@ -23,6 +26,26 @@ def test_two_processes_give_the_rows_of_one() -> None:
     assert one == two
     assert [row["episode"] for row in one] == [0, 1, 2, 3]
     assert len({row["seed"] for row in one}) == 4
+
+
+def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    crews = []
+    create = Workers.__init__
+
+    def remembered(self: Workers, *arguments: object) -> None:
+        create(self, *arguments)
+        crews.append(self)
+
+    monkeypatch.setattr(Workers, "__init__", remembered)
+    config = EnvConfig(terrain="stair")
+    rows = evaluate(config, OKADA, episodes=30, seed=3, jobs=2)
+    first = next(rows)
+    for pid in crews[0].processes():
+        os.kill(pid, signal.SIGKILL)
+    assert [first, *rows] == list(evaluate(config, OKADA, episodes=30, seed=3))
+    assert "a worker died and is replaced; episode" in caplog.text
 
 
 def test_a_policy_is_judged_on_another_terrain(short_run: Path) -> None:

@@ -50,6 +50,29 @@ def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
         assert ours[key] == theirs[key], key
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
+    tmp_path: Path, workers: int
+) -> None:
+    config = short_config(**{"train.mode": "fast", "train.workers": workers})
+    trainer(config, tmp_path / "whole").run()
+    whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
+
+    first = trainer(config, tmp_path / "parts")
+    first.run(stop=lambda: first.decision >= 250)
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    assert len(stopped.document["state"]["orders"]) == 2 * workers - 1
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.restore(stopped)
+    second.run()
+
+    resumed = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    assert resumed.tensors.keys() == whole.tensors.keys()
+    for name, tensor in whole.tensors.items():
+        assert torch.equal(resumed.tensors[name], tensor), name
+    assert resumed.document["state"]["validations"] == whole.document["state"]["validations"]
+
+
 def test_equal_seeds_give_equal_runs_and_others_do_not(tmp_path: Path, short_run: Path) -> None:
     whole = checkpoint.read(short_run / checkpoint.LAST).part("online")
     trainer(short_config(seed=8), tmp_path / "other").run()

@@ -1,0 +1,56 @@
+"""What runs in a worker: an environment and a network that plays whole episodes on order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from flipperctl import plugins
+from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.api import ACTIONS
+from flipperctl.config import TrainConfig, parse
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.run.collect import Order, Played, Weights
+from flipperctl.run.seeds import exploration
+
+
+class Actor:
+    """Plays episodes of training with the weights that come with each order."""
+
+    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        """``config``: the container of a ``TrainConfig``."""
+        torch.set_num_threads(1)
+        plugins.load(plugin_paths)
+        settings = parse(TrainConfig, config)
+        self._env = FlipperEnv(config=settings.environment())
+        self._module = build_network(settings.network, self._env.layout, len(ACTIONS))
+        self._module.requires_grad_(False)
+        self._seed = settings.seed
+
+    def play_shared(self, order: tuple[int, int, float, int], weights: Weights) -> Played:
+        """As ``play``, with the weights apart, so that many orders can share them."""
+        return self.play(Order(*order, weights))
+
+    def play(self, order: Order) -> Played:
+        """One episode to its end; equal orders give equal episodes."""
+        state = {name: torch.from_numpy(array) for name, array in order.weights.items()}
+        self._module.load_state_dict(state)
+        rng = exploration(self._seed, order.episode)
+        observation, _ = self._env.reset(seed=order.seed)
+        observations, actions, rewards = [observation], [], []
+        over = False
+        info: dict[str, Any] = {}
+        while not over:
+            if rng.random() < order.epsilon:
+                action = int(rng.integers(len(ACTIONS)))
+            else:
+                action = greedy(self._module, observation)
+            observation, reward, terminated, truncated, info = self._env.step(action)
+            over = terminated or truncated
+            observations.append(observation)
+            actions.append(action)
+            rewards.append(reward)
+        ending = {"seed": order.seed, "outcome": str(info["outcome"]), **info["metrics"]}
+        return Played(np.array(observations), np.array(actions), np.array(rewards), ending)

@@ -1,0 +1,171 @@
+"""Where a training run's decisions come from: played in the learner's process, or by others.
+
+Out: one ``Step`` a decision, episode after episode. ``InProcess`` acts with the newest weights
+(``train.mode=exact``). ``Pipelined`` keeps a crew of workers busy with orders for whole episodes,
+so that acting and learning go on at the same time (``train.mode=fast``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.env.flipper_env import FlipperEnv
+
+Weights = Mapping[str, NDArray[Any]]
+"""A network's ``state_dict`` as arrays."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One decision."""
+
+    observation: NDArray[np.float32]
+    action: int
+    reward: float
+    following: NDArray[np.float32]
+    """The observation that followed."""
+    ending: dict[str, Any] | None
+    """None while the episode runs; else its ``seed``, ``outcome`` and metrics."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a worker needs to play one episode of training."""
+
+    episode: int
+    seed: int
+    epsilon: float
+    """Share of random actions."""
+    decision: int
+    """How far the learner was when it gave the order."""
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode that a worker played, T decisions long."""
+
+    observations: NDArray[np.float32]
+    """(T + 1, N + 3)"""
+    actions: NDArray[np.int64]
+    """(T,)"""
+    rewards: NDArray[np.float64]
+    """(T,)"""
+    ending: dict[str, Any]
+
+    def steps(self) -> Iterator[Step]:
+        """The decisions in turn."""
+        last = len(self.actions) - 1
+        for t, (action, reward) in enumerate(zip(self.actions, self.rewards, strict=True)):
+            now, following = self.observations[t], self.observations[t + 1]
+            ending = self.ending if t == last else None
+            yield Step(now, int(action), float(reward), following, ending)
+
+
+class Collector(Protocol):
+    """A source of episodes."""
+
+    def episode(self) -> Iterator[Step]:
+        """The decisions of one episode, to its end."""
+
+    def outstanding(self) -> list[Order]:
+        """Orders that were given and are not yet played, oldest first."""
+
+    def close(self) -> None:
+        """Let go of processes."""
+
+
+class Crew(Protocol):
+    """Workers that play orders."""
+
+    capacity: int
+    """Orders that keep all workers busy."""
+
+    def send(self, order: Order) -> None:
+        """Hand over an order; does not wait."""
+
+    def take(self) -> tuple[Order, Played | None]:
+        """Wait for an order and what became of it: None if its worker died."""
+
+    def outstanding(self) -> list[Order]:
+        """Orders handed over and not yet taken, oldest first."""
+
+    def close(self) -> None:
+        """Stop the workers."""
+
+
+class InProcess:
+    """Plays in this process: ``act`` sees every update that came before."""
+
+    def __init__(
+        self,
+        env: FlipperEnv,
+        act: Callable[[NDArray[np.float32]], int],
+        next_seed: Callable[[], int],
+    ) -> None:
+        self._env, self._act, self._next_seed = env, act, next_seed
+
+    def episode(self) -> Iterator[Step]:
+        """Each decision is made when it is asked for."""
+        seed = self._next_seed()
+        observation, _ = self._env.reset(seed=seed)
+        ending: dict[str, Any] | None = None
+        while ending is None:
+            action = self._act(observation)
+            following, reward, terminated, truncated, info = self._env.step(action)
+            if terminated or truncated:
+                ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
+            yield Step(observation, action, reward, following, ending)
+            observation = following
+
+    def outstanding(self) -> list[Order]:
+        """None."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class Pipelined:
+    """Gives orders ahead, and hands on what the crew played."""
+
+    def __init__(
+        self,
+        crew: Crew,
+        next_order: Callable[[], Order],
+        lost: Callable[[Order], None],
+        taken: Callable[[Order], bool],
+    ) -> None:
+        """``lost`` hears of each order whose worker died; ``taken`` says whether it is of use."""
+        self._crew, self._next_order = crew, next_order
+        self._lost, self._taken = lost, taken
+
+    def resume(self, orders: list[Order]) -> None:
+        """Give orders again that were outstanding when the run was saved."""
+        for order in orders:
+            self._crew.send(order)
+
+    def episode(self) -> Iterator[Step]:
+        """The next episode, as the crew hands it over."""
+        while True:
+            while len(self._crew.outstanding()) < self._crew.capacity:
+                self._crew.send(self._next_order())
+            order, played = self._crew.take()
+            if played is None:
+                self._lost(order)
+            elif self._taken(order):
+                break
+        yield from played.steps()
+
+    def outstanding(self) -> list[Order]:
+        """What the crew has yet to hand over."""
+        return self._crew.outstanding()
+
+    def close(self) -> None:
+        """Stop the crew."""
+        self._crew.close()

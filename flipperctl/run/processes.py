@@ -1,0 +1,182 @@
+"""Worker processes that are replaced when they die, and a crew of actors in them.
+
+Each worker is a process pool of one from the standard library: a dead process then takes down
+nothing but itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Any
+
+from flipperctl.errors import FlipperctlError
+from flipperctl.run.collect import Order, Played
+
+_DEATHS = 3
+"""A worker that dies this often without a result in between is given up."""
+
+
+class WorkerDiedError(FlipperctlError):
+    """The process died that worked on a job."""
+
+
+@dataclass
+class Job:
+    """A call handed to a worker."""
+
+    worker: int
+    task: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    future: Future[Any]
+
+
+class Workers:
+    """``count`` processes, each begun with ``begin(*arguments)``."""
+
+    def __init__(self, count: int, begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        self.count = count
+        # A fork server has torch imported once for all workers; elsewhere each does it itself.
+        ways = multiprocessing.get_all_start_methods()
+        self._context = multiprocessing.get_context(
+            "forkserver" if "forkserver" in ways else "spawn"
+        )
+        if "forkserver" in ways:
+            self._context.set_forkserver_preload(["flipperctl.run.actor", "flipperctl.sim.compiled"])
+        self._begin = (begin, arguments)
+        self._pools = [self._pool() for _ in range(count)]
+        self._deaths = [0] * count
+        self._jobs: list[deque[Job]] = [deque() for _ in range(count)]
+
+    def _pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, self._context, _start, self._begin)
+
+    def submit(self, task: Callable[..., Any], *arguments: Any) -> Job:
+        """Call ``task(*arguments)`` in the worker that has the least to do."""
+        worker = min(range(self.count), key=lambda index: len(self._jobs[index]))
+        job = Job(worker, task, arguments, self._hand_over(worker, task, arguments))
+        self._jobs[worker].append(job)
+        return job
+
+    def _hand_over(
+        self, worker: int, task: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> Future[Any]:
+        try:
+            return self._pools[worker].submit(task, *arguments)
+        except BrokenProcessPool as error:  # it died while it had nothing to do, or since
+            failed: Future[Any] = Future()
+            failed.set_exception(error)
+            return failed
+
+    def result(self, job: Job) -> Any:
+        """Wait for what the job returns.
+
+        Raises:
+            WorkerDiedError: its process died; another has taken its place, with the jobs behind.
+        """
+        try:
+            value = job.future.result()
+        except BrokenProcessPool as error:
+            self._replace(job)
+            raise WorkerDiedError(f"worker process {job.worker} died") from error
+        finally:
+            self._jobs[job.worker].remove(job)
+        self._deaths[job.worker] = 0
+        return value
+
+    def _replace(self, job: Job) -> None:
+        worker = job.worker
+        self._deaths[worker] += 1
+        if self._deaths[worker] >= _DEATHS:
+            raise FlipperctlError(
+                f"worker process {worker} died {_DEATHS} times in a row, the last time in "
+                "its first job; is the memory full?"
+            )
+        self._pools[worker].shutdown(wait=False)
+        self._pools[worker] = self._pool()
+        for other in self._jobs[worker]:
+            if other is not job and (not other.future.done() or other.future.exception()):
+                other.future = self._hand_over(worker, other.task, other.arguments)
+
+    def processes(self) -> list[int]:
+        """The process numbers of the workers that run."""
+        return [pid for pool in self._pools for pid in (pool._processes or {})]
+
+    def close(self) -> None:
+        """Stop all processes, whatever they do."""
+        for pool in self._pools:
+            running = list((pool._processes or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in running:
+                process.terminate()
+
+
+def _start(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    with contextlib.suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process' business
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+    begin(*arguments)
+
+
+def _leave_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
+
+
+class ProcessCrew:
+    """Actors in ``count`` processes; results come in the order of the orders."""
+
+    def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        self.capacity = 2 * count  # one is waiting while the other is played
+        self._workers = Workers(count, _begin, (config, plugin_paths))
+        self._sent: deque[tuple[Order, Job]] = deque()
+
+    def send(self, order: Order) -> None:
+        """Hand an order to the worker that has the least to do."""
+        self._sent.append((order, self._workers.submit(_play, order)))
+
+    def take(self) -> tuple[Order, Played | None]:
+        """The oldest order, and its episode."""
+        order, job = self._sent.popleft()
+        try:
+            return order, self._workers.result(job)
+        except WorkerDiedError:
+            return order, None
+
+    def outstanding(self) -> list[Order]:
+        """Orders sent and not taken."""
+        return [order for order, _ in self._sent]
+
+    def close(self) -> None:
+        """Stop the processes."""
+        self._workers.close()
+
+
+_actor: Any = None  # one a worker process
+
+
+def _begin(config: dict[str, Any], plugin_paths: list[str]) -> None:
+    global _actor
+    from flipperctl.run.actor import Actor
+
+    try:
+        _actor = Actor(config, plugin_paths)
+    except FlipperctlError as error:  # an initialiser's error would only break the pool
+        _actor = error
+
+
+def _play(order: Order) -> Played:
+    if isinstance(_actor, FlipperctlError):
+        raise _actor
+    played: Played = _actor.play(order)
+    return played

@@ -1,0 +1,104 @@
+"""A crew of actors on a Ray cluster; results come as they are ready.
+
+A worker or node that is lost costs the episodes that it was playing: Ray starts the actor again
+where there is room. The weights go out once per version, whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flipperctl.config import RayCollector
+from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
+from flipperctl.run.collect import Order, Played, Weights
+
+_DEPTH = 2
+"""Orders a worker: one is waiting while the other is played."""
+
+
+class RayCrew:
+    """Actors on a cluster, or on a local one if no address is given."""
+
+    def __init__(
+        self, settings: RayCollector, config: dict[str, Any], plugin_paths: list[str]
+    ) -> None:
+        """``config``: the container of a ``TrainConfig``.
+
+        Raises:
+            MissingExtraError: Ray is not installed.
+            ConfigError: there is no cluster at the address.
+        """
+        try:
+            import ray
+        except ImportError as error:
+            raise MissingExtraError("collector=ray", "ray") from error
+        self._ray: Any = ray
+        self._settings = settings
+        self._owned = not ray.is_initialized()
+        if self._owned:
+            _connect(settings)
+        from flipperctl.run.actor import Actor
+
+        remote: Any = ray.remote(Actor)
+        actor = remote.options(num_cpus=1, max_restarts=-1)
+        self._actors: list[Any] = [actor.remote(config, plugin_paths) for _ in range(settings.workers)]
+        self.capacity = _DEPTH * settings.workers
+        self._sent: dict[Any, tuple[Order, int]] = {}  # by the reference of what will be played
+        self._shared: tuple[Weights | None, Any] = (None, None)
+
+    def send(self, order: Order) -> None:
+        """Hand an order to the actor that has the least to do."""
+        load = [0] * len(self._actors)
+        for _, worker in self._sent.values():
+            load[worker] += 1
+        worker = load.index(min(load))
+        if self._shared[0] is not order.weights:
+            self._shared = (order.weights, self._ray.put(dict(order.weights)))
+        slim = (order.episode, order.seed, order.epsilon, order.decision)
+        reference = self._actors[worker].play_shared.remote(slim, self._shared[1])
+        self._sent[reference] = (order, worker)
+
+    def take(self) -> tuple[Order, Played | None]:
+        """The first order that is ready, and its episode."""
+        errors = self._ray.exceptions
+        ready, _ = self._ray.wait(list(self._sent), timeout=self._settings.patience)
+        if not ready:
+            raise FlipperctlError(
+                f"no Ray worker has played an episode for {self._settings.patience:g} s "
+                "(collector.patience); has the cluster as many free CPUs as collector.workers "
+                f"({self._settings.workers})?"
+            )
+        order, _ = self._sent.pop(ready[0])
+        try:
+            return order, self._ray.get(ready[0])
+        except errors.RayTaskError as error:
+            raise error.as_instanceof_cause() from None
+        except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError):
+            return order, None
+
+    def outstanding(self) -> list[Order]:
+        """Orders sent and not taken."""
+        return [order for order, _ in self._sent.values()]
+
+    def close(self) -> None:
+        """Stop the actors, and the cluster if it was started here."""
+        for actor in self._actors:
+            self._ray.kill(actor)
+        if self._owned:
+            self._ray.shutdown()
+
+
+def _connect(settings: RayCollector) -> None:
+    import ray
+
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    try:
+        if settings.address is None:
+            ray.init(num_cpus=settings.workers, include_dashboard=False, **quiet)
+        else:
+            ray.init(address=settings.address, **quiet)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise ConfigError(
+            f"collector.address: no Ray cluster answers at {settings.address!r}: "
+            f"{' '.join(str(error).split())[:200]}"
+        ) from error

@@ -1,0 +1,87 @@
+"""Training on a real Ray cluster of two nodes on this machine."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flipperctl.errors import ConfigError
+from tests.short import short_config, trainer
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
+
+ray = pytest.importorskip("ray")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A head without a CPU to play on, and two nodes with one each."""
+    from ray.cluster_utils import Cluster
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        memory = {"object_store_memory": 80 * 2**20}
+        head = {"num_cpus": 0, "include_dashboard": False, **memory}
+        found = Cluster(initialize_head=True, head_node_args=head)
+        for _ in range(2):
+            found.add_node(num_cpus=1, **memory)
+        found.wait_for_nodes()
+        yield found
+        ray.shutdown()
+        found.shutdown()
+
+
+class NodeKiller:
+    """A listener that takes a node away behind an episode."""
+
+    def __init__(self, cluster: Any, episode: int) -> None:
+        self._cluster, self._at = cluster, episode
+        self.notes: list[str] = []
+        self.lags: list[int] = []
+
+    def episode(self, row: dict) -> None:
+        self.lags.append(row["lag"])
+        if row["episode"] == self._at:
+            node = next(n for n in self._cluster.list_all_nodes() if not n.head)
+            self._cluster.remove_node(node, allow_graceful=False)
+
+    def validation(self, row: dict) -> None:
+        pass
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path: Path) -> None:
+    collector = {"name": "ray", "address": cluster.address, "workers": 2}
+    config = short_config(
+        **{"train.mode": "fast", "collector": collector, "train.decisions": 1500}
+    )
+    learner = trainer(config, tmp_path)
+    killer = NodeKiller(cluster, episode=10)
+    learner.listeners.append(killer)
+    summary = learner.run()
+    assert summary["finished"] is True
+    assert summary["decisions"] == 1500
+    assert len(cluster.list_all_nodes()) == 2
+    assert summary["lost_episodes"] == len(killer.notes) >= 1
+    assert max(killer.lags) > 0
+
+
+def test_an_address_without_a_cluster_is_said(tmp_path: Path) -> None:
+    collector = {"name": "ray", "address": "127.0.0.1:1", "workers": 1}
+    config = short_config(**{"train.mode": "fast", "collector": collector})
+    with pytest.raises(ConfigError, match=r"collector\.address: no Ray cluster answers"):
+        trainer(config, tmp_path).run()
+
+
+def test_exact_and_ray_exclude_each_other() -> None:
+    with pytest.raises(ConfigError, match=r"train\.mode=exact.*collector=ray needs"):
+        short_config(**{"collector": {"name": "ray"}})
+
+
