@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,9 @@ class Actor:
         self._module.requires_grad_(False)
         self._seed = settings.seed
 
-    def play_shared(self, order: tuple[int, int, float, int], weights: Weights) -> Played:
+    def play_shared(self, order: Order, weights: Weights) -> Played:
         """As ``play``, with the weights apart, so that many orders can share them."""
-        return self.play(Order(*order, weights))
+        return self.play(replace(order, weights=weights))
 
     def play(self, order: Order) -> Played:
         """One episode to its end; equal orders give equal episodes."""

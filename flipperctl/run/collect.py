@@ -43,6 +43,8 @@ class Order:
     """Share of random actions."""
     decision: int
     """How far the learner was when it gave the order."""
+    version: int
+    """Updates that the weights had seen; orders of one version share them."""
     weights: Weights
 
 

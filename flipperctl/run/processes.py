@@ -50,7 +50,9 @@ class Workers:
             "forkserver" if "forkserver" in ways else "spawn"
         )
         if "forkserver" in ways:
-            self._context.set_forkserver_preload(["flipperctl.run.actor", "flipperctl.sim.compiled"])
+            self._context.set_forkserver_preload(
+                ["flipperctl.run.actor", "flipperctl.sim.compiled"]
+            )
         self._begin = (begin, arguments)
         self._pools = [self._pool() for _ in range(count)]
         self._deaths = [0] * count

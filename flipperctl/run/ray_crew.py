@@ -6,6 +6,8 @@ where there is room. The weights go out once per version, whatever the number of
 
 from __future__ import annotations
 
+import socket
+from dataclasses import replace
 from typing import Any
 
 from flipperctl.config import RayCollector
@@ -41,7 +43,9 @@ class RayCrew:
 
         remote: Any = ray.remote(Actor)
         actor = remote.options(num_cpus=1, max_restarts=-1)
-        self._actors: list[Any] = [actor.remote(config, plugin_paths) for _ in range(settings.workers)]
+        self._actors: list[Any] = [
+            actor.remote(config, plugin_paths) for _ in range(settings.workers)
+        ]
         self.capacity = _DEPTH * settings.workers
         self._sent: dict[Any, tuple[Order, int]] = {}  # by the reference of what will be played
         self._shared: tuple[Weights | None, Any] = (None, None)
@@ -54,7 +58,7 @@ class RayCrew:
         worker = load.index(min(load))
         if self._shared[0] is not order.weights:
             self._shared = (order.weights, self._ray.put(dict(order.weights)))
-        slim = (order.episode, order.seed, order.epsilon, order.decision)
+        slim = replace(order, weights={})
         reference = self._actors[worker].play_shared.remote(slim, self._shared[1])
         self._sent[reference] = (order, worker)
 
@@ -96,9 +100,17 @@ def _connect(settings: RayCollector) -> None:
         if settings.address is None:
             ray.init(num_cpus=settings.workers, include_dashboard=False, **quiet)
         else:
+            _knock(settings.address)
             ray.init(address=settings.address, **quiet)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(
             f"collector.address: no Ray cluster answers at {settings.address!r}: "
             f"{' '.join(str(error).split())[:200]}"
         ) from error
+
+
+def _knock(address: str) -> None:
+    """Ray itself tries for minutes before it says that nobody is there."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host, int(port)), timeout=10.0).close()

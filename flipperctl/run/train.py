@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-
 from numpy.typing import NDArray
 
 from flipperctl import plugins
@@ -158,7 +157,8 @@ class Trainer:
         if self._weights is None or self._weights[0] != self.updates:
             self._weights = (self.updates, self.agent.weights())
         episode = self.started
-        return Order(episode, self._next_seed(), self.epsilon, self.decision, self._weights[1])
+        seed = self._next_seed()
+        return Order(episode, seed, self.epsilon, self.decision, *self._weights)
 
     def _worker_died(self, order: Order) -> None:
         self.lost += 1
@@ -272,16 +272,16 @@ class Trainer:
             "started": self.started,
             "lost": self.lost,
             "updates": self.updates,
-            "orders": [[o.episode, o.seed, o.epsilon, o.decision] for o in orders],
+            "orders": [[o.episode, o.seed, o.epsilon, o.decision, o.version] for o in orders],
             "replay_added": self.replay.added,
             "generators": {n: g.bit_generator.state for n, g in self._generators.items()},
         }
         tensors = self.agent.tensors()
         for name, array in self.replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
-        for index, order in enumerate(orders):
-            for name, array in order.weights.items():
-                tensors[f"order{index}.{name}"] = torch.from_numpy(array)
+        for version, weights in {order.version: order.weights for order in orders}.items():
+            for name, array in weights.items():
+                tensors[f"weights{version}.{name}"] = torch.from_numpy(array)
         document = checkpoint.describe(self.config, "last", state=state)
         checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
@@ -298,10 +298,9 @@ class Trainer:
         self.lost, self.updates = state.get("lost", 0), state.get("updates", 0)
         self.loss, self.seconds = state["loss"], state["seconds"]
         self._resumed = []
-        for index, given in enumerate(state.get("orders", [])):
-            weights = {n: t.numpy() for n, t in saved.part(f"order{index}").items()}
-            episode, seed, epsilon, decision = given
-            self._resumed.append(Order(episode, seed, epsilon, decision, weights))
+        for episode, seed, epsilon, decision, version in state.get("orders", []):
+            weights = {n: t.numpy() for n, t in saved.part(f"weights{version}").items()}
+            self._resumed.append(Order(episode, seed, epsilon, decision, version, weights))
         self.recent.extend(state["recent"])
         self.validations = state["validations"]
 

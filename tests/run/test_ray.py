@@ -59,9 +59,7 @@ class NodeKiller:
 
 def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path: Path) -> None:
     collector = {"name": "ray", "address": cluster.address, "workers": 2}
-    config = short_config(
-        **{"train.mode": "fast", "collector": collector, "train.decisions": 1500}
-    )
+    config = short_config(**{"train.mode": "fast", "collector": collector, "train.decisions": 1500})
     learner = trainer(config, tmp_path)
     killer = NodeKiller(cluster, episode=10)
     learner.listeners.append(killer)
@@ -83,5 +81,3 @@ def test_an_address_without_a_cluster_is_said(tmp_path: Path) -> None:
 def test_exact_and_ray_exclude_each_other() -> None:
     with pytest.raises(ConfigError, match=r"train\.mode=exact.*collector=ray needs"):
         short_config(**{"collector": {"name": "ray"}})
-
-
