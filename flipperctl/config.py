@@ -147,6 +147,13 @@ class Agent(Settings):
         1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
     )
     update_every: int = Field(2, ge=1, le=1000, description="decisions an update [-]")
+    updates_together: int = Field(
+        4,
+        ge=1,
+        le=64,
+        description="updates made in one go, their targets computed in one pass before the first; "
+        "1 is the textbook's way [-]",
+    )
     target_rate: float = Field(
         0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
     )

@@ -56,6 +56,16 @@ def greedy(module: torch.nn.Module, observation: NDArray[np.float32]) -> int:
         return int(module(torch.from_numpy(observation).unsqueeze(0)).argmax())
 
 
+def _joined(module: torch.nn.Module) -> torch.Tensor:
+    """Move the parameters of a module into one vector, (P,), of which they become views."""
+    parameters = list(module.parameters())
+    vector = torch.cat([p.detach().reshape(-1) for p in parameters])
+    parts = torch.split(vector, [p.numel() for p in parameters])
+    for parameter, part in zip(parameters, parts, strict=True):
+        parameter.data = part.view_as(parameter)
+    return vector
+
+
 class D3qn:
     """Online and target network, optimiser, and one method each to act and to learn."""
 
@@ -76,10 +86,13 @@ class D3qn:
             torch.manual_seed(seed)
             self.online = build_network(network, layout, n_actions).to(self.device)
         self.target = copy.deepcopy(self.online).requires_grad_(False)
+        # Each network's parameters lie in one vector, so that the optimiser, the clipping and the
+        # soft update are one operation each instead of one a layer.
+        self._online, self._target = _joined(self.online), _joined(self.target)
+        self._parameters = list(self.online.parameters())
         self.optimiser = torch.optim.Adam(
-            self.online.parameters(), lr=settings.learning_rate, fused=True
+            [self._online], lr=torch.tensor(settings.learning_rate), fused=True
         )
-        self._pairs = list(zip(self.target.parameters(), self.online.parameters(), strict=True))
 
     @property
     def policy(self) -> torch.nn.Module:
@@ -92,43 +105,52 @@ class D3qn:
         """ε-greedy on the online network."""
         if rng.random() < epsilon:
             return int(rng.integers(self._n_actions))
-        with torch.inference_mode():
-            q = self.online(torch.from_numpy(observation).to(self.device).unsqueeze(0))
-        return int(q.argmax())
+        return greedy(self.online, observation)
 
     def update(self, batch: Batch, share: float) -> float:
-        """One gradient step; ``share`` of the run is over. Returns the loss.
+        """Gradient steps of ``batch_size`` transitions each; ``share`` of the run is over.
+
+        ``batch`` holds a whole number of them. The targets of all are computed before the first.
+        Returns the last loss.
 
         Raises:
-            NonFiniteError: the loss is not finite.
+            NonFiniteError: a loss is not finite.
         """
         s = self.settings
-        for group in self.optimiser.param_groups:
-            group["lr"] = linear(s.learning_rate, s.learning_rate_end, share)
+        self.optimiser.param_groups[0]["lr"].fill_(
+            linear(s.learning_rate, s.learning_rate_end, share)
+        )
         batch = batch.to(self.device)
         with torch.no_grad():
-            target = double_q_target(
+            targets = double_q_target(
                 batch.reward * s.reward_scale,
                 batch.discount,
                 self.online(batch.next_observation),
                 self.target(batch.next_observation),
             )
-        taken = self.online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
-        loss = huber(taken, target)
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise NonFiniteError(
-                f"the learner's loss is {value}; the largest reward of the batch "
-                f"is {float(batch.reward.abs().max()):g}"
-            )
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        torch.nn.utils.clip_grad_norm_(self.online.parameters(), s.gradient_norm)
-        self.optimiser.step()
-        with torch.no_grad():
-            for slow, fast in self._pairs:
-                slow.lerp_(fast, s.target_rate)
+        value = 0.0
+        for start in range(0, len(targets), s.batch_size):
+            part = slice(start, start + s.batch_size)
+            value = self._step(batch.observation[part], batch.action[part], targets[part])
+            if not math.isfinite(value):
+                raise NonFiniteError(
+                    f"the learner's loss is {value}; the largest reward of the batch "
+                    f"is {float(batch.reward.abs().max()):g}"
+                )
         return value
+
+    def _step(self, observation: torch.Tensor, action: torch.Tensor, target: torch.Tensor) -> float:
+        taken = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
+        loss = huber(taken, target)
+        gradients = torch.autograd.grad(loss, self._parameters)
+        with torch.no_grad():
+            gradient = torch.cat([g.reshape(-1) for g in gradients])
+            norm = torch.linalg.vector_norm(gradient)
+            shrink = (self.settings.gradient_norm / (norm + 1e-6)).clamp_(max=1.0)
+            self._online.grad = gradient.mul_(shrink)
+            self.optimiser.step()
+            self._target.lerp_(self._online, self.settings.target_rate)
+        return float(loss.detach())
 
     def weights(self) -> dict[str, NDArray[np.generic]]:
         """A copy of the online network's weights, for those who play elsewhere."""

@@ -21,6 +21,7 @@ from typing import Any
 from flipperctl.errors import FlipperctlError
 from flipperctl.run.collect import Order, Played
 
+_ACTOR = "flipperctl.run.actor"
 _DEATHS = 3
 """A worker that dies this often without a result in between is given up."""
 

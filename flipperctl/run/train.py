@@ -172,7 +172,8 @@ class Trainer:
 
     def _episode(self, collector: Collector) -> None:
         config, replay, agent = self.config, self.replay, self.config.agent
-        sample = self._generators["sample"]
+        sample, together = self._generators["sample"], agent.updates_together
+        period = agent.update_every * together
         ending: dict[str, Any] | None = None
         for step in collector.episode():
             ending = step.ending
@@ -186,10 +187,10 @@ class Trainer:
                 bootstrap=goes_on,
             )
             self.decision += 1
-            if self.decision >= agent.learning_starts and self.decision % agent.update_every == 0:
-                batch = replay.sample(agent.batch_size, sample)
+            if self.decision >= agent.learning_starts and self.decision % period == 0:
+                batch = replay.sample(together * agent.batch_size, sample)
                 self.loss = self.agent.update(batch, self.decision / config.train.decisions)
-                self.updates += 1
+                self.updates += together
             if self.decision >= config.train.decisions:
                 break
         if ending is None:  # the budget ended first
