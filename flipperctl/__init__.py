@@ -1,8 +1,17 @@
 """flipperctl: train, judge, export and explain flipper policies of tracked rescue robots."""
 
-from importlib.metadata import PackageNotFoundError, version
+__version__: str
 
-try:
-    __version__ = version("flipperctl")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0.0.0"
+
+def __getattr__(name: str) -> str:
+    """``__version__``, read when it is asked for: the package metadata cost 20 ms at import."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        found = version("flipperctl")
+    except PackageNotFoundError:  # a source tree that was never installed
+        found = "0.0.0"
+    globals()["__version__"] = found
+    return found

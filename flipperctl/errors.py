@@ -35,6 +35,10 @@ class CheckpointError(RequestError):
     """A checkpoint is missing, damaged, foreign, or needs a plugin that is not installed."""
 
 
+class PolicyError(RequestError):
+    """An exported policy is missing, damaged or foreign, or was fed what it does not take."""
+
+
 class OutputError(RequestError):
     """A path asked for cannot be written."""
 

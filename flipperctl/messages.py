@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, ValidationError
+if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
+    from pydantic import BaseModel, ValidationError
 
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
@@ -50,6 +51,8 @@ def explain(error: ValidationError, where: str, model: type[BaseModel]) -> str:
 def _owner(
     model: type[BaseModel], location: tuple[int | str, ...]
 ) -> tuple[type[BaseModel] | None, list[str]]:
+    from pydantic import BaseModel
+
     owner: Any = model
     for part in location[:-1]:
         info = owner.model_fields.get(str(part)) if owner else None

@@ -1,5 +1,7 @@
 """What the README shows, works."""
 
+import contextlib
+import math
 import re
 import shlex
 from itertools import pairwise
@@ -7,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from flipperctl.api import ACTIONS
 from flipperctl.env import flipper_env
 from flipperctl.run import checkpoint
 from tests.cli.call import RUN, call
@@ -28,9 +31,11 @@ def commands() -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as the README's reader has it: a stair run, and the ridge plugin."""
+    """A folder as the README's reader has it: a stair run, its export, and the ridge plugin."""
     folder = tmp_path_factory.mktemp("readme")
     done = call("train", "terrain=stair", f"hydra.run.dir={SHOWN}", *QUICK, cwd=folder)
+    assert done.code == 0, done.err
+    done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
     (ridge,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
     (folder / "ridge.py").write_text(ridge)
@@ -63,6 +68,17 @@ def test_the_environment_example_runs() -> None:
     exec(example, names)
     assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
     assert names["picture"].shape[2] == 3
+
+
+def test_the_robots_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = [b for b in blocks("python") if "OnnxPolicy" in b]
+    names: dict[str, object] = {}
+    with contextlib.chdir(folder):
+        exec(example, names)
+    turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
+    assert [names["front"], names["rear"]] == pytest.approx(turned)
+    assert names["period"] == pytest.approx(0.6)
+    assert "theta_R rad L pitch, nose up positive" in capsys.readouterr().out
 
 
 def test_the_example_plugin_is_the_readmes(tmp_path: Path) -> None:

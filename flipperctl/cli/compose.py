@@ -71,8 +71,8 @@ def offer_defaults() -> None:
         store.store(name=primary, node=sections)
 
 
-def offer_trained(config: TrainConfig) -> str:
-    """Offer a checkpoint's environment as the primary configuration; returns its name."""
+def offer_trained(config: TrainConfig | EvalConfig) -> str:
+    """Offer a policy's own environment as the primary configuration; returns its name."""
     store = ConfigStore.instance()
     whole = container(config.environment())
     store.store(group="terrain", name=_TRAINED, node=whole.pop("terrain"))

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 HELP = """Judge a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
 OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b judges on both.
-A checkpoint is judged on the terrain it was trained on unless terrain=… says otherwise.
+A checkpoint is judged on the terrain it was trained on unless terrain=… says otherwise, and so is
+an exported .onnx file, as the robot would run it.
 
 [bold]Examples[/]
 
@@ -43,7 +44,8 @@ def add_to(app: typer.Typer) -> None:
 def evaluate(
     overrides: Overrides = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
+        Path | None,
+        typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx file."),
     ] = None,
     controller: Annotated[
         str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
@@ -109,9 +111,11 @@ def scenes(
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, ControllerSource(settings=settings)) for config, settings in found]
     from flipperctl.run import checkpoint as checkpoints
+    from flipperctl.run.exported import exported_config, is_exported
 
     file = checkpoints.find(checkpoint)
-    primary = compose.offer_trained(checkpoints.read(file).config())
+    trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
+    primary = compose.offer_trained(trained)
     source = ControllerSource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:

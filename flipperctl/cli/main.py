@@ -17,6 +17,10 @@ from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 
 DEBUG = "FLIPPERCTL_DEBUG"
 
+# Flags that were not given count as False. Typer would bring in pydantic to check that an absent
+# flag is one, which costs every subcommand's help 65 ms.
+_ABSENT = {"help": False, "install_completion": False, "show_completion": False}
+
 app = typer.Typer(
     name="flipperctl",
     help="Train, judge, export and explain flipper policies of tracked rescue robots.",
@@ -24,6 +28,7 @@ app = typer.Typer(
     add_completion=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
+    context_settings={"default_map": {**_ABSENT, "inspect": {"help": False}}},
 )
 
 
@@ -63,7 +68,8 @@ def _run(arguments: list[str]) -> int:
     except TyperException as error:
         if debug:
             raise
-        _say(f"{error.format_message().rstrip('.')}; see flipperctl --help")
+        if words := error.format_message().rstrip("."):  # else no arguments: the help is shown
+            _say(f"{words}; see flipperctl --help")
         return RequestError.exit_code
     except (typer.Abort, KeyboardInterrupt):
         _say("interrupted")

@@ -30,9 +30,9 @@ from flipperctl.run.files import write_bytes
 from flipperctl.run.policy import QPolicy, policy_module
 from flipperctl.run.rollout import play
 from flipperctl.run.seeds import episode_seed
+from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
 
 Format = Literal["onnx", "pt2"]
-FORMAT_VERSION = 1
 OPSET = 18
 TOLERANCE = 1e-4
 """Largest difference of a Q-value that counts as rounding, relative to the largest |Q|."""
@@ -82,7 +82,7 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
         "network": config.network.plugin_name,
     }
     return {
-        f"flipperctl.{name}": value if isinstance(value, str) else json.dumps(value)
+        f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()
     }
 

@@ -13,6 +13,7 @@ from flipperctl.agent.d3qn import build_network
 from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
+from flipperctl.run.exported import ExportedPolicy, is_exported
 
 
 class Acts(Protocol):
@@ -62,6 +63,7 @@ class ControllerSource:
     """Where a controller comes from; small enough to be handed to another process."""
 
     checkpoint: Path | None = None
+    """Or a file of ``flipperctl export onnx``."""
     settings: dict[str, Any] | None = None
     """``name`` and fields of a controller plugin."""
 
@@ -80,13 +82,21 @@ class ControllerSource:
         if self.checkpoint is None:
             controller: Controller = plugins.create("controller", self.settings, "controller")
             return controller
-        checkpoint = read(self.checkpoint)
-        trained = checkpoint.config().perception
-        asked = (layout.bins, layout.bin_width)
-        if (trained.bins, trained.bin_width) != asked:
+        bins, bin_width, policy = _opened(self.checkpoint)
+        if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(
-                f"{self.checkpoint}: the policy was trained on {trained.bins} bins of "
-                f"{trained.bin_width:g} m; perception.bins and perception.bin_width ask for "
+                f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
+                "perception.bins and perception.bin_width ask for "
                 f"{layout.bins} of {layout.bin_width:g} m"
             )
-        return QPolicy(policy_module(checkpoint))
+        return policy
+
+
+def _opened(file: Path) -> tuple[int, float, Acts]:
+    """The number and width of the bins that a policy takes, and the policy."""
+    if is_exported(file):
+        exported = ExportedPolicy(file)
+        return exported.interface.bins, exported.interface.bin_width, exported
+    checkpoint = read(file)
+    layout = checkpoint.config().perception
+    return layout.bins, layout.bin_width, QPolicy(policy_module(checkpoint))

@@ -1,0 +1,48 @@
+"""An exported file judged in the simulator as the robot runs it.
+
+In: a file of ``flipperctl export onnx``. Out: a controller, and the evaluation that it asks for.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from flipperctl.api import Perception
+from flipperctl.config import EvalConfig, parse
+from flipperctl.errors import ConfigError, PolicyError
+from flipperctl.runtime import OnnxPolicy
+
+
+class ExportedPolicy:
+    """Greedy in the Q-values of an exported file."""
+
+    def __init__(self, file: Path) -> None:
+        self._policy = OnnxPolicy(file)
+        self.interface = self._policy.interface
+
+    def act(self, p: Perception) -> int:
+        """The action of the largest Q-value."""
+        return self._policy.act(p.observation)
+
+
+def is_exported(file: Path) -> bool:
+    """Whether a file is meant as an exported policy, not as a checkpoint."""
+    return file.suffix == ".onnx"
+
+
+def exported_config(file: Path) -> EvalConfig:
+    """The file's own evaluation: its robot, its layout and, at its defaults, its terrain.
+
+    Raises:
+        PolicyError: flipperctl did not export the file, or this version lacks what it names.
+    """
+    says = OnnxPolicy(file).interface
+    settings = {
+        "terrain": says.terrain,
+        "robot": dict(says.robot),
+        "perception": {"bins": says.bins, "bin_width": says.bin_width},
+    }
+    try:
+        return parse(EvalConfig, settings)
+    except ConfigError as error:
+        raise PolicyError(f"{file}: what its metadata say does not fit: {error}") from error

@@ -1,0 +1,145 @@
+"""What an exported policy says of its inputs and outputs.
+
+In: the metadata of an ONNX model. Out: an ``Interface``, checked.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.errors import PolicyError
+
+FORMAT_VERSION = 1
+"""Of the metadata under ``flipperctl.*``."""
+PREFIX = "flipperctl."
+ANGLES = 3
+"""theta_f1, theta_f2 and theta_R, behind the heights."""
+ACTIONS = 9
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One number of an observation."""
+
+    name: str
+    unit: str
+    frame: str
+    """L: level, at the chassis centre; R: fixed to the chassis."""
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False)
+class Interface:
+    """What an exported policy takes and gives, as its metadata say."""
+
+    observation: tuple[Quantity, ...]
+    """The N + 3 numbers in their order."""
+    bins: int
+    """N, terrain heights in an observation."""
+    bin_width: float
+    """Width of a bin [m]."""
+    actions: NDArray[np.float64]
+    """(9, 2) by which each action turns the front and the rear flippers [rad]."""
+    decision_period: float
+    """Time from one action to the next [s]."""
+    robot: Mapping[str, float]
+    """Geometry, masses and speeds of the robot that the policy was trained for, in SI units."""
+    terrain: str
+    """Name of the terrain plugin that it was trained on."""
+    seed: int
+    """Of the training."""
+    package_version: str
+    """The flipperctl that exported it."""
+
+    @property
+    def size(self) -> int:
+        """Length of an observation."""
+        return len(self.observation)
+
+
+def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
+    """The interface that a model's metadata describe.
+
+    Raises:
+        PolicyError: flipperctl did not write them, in this format, or an entry is wrong.
+    """
+    if f"{PREFIX}format_version" not in metadata:
+        raise PolicyError(
+            f"{where} is an ONNX model, but not one of flipperctl export onnx: "
+            f"its metadata lack {PREFIX}format_version"
+        )
+    if metadata[f"{PREFIX}format_version"] != str(FORMAT_VERSION):
+        raise PolicyError(
+            f"{where} has format version {metadata[f'{PREFIX}format_version']}; "
+            f"this version of flipperctl reads {FORMAT_VERSION}"
+        )
+
+    def entry(name: str, allowed: str, check: Callable[[Any], bool]) -> Any:
+        text = metadata.get(f"{PREFIX}{name}", "")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = None
+        if value is None or not check(value):
+            raise PolicyError(
+                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+            )
+        return value
+
+    bins = entry("bins", "a whole number above 0", lambda v: isinstance(v, int) and v > 0)
+    size = bins + ANGLES
+    keys = set(Quantity.__dataclass_fields__)
+    observation = entry(
+        "observation",
+        f"a list of {size} mappings of {', '.join(sorted(keys))}",
+        lambda v: (
+            isinstance(v, list)
+            and len(v) == size
+            and all(isinstance(e, dict) and set(e) == keys for e in v)
+        ),
+    )
+    table = entry("actions", f"a table of {ACTIONS} pairs of angles", _is_table)
+    actions = np.array(table, dtype=np.float64)
+    actions.setflags(write=False)
+    robot = entry(
+        "robot",
+        "a mapping of names to numbers",
+        lambda v: isinstance(v, dict) and all(map(_is_number, v.values())),
+    )
+    return Interface(
+        observation=tuple(Quantity(**e) for e in observation),
+        bins=bins,
+        bin_width=entry("bin_width", "a length above 0", _is_positive),
+        actions=actions,
+        decision_period=entry("decision_period", "a time above 0", _is_positive),
+        robot=MappingProxyType(robot),
+        terrain=metadata.get(f"{PREFIX}terrain", ""),
+        seed=entry("seed", "a whole number", lambda v: isinstance(v, int)),
+        package_version=metadata.get(f"{PREFIX}package_version", ""),
+    )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _is_positive(value: object) -> bool:
+    return isinstance(value, int | float) and 0 < value < math.inf
+
+
+def _is_table(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == ACTIONS
+        and all(
+            isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)) for row in value
+        )
+    )

@@ -1,0 +1,63 @@
+"""What a command imports before it answers: the start-up time, without a clock."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.call import call
+
+HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
+HEAVY |= {"omegaconf", "scipy", "safetensors", "tensorboard"}
+VALUES = {"numpy", "pydantic", "importlib.metadata"}
+SUBCOMMANDS = [["train"], ["eval"], ["export"], ["inspect"]] + [
+    ["inspect", name] for name in ("plugins", "terrain", "reward", "checkpoint", "run", "config")
+]
+
+
+def imported(code: str) -> set[str]:
+    """The modules that a fresh interpreter holds after ``code``, which may leave."""
+    script = f"import sys\ntry:\n    {code}\nexcept SystemExit as left:\n    assert not left.code\n"
+    script += "print('\\n'.join(sys.modules), file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(done.stderr.splitlines())
+
+
+def run(*arguments: str) -> set[str]:
+    return imported(f"from flipperctl.cli.main import main; main({list(arguments)!r})")
+
+
+@pytest.mark.parametrize("command", [[], *SUBCOMMANDS], ids=" ".join)
+def test_help_imports_only_what_draws_it(command: list[str]) -> None:
+    assert not run(*command, "--help") & (HEAVY | VALUES)
+
+
+def test_the_version_imports_only_the_metadata() -> None:
+    assert run("--version") & (HEAVY | VALUES) == {"importlib.metadata"}
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]], ids=["table", "json"])
+def test_listing_the_plugins_runs_none_of_their_libraries(form: list[str]) -> None:
+    assert not run("inspect", "plugins", *form) & HEAVY
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    assert not imported("import flipperctl") & (HEAVY | VALUES)
+    assert not imported("import flipperctl.api") & HEAVY
+
+
+@pytest.mark.parametrize("command", [[], ["inspect"]], ids=" ".join)
+def test_a_command_without_arguments_shows_its_help_and_no_error(
+    command: list[str], tmp_path: Path
+) -> None:
+    done = call(*command, cwd=tmp_path)
+    assert (done.code, done.err) == (2, "")
+    assert "Usage: flipperctl" in done.out
+
+
+def test_completion_is_still_offered(tmp_path: Path) -> None:
+    done = call("--show-completion", "bash", cwd=tmp_path)
+    assert done.code == 0
+    assert "_FLIPPERCTL_COMPLETE" in done.out

@@ -1,0 +1,52 @@
+"""An exported policy made by hand: the Q-value of action a is the a-th terrain height."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+HEIGHTS = [{"name": f"h_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"} for i in range(15)]
+ANGLES = [
+    {"name": "theta_f1", "unit": "rad", "frame": "R", "meaning": "front"},
+    {"name": "theta_f2", "unit": "rad", "frame": "R", "meaning": "rear"},
+    {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch"},
+]
+STEP = math.pi / 12
+METADATA = {
+    "format_version": 1,
+    "package_version": "0.1.0",
+    "observation": HEIGHTS + ANGLES,
+    "bins": 15,
+    "bin_width": 0.15,
+    "actions": [[i * STEP, j * STEP] for i in (-1, 0, 1) for j in (-1, 0, 1)],
+    "decision_period": 0.6,
+    "robot": {"chassis_length": 0.76, "flipper_length": 0.536, "angle_step": STEP},
+    "terrain": "stair",
+    "seed": 7,
+}
+"""As ``flipperctl export onnx`` writes it."""
+
+
+def write(
+    path: Path, *, size: int = 18, output: str = "q_values", scale: float = 1.0, **changes: object
+) -> Path:
+    """Write the policy; ``changes`` replace metadata, and None drops them."""
+    weights = numpy_helper.from_array(np.eye(size, 9, dtype=np.float32) * np.float32(scale), "w")
+    graph = helper.make_graph(
+        [helper.make_node("MatMul", ["observation", "w"], [output])],
+        "linear",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", size])],
+        [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", 9])],
+        [weights],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    entries = {k: v for k, v in {**METADATA, **changes}.items() if v is not None}
+    helper.set_model_props(
+        model,
+        {f"flipperctl.{k}": v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()},
+    )
+    onnx.save(model, path)
+    return path

@@ -1,0 +1,62 @@
+"""What an exported file says, and what is said when it is not one of ours."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from flipperctl.errors import PolicyError
+from flipperctl.runtime import OnnxPolicy
+from tests.runtime.linear import METADATA, write
+
+
+def test_a_file_says_what_it_takes_and_gives(tmp_path: Path) -> None:
+    says = OnnxPolicy(write(tmp_path / "p.onnx")).interface
+    assert (says.size, says.bins, says.bin_width) == (18, 15, 0.15)
+    assert [q.name for q in says.observation[14:]] == ["h_15", "theta_f1", "theta_f2", "theta_R"]
+    assert says.observation[15].unit == "rad"
+    # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
+    assert says.actions.shape == (9, 2)
+    assert says.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
+    assert says.decision_period == 0.6
+    assert says.robot["chassis_length"] == 0.76
+    assert (says.terrain, says.seed, says.package_version) == ("stair", 7, "0.1.0")
+
+
+def test_nobody_changes_what_a_file_says(tmp_path: Path) -> None:
+    says = OnnxPolicy(write(tmp_path / "p.onnx")).interface
+    with pytest.raises(ValueError, match="read-only"):
+        says.actions[0] = 0
+    with pytest.raises(TypeError):
+        says.robot["chassis_length"] = 1.0
+
+
+def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
+    entries = METADATA["observation"][:5] + METADATA["observation"][-3:]
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", size=8, bins=5, observation=entries))
+    assert policy.interface.size == 8
+    assert policy.act([0.0, 0.0, 0.2, 0.0, 0.0, 0.1, 0.1, 0.0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (dict.fromkeys(METADATA), r"not one of flipperctl export onnx.*flipperctl\.format_version"),
+        ({"format_version": 2}, r"format version 2; this version of flipperctl reads 1"),
+        ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
+        ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),
+        ({"bin_width": -0.15}, r"flipperctl\.bin_width is '-0\.15'.*above 0"),
+        ({"decision_period": "soon"}, r"flipperctl\.decision_period is 'soon'"),
+        ({"decision_period": math.nan}, r"flipperctl\.decision_period is 'NaN'"),
+        ({"actions": [[0.0, 0.1]] * 8}, r"flipperctl\.actions is .*9 pairs of angles"),
+        ({"robot": {"mass": "heavy"}}, r"flipperctl\.robot is .*names to numbers"),
+        ({"size": 20}, r"observation tensor\(float\) \['batch', 20\].*\[batch, 18\]"),
+        ({"output": "values"}, r"values tensor\(float\).*q_values tensor\(float\) \[batch, 9\]"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(changes: dict, text: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "p.onnx", **changes)
+    with pytest.raises(PolicyError, match=text) as found:
+        OnnxPolicy(path)
+    assert str(path) in str(found.value)
+    assert "\n" not in str(found.value)

@@ -1,0 +1,125 @@
+"""The policy as the robot runs it: what it decides, what it refuses, what it imports."""
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl.errors import MissingExtraError, NonFiniteError, PolicyError
+from flipperctl.runtime import OnnxPolicy
+from tests.runtime.linear import write
+
+
+@pytest.fixture
+def policy(tmp_path: Path) -> OnnxPolicy:
+    return OnnxPolicy(write(tmp_path / "p.onnx"))
+
+
+def observation(highest: int) -> np.ndarray:
+    """All 0 but one height."""
+    return np.eye(18)[highest] * 0.3
+
+
+def test_the_action_of_the_largest_q_value_is_taken(policy: OnnxPolicy) -> None:
+    assert [policy.act(observation(a)) for a in (4, 0, 8)] == [4, 0, 8]
+    assert policy.act(list(observation(7))) == 7
+    assert policy.act(observation(2).astype(np.float32)) == 2
+    assert policy.act(-1.0 - observation(3)[::-1]) == 0  # all equal: the first
+
+
+def test_q_values_of_one_and_of_many(policy: OnnxPolicy) -> None:
+    one = policy.q_values(observation(4))
+    assert one.tolist() == pytest.approx([0, 0, 0, 0, 0.3, 0, 0, 0, 0])
+    many = policy.q_values(np.stack([observation(a) for a in (1, 5, 6)]))
+    assert many.shape == (3, 9)
+    assert many.argmax(1).tolist() == [1, 5, 6]
+    assert policy.q_values(np.zeros((0, 18))).shape == (0, 9)
+
+
+def test_a_decision_leaves_earlier_values_and_the_observation_alone(policy: OnnxPolicy) -> None:
+    seen = observation(4)
+    first = policy.q_values(seen)
+    policy.act(observation(6))
+    assert first[4] == pytest.approx(0.3)
+    assert seen.tolist() == observation(4).tolist()
+
+
+@pytest.mark.parametrize("shape", [(17,), (1, 18), (18, 1), ()])
+def test_act_refuses_another_shape(policy: OnnxPolicy, shape: tuple[int, ...]) -> None:
+    with pytest.raises(PolicyError, match=r"shape .*\(18,\) is allowed: 15 terrain heights and 3"):
+        policy.act(np.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(17,), (2, 17), (2, 1, 18), ()])
+def test_q_values_refuse_another_shape(policy: OnnxPolicy, shape: tuple[int, ...]) -> None:
+    with pytest.raises(PolicyError, match=r"\(18,\) or \(B, 18\) is allowed"):
+        policy.q_values(np.zeros(shape))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_an_observation_that_is_not_finite_is_named(policy: OnnxPolicy, bad: float) -> None:
+    wrong = observation(4)
+    wrong[16] = bad
+    with pytest.raises(NonFiniteError, match=rf"observation\[16\] \(theta_f2\) is {bad}"):
+        policy.act(wrong)
+    with pytest.raises(NonFiniteError, match=r"observation\[1, 16\] \(theta_f2\)"):
+        policy.q_values([observation(4), wrong])
+    assert policy.act(observation(5)) == 5  # and the next decision is as good as ever
+
+
+def test_what_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:
+    with pytest.raises(PolicyError, match="is not numbers"):
+        policy.act(["steep"] * 18)
+
+
+def test_a_q_value_that_is_not_finite_is_no_action(tmp_path: Path) -> None:
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", scale=1e38))
+    with pytest.raises(NonFiniteError, match="Q-value of action 4 is inf"):
+        policy.act(observation(4) * 100)
+    with pytest.raises(NonFiniteError, match="Q-value of action 4 is inf"):
+        policy.q_values(observation(4) * 100)
+    with pytest.raises(NonFiniteError, match="Q-value of action 0 is nan"):
+        OnnxPolicy(write(tmp_path / "q.onnx", scale=math.nan))
+
+
+def test_it_runs_on_one_thread(policy: OnnxPolicy) -> None:
+    options = policy._session.get_session_options()
+    assert (options.intra_op_num_threads, options.inter_op_num_threads) == (1, 1)
+
+
+def test_a_file_that_is_no_policy_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match="there is no such policy file"):
+        OnnxPolicy(tmp_path / "none.onnx")
+    with pytest.raises(PolicyError, match="cannot be read: Is a directory"):
+        OnnxPolicy(tmp_path)
+    whole = write(tmp_path / "p.onnx").read_bytes()
+    for data in (b"", b"a letter", whole[:200]):
+        (tmp_path / "bad.onnx").write_bytes(data)
+        with pytest.raises(PolicyError, match=r"bad\.onnx is damaged or no ONNX model: \w+"):
+            OnnxPolicy(tmp_path / "bad.onnx")
+
+
+def test_a_missing_onnxruntime_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(MissingExtraError, match=r"onnxruntime; install flipperctl\[robot\]"):
+        OnnxPolicy(tmp_path / "p.onnx")
+
+
+def test_a_robot_needs_only_numpy_and_onnxruntime(tmp_path: Path) -> None:
+    path = write(tmp_path / "p.onnx")
+    absent = ["torch", "pymunk", "pydantic", "gymnasium", "hydra", "omegaconf", "matplotlib"]
+    absent += ["typer", "rich", "safetensors", "onnx", "numba", "scipy"]
+    script = (
+        f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
+        "from flipperctl.runtime import OnnxPolicy\n"
+        f"policy = OnnxPolicy({str(path)!r})\n"
+        "observation = [0.0] * 18; observation[6] = 0.2\n"
+        "print(policy.act(observation), policy.q_values(observation)[6])\n"
+        f"assert not any(sys.modules[name] for name in {absent!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["6", "0.2"]
