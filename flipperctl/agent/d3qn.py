@@ -56,6 +56,12 @@ def greedy(module: torch.nn.Module, observation: NDArray[np.float32]) -> int:
         return int(module(torch.from_numpy(observation).unsqueeze(0)).argmax())
 
 
+def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
+    """A copy of a network's weights, for those who play elsewhere."""
+    state = module.state_dict()
+    return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
+
+
 def _joined(module: torch.nn.Module) -> torch.Tensor:
     """Move the parameters of a module into one vector, (P,), of which they become views."""
     parameters = list(module.parameters())
@@ -151,11 +157,6 @@ class D3qn:
             self.optimiser.step()
             self._target.lerp_(self._online, self.settings.target_rate)
         return float(loss.detach())
-
-    def weights(self) -> dict[str, NDArray[np.generic]]:
-        """A copy of the online network's weights, for those who play elsewhere."""
-        state = self.online.state_dict()
-        return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that learning needs to go on: both networks and the optimiser's moments."""

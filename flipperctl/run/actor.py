@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,9 @@ from flipperctl.agent.d3qn import build_network, greedy
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.run.collect import Order, Played, Weights
+from flipperctl.run.collect import Order, Played, Row, Weights
+from flipperctl.run.policy import QPolicy
+from flipperctl.run.rollout import play
 from flipperctl.run.seeds import exploration
 
 
@@ -30,14 +33,19 @@ class Actor:
         self._module.requires_grad_(False)
         self._seed = settings.seed
 
+    def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+        """Play an episode of each seed greedily."""
+        self._load(weights)
+        policy = QPolicy(self._module)
+        return [play(self._env, policy, seed) for seed in seeds]
+
     def play_shared(self, order: Order, weights: Weights) -> Played:
         """As ``play``, with the weights apart, so that many orders can share them."""
         return self.play(replace(order, weights=weights))
 
     def play(self, order: Order) -> Played:
         """One episode to its end; equal orders give equal episodes."""
-        state = {name: torch.from_numpy(array) for name, array in order.weights.items()}
-        self._module.load_state_dict(state)
+        self._load(order.weights)
         rng = exploration(self._seed, order.episode)
         observation, _ = self._env.reset(seed=order.seed)
         observations, actions, rewards = [observation], [], []
@@ -55,3 +63,7 @@ class Actor:
             rewards.append(reward)
         ending = {"seed": order.seed, "outcome": str(info["outcome"]), **info["metrics"]}
         return Played(np.array(observations), np.array(actions), np.array(rewards), ending)
+
+    def _load(self, weights: Weights) -> None:
+        state = {name: torch.from_numpy(array) for name, array in weights.items()}
+        self._module.load_state_dict(state)

@@ -7,7 +7,7 @@ so that acting and learning go on at the same time (``train.mode=fast``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,6 +18,12 @@ from flipperctl.env.flipper_env import FlipperEnv
 
 Weights = Mapping[str, NDArray[Any]]
 """A network's ``state_dict`` as arrays."""
+Row = dict[str, Any]
+"""Seed, outcome and metrics of an episode."""
+Judge = Callable[[Sequence[int]], list[Row]]
+"""Plays an episode of each seed."""
+Judged = Callable[[], list[Row] | None]
+"""Waits for what a worker judged; None if it died."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,7 @@ class Step:
     reward: float
     following: NDArray[np.float32]
     """The observation that followed."""
-    ending: dict[str, Any] | None
+    ending: Row | None
     """None while the episode runs; else its ``seed``, ``outcome`` and metrics."""
 
 
@@ -58,7 +64,7 @@ class Played:
     """(T,)"""
     rewards: NDArray[np.float64]
     """(T,)"""
-    ending: dict[str, Any]
+    ending: Row
 
     def steps(self) -> Iterator[Step]:
         """The decisions in turn."""
@@ -75,6 +81,9 @@ class Collector(Protocol):
     def episode(self) -> Iterator[Step]:
         """The decisions of one episode, to its end."""
 
+    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
+        """Play an episode of each seed greedily, without exploration; ``own`` does so here."""
+
     def outstanding(self) -> list[Order]:
         """Orders that were given and are not yet played, oldest first."""
 
@@ -85,6 +94,8 @@ class Collector(Protocol):
 class Crew(Protocol):
     """Workers that play orders."""
 
+    count: int
+    """Workers."""
     capacity: int
     """Orders that keep all workers busy."""
 
@@ -93,6 +104,9 @@ class Crew(Protocol):
 
     def take(self) -> tuple[Order, Played | None]:
         """Wait for an order and what became of it: None if its worker died."""
+
+    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
+        """Hand each worker its share of the seeds; does not wait. One share a worker."""
 
     def outstanding(self) -> list[Order]:
         """Orders handed over and not yet taken, oldest first."""
@@ -116,7 +130,7 @@ class InProcess:
         """Each decision is made when it is asked for."""
         seed = self._next_seed()
         observation, _ = self._env.reset(seed=seed)
-        ending: dict[str, Any] | None = None
+        ending: Row | None = None
         while ending is None:
             action = self._act(observation)
             following, reward, terminated, truncated, info = self._env.step(action)
@@ -124,6 +138,10 @@ class InProcess:
                 ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
             yield Step(observation, action, reward, following, ending)
             observation = following
+
+    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
+        """All are played here."""
+        return own(seeds)
 
     def outstanding(self) -> list[Order]:
         """None."""
@@ -163,6 +181,17 @@ class Pipelined:
             elif self._taken(order):
                 break
         yield from played.steps()
+
+    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
+        """Shared out evenly among the crew and this process."""
+        shares = [seeds[start :: self._crew.count + 1] for start in range(self._crew.count + 1)]
+        waiting = self._crew.judge(weights, shares[1:])
+        rows = own(shares[0])
+        for share, judged in zip(shares[1:], waiting, strict=True):
+            found = judged()
+            rows += own(share) if found is None else found
+        place = {seed: index for index, seed in enumerate(seeds)}
+        return sorted(rows, key=lambda row: place[row["seed"]])
 
     def outstanding(self) -> list[Order]:
         """What the crew has yet to hand over."""

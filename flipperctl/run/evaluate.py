@@ -64,13 +64,15 @@ def evaluate(
 
 
 def _result(workers: Workers, job: Job, index: int) -> dict[str, Any]:
-    """The row of an episode; once more if its worker died, since equal seeds give equal rows."""
-    try:
-        row: dict[str, Any] = workers.result(job)
-    except WorkerDiedError:
-        _log.warning("a worker died and is replaced; episode %d is played again", index)
-        row = workers.result(workers.submit(_episode, index))
-    return row
+    """The row of an episode; played again if its worker died, since equal seeds give equal rows."""
+    for _ in range(workers.count + 2):  # all may have died at once
+        try:
+            row: dict[str, Any] = workers.result(job)
+            return row
+        except WorkerDiedError:
+            _log.warning("a worker died and is replaced; episode %d is played again", index)
+            job = workers.submit(_episode, index)
+    raise FlipperctlError(f"episode {index} of the evaluation killed its worker again and again")
 
 
 _player: Player | FlipperctlError | None = None  # one a worker process

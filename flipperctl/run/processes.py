@@ -12,14 +12,15 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from flipperctl.errors import FlipperctlError
-from flipperctl.run.collect import Order, Played
+from flipperctl.run.collect import Judged, Order, Played, Row, Weights
 
 _ACTOR = "flipperctl.run.actor"
 _DEATHS = 3
@@ -140,6 +141,7 @@ class ProcessCrew:
     """Actors in ``count`` processes; results come in the order of the orders."""
 
     def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        self.count = count
         self.capacity = 2 * count  # one is waiting while the other is played
         self._workers = Workers(count, _begin, (config, plugin_paths))
         self._sent: deque[tuple[Order, Job]] = deque()
@@ -155,6 +157,18 @@ class ProcessCrew:
             return order, self._workers.result(job)
         except WorkerDiedError:
             return order, None
+
+    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
+        """Each share goes to the worker that has the least to do."""
+        jobs = [self._workers.submit(_judge, weights, share) for share in shares]
+        return [partial(self._judged, job) for job in jobs]
+
+    def _judged(self, job: Job) -> list[Row] | None:
+        try:
+            rows: list[Row] = self._workers.result(job)
+        except WorkerDiedError:
+            return None
+        return rows
 
     def outstanding(self) -> list[Order]:
         """Orders sent and not taken."""
@@ -178,8 +192,17 @@ def _begin(config: dict[str, Any], plugin_paths: list[str]) -> None:
         _actor = error
 
 
-def _play(order: Order) -> Played:
+def _ready() -> Any:
     if isinstance(_actor, FlipperctlError):
         raise _actor
-    played: Played = _actor.play(order)
+    return _actor
+
+
+def _play(order: Order) -> Played:
+    played: Played = _ready().play(order)
     return played
+
+
+def _judge(weights: Weights, seeds: Sequence[int]) -> list[Row]:
+    rows: list[Row] = _ready().judge(weights, seeds)
+    return rows

@@ -7,12 +7,14 @@ where there is room. The weights go out once per version, whatever the number of
 from __future__ import annotations
 
 import socket
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from flipperctl.config import RayCollector
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
-from flipperctl.run.collect import Order, Played, Weights
+from flipperctl.run.collect import Judged, Order, Played, Weights
 
 _DEPTH = 2
 """Orders a worker: one is waiting while the other is played."""
@@ -46,6 +48,7 @@ class RayCrew:
         self._actors: list[Any] = [
             actor.remote(config, plugin_paths) for _ in range(settings.workers)
         ]
+        self.count = settings.workers
         self.capacity = _DEPTH * settings.workers
         self._sent: dict[Any, tuple[Order, int]] = {}  # by the reference of what will be played
         self._shared: tuple[Weights | None, Any] = (None, None)
@@ -64,7 +67,6 @@ class RayCrew:
 
     def take(self) -> tuple[Order, Played | None]:
         """The first order that is ready, and its episode."""
-        errors = self._ray.exceptions
         ready, _ = self._ray.wait(list(self._sent), timeout=self._settings.patience)
         if not ready:
             raise FlipperctlError(
@@ -73,12 +75,29 @@ class RayCrew:
                 f"({self._settings.workers})?"
             )
         order, _ = self._sent.pop(ready[0])
+        return order, self._get(ready[0])
+
+    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
+        """A share an actor."""
+        shared = self._ray.put(dict(weights))
+        pairs = zip(self._actors, shares, strict=True)
+        references = [actor.judge.remote(shared, share) for actor, share in pairs]
+        return [partial(self._get, reference) for reference in references]
+
+    def _get(self, reference: Any) -> Any:
+        """What a call returned; None if its actor, or what it returned, was lost."""
+        errors = self._ray.exceptions
         try:
-            return order, self._ray.get(ready[0])
+            return self._ray.get(reference, timeout=self._settings.patience)
         except errors.RayTaskError as error:
             raise error.as_instanceof_cause() from None
-        except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError):
-            return order, None
+        except (
+            errors.RayActorError,
+            errors.ObjectLostError,
+            errors.WorkerCrashedError,
+            errors.GetTimeoutError,
+        ):
+            return None
 
     def outstanding(self) -> list[Order]:
         """Orders sent and not taken."""

@@ -20,14 +20,14 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.config import TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.run import checkpoint
-from flipperctl.run.collect import Collector, Crew, InProcess, Order, Pipelined, Weights
+from flipperctl.run.collect import Collector, Crew, InProcess, Order, Pipelined, Row, Weights
 from flipperctl.run.files import write_json
 from flipperctl.run.policy import QPolicy
 from flipperctl.run.processes import ProcessCrew
@@ -110,12 +110,12 @@ class Trainer:
                 started = self.decision
                 self._episode(collector)
                 if self.decision // every.validate_every > started // every.validate_every:
-                    self._validate()
+                    self._validate(collector)
                 if self.decision // every.checkpoint_every > started // every.checkpoint_every:
                     self.save(collector.outstanding())
             finished = self.decision >= every.decisions
             if finished and (not self.validations or self.last_validated != self.decision):
-                self._validate()
+                self._validate(collector)
             self.save(collector.outstanding())
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
@@ -155,7 +155,7 @@ class Trainer:
 
     def _order(self) -> Order:
         if self._weights is None or self._weights[0] != self.updates:
-            self._weights = (self.updates, self.agent.weights())
+            self._weights = (self.updates, arrays(self.agent.online))
         episode = self.started
         seed = self._next_seed()
         return Order(episode, seed, self.epsilon, self.decision, *self._weights)
@@ -174,7 +174,7 @@ class Trainer:
         config, replay, agent = self.config, self.replay, self.config.agent
         sample, together = self._generators["sample"], agent.updates_together
         period = agent.update_every * together
-        ending: dict[str, Any] | None = None
+        ending: Row | None = None
         for step in collector.episode():
             ending = step.ending
             goes_on = ending is not None and ending["outcome"] in agent.bootstrap_outcomes
@@ -200,17 +200,18 @@ class Trainer:
         self.recent.append(ending["outcome"] == Outcome.REACHED)
         self._tell("episode", {"lag": self._lag, **ending})
 
-    def _validate(self) -> None:
+    def _validate(self, collector: Collector) -> None:
         settings = self.config.train
-        policy = QPolicy(self.agent.policy)
-        rows = [
-            play(
-                self._validation_env,
-                policy,
-                episode_seed("validation", settings.validation_seed, index),
-            )
+        stream = [
+            episode_seed("validation", settings.validation_seed, index)
             for index in range(settings.validation_episodes)
         ]
+        policy = QPolicy(self.agent.policy)
+
+        def own(seeds: Sequence[int]) -> list[Row]:
+            return [play(self._validation_env, policy, seed) for seed in seeds]
+
+        rows = collector.judge(arrays(self.agent.policy), stream, own)
         good = reached(rows)
         names = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         # Means over the episodes that reached the finish, as the paper measures; of all, if none.
