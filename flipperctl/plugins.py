@@ -44,14 +44,18 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
         if entry.value not in _loaded:
             _importing(entry.value, f"entry point {entry.name!r}", None, entry.load)
-    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
-    named += [str(Path(p).absolute()) for p in paths]
+    named = [*given(), *(str(Path(p).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
         for file in _files(Path(path)):
             _load_file(file)
     if named:
         os.environ[VARIABLE] = os.pathsep.join(named)
+
+
+def given() -> list[str]:
+    """The paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
+    return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
 
 
 def _files(path: Path) -> list[Path]:
