@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
 _TARGET = "hydra_plugins.flipperctl.OptunaSweeper"
-_STOPPED = "stopped"  # marks a trial that was killed or interrupted; it is drawn again
+_FAILED = "failed"  # marks a trial whose training failed of itself; Optuna's own FAIL means less
 
 
 def offer() -> None:
@@ -158,7 +158,8 @@ class OptunaSweeper(Sweeper):
             value = job.return_value
         except Exception as error:  # noqa: BLE001 (a job may fail in any way)
             if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
-                study.tell(trial, state=TrialState.FAIL)  # a result: these settings do not work
+                trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
+                study.tell(trial, state=TrialState.FAIL)
                 _say(f"trial {trial.number} failed: {error}")
                 return None
             _stop(study, trial.number)
@@ -171,8 +172,8 @@ class OptunaSweeper(Sweeper):
         study.tell(trial, value)
         best = study.best_trial
         _say(
-            f"trial {trial.number}: objective {value:.4f}; "
-            f"best {best.value:.4f} (trial {best.number})"
+            f"trial {trial.number}: objective {value:.5f}; "
+            f"best {best.value:.5f} (trial {best.number})"
         )
         return None
 
@@ -190,7 +191,7 @@ class OptunaSweeper(Sweeper):
         OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
         drawn = " ".join(f"{key}={value}" for key, value in best.params.items())
         _say(
-            f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.4f}.\n"
+            f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.5f}.\n"
             f"Evaluate: flipperctl eval --checkpoint {best.user_attrs['run']}"
         )
 
@@ -200,16 +201,15 @@ def _finished(study: Study) -> list[FrozenTrial]:
     return [
         trial
         for trial in study.get_trials(deepcopy=False)
-        if trial.state.is_finished() and _STOPPED not in trial.user_attrs
+        if trial.value is not None or _FAILED in trial.user_attrs
     ]
 
 
 def _stop(study: Study, number: int) -> None:
-    from optuna.trial import Trial, TrialState
+    """Close a trial that was killed or interrupted; it does not count and is drawn again."""
+    from optuna.trial import TrialState
 
-    trial = Trial(study, study.trials[number]._trial_id)
-    trial.set_user_attr(_STOPPED, True)
-    study.tell(trial, state=TrialState.FAIL)
+    study.tell(number, state=TrialState.FAIL)
 
 
 def _say(text: str) -> None:
