@@ -77,7 +77,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
 
     from flipperctl import plugins as loader
     from flipperctl.cli import compose, sweeper
-    from flipperctl.errors import FlipperctlError
+    from flipperctl.errors import FlipperctlError, InterruptedRunError
     from flipperctl.run.files import failure
 
     compose.offer_defaults()
@@ -109,6 +109,10 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     try:
         with compose.translated(), _full_errors():
             application()
+    except KeyboardInterrupt as error:  # while worker processes train
+        raise InterruptedRunError(
+            "interrupted; a run that had saved goes on with: flipperctl train --resume RUN"
+        ) from error
     except OSError as error:
         if error.filename is None:
             raise
