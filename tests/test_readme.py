@@ -46,7 +46,8 @@ def smaller(command: list[str]) -> list[str]:
     """The same command with a budget for a test; a later override wins."""
     if command[0] == "train" and "--cfg" not in command:
         resumed = "--resume" in command
-        return [*command, *(["train.decisions=310"] if resumed else QUICK)]
+        trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
+        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials]
     if command[0] == "eval":
         return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
     return command

@@ -11,12 +11,12 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
-from typing import Any
+from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.errors import (
     ConfigCompositionException,
     HydraException,
@@ -28,6 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
 from flipperctl.api import registry
+<<<<<<< HEAD
 from flipperctl.config import (
     EnvConfig,
     EvalConfig,
@@ -38,11 +39,20 @@ from flipperctl.config import (
     parse,
 )
 from flipperctl.errors import ConfigError, FlipperctlError
+=======
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container, parse
+from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+>>>>>>> sweep
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # the terrain of a checkpoint, as a group entry
+<<<<<<< HEAD
 _GROUP_KEYS = ("terrain", "rewards", "network", "collector")
+=======
+_LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
+_PLUGIN_KEYS = ("terrain", "rewards", "network")
+>>>>>>> sweep
 
 
 def offer_defaults() -> None:
@@ -139,6 +149,24 @@ def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
         yield list(combination)
 
 
+def interval_probes(overrides: Sequence[str]) -> list[list[str]]:
+    """For each interval among the overrides: its ends and a value between, each set on its own.
+
+    The value between finds intervals of real numbers for settings that are whole.
+    """
+    with translated():
+        parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
+    found = []
+    for override in parsed:
+        interval = override.value()
+        if isinstance(interval, IntervalSweep):
+            start, end = cast("tuple[float, float]", (interval.start, interval.end))
+            whole = isinstance(start, int) and isinstance(end, int)
+            between = start if whole else start + 0.3819 * (end - start)
+            found += [[f"{override.get_key_element()}={x}"] for x in (start, end, between)]
+    return found
+
+
 @contextmanager
 def translated() -> Iterator[None]:
     """Turn Hydra's and OmegaConf's errors into one of ours, in one line."""
@@ -169,12 +197,18 @@ def _flat(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _missing(error: MissingConfigException) -> ConfigError:
+def _missing(error: MissingConfigException) -> RequestError:
     group, _, option = str(error.missing_cfg_file or "").rpartition("/")
     group, option = group.strip("/"), option.removesuffix(".yaml")
     options = [o for o in (error.options or plugins.names(group)) if not o.startswith("_")]
     if not group:
         return ConfigError(_flat(error))
+    if group == "hydra/launcher" and option in _LAUNCHER_EXTRAS:
+        extra = _LAUNCHER_EXTRAS[option]
+        return MissingExtraError(
+            f"{group}={option} needs the package hydra-{extra}-launcher; "
+            f"install flipperctl[{extra}]"
+        )
     what = f"{group} plugin" if plugins.names(group) else group
     return ConfigError(
         f"{group}: there is no {what} {option!r}{close_match(option, options)}; "

@@ -75,23 +75,27 @@ def train(
 def _hydra(arguments: list[str], *, check: bool) -> None:
     import hydra
 
-    from flipperctl.cli import compose
-    from flipperctl.errors import FlipperctlError
+    from flipperctl import plugins as loader
+    from flipperctl.cli import compose, sweeper
+    from flipperctl.errors import FlipperctlError, InterruptedRunError
     from flipperctl.run.files import failure
 
     compose.offer_defaults()
+    sweeper.offer()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if check and not any(a.startswith("-") for a in overrides):
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
-        for config in compose.compose_train(own):  # before Hydra makes a directory
-            _check_device(config)
+        for probe in ([], *compose.interval_probes(own)):
+            for config in compose.compose_train([*own, *probe]):  # before Hydra makes a directory
+                _check_device(config)
     errors: list[FlipperctlError] = []
+    paths = loader.given()  # a worker on a running cluster has another environment
 
     def task(composed: Any) -> float | None:
         try:
-            return _task(composed)
+            return _task(composed, paths)
         except FlipperctlError as error:
             if several:
                 raise
@@ -105,14 +109,27 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     try:
         with compose.translated(), _full_errors():
             application()
+    except KeyboardInterrupt as error:  # while worker processes train
+        raise InterruptedRunError(
+            "interrupted; a run that had saved goes on with: flipperctl train --resume RUN"
+        ) from error
     except OSError as error:
         if error.filename is None:
             raise
         raise failure(Path(error.filename), error) from error
     finally:
         sys.argv = given
+        if several:
+            _shut_ray_down()
     if errors:
         raise errors[0]
+
+
+def _shut_ray_down() -> None:
+    """Hydra's launcher leaves Ray running for as long as this process lives."""
+    ray = sys.modules.get("ray")
+    if ray is not None and ray.is_initialized():
+        ray.shutdown()
 
 
 def _full_errors() -> Any:
@@ -123,19 +140,20 @@ def _full_errors() -> Any:
     return patch.dict(os.environ, HYDRA_FULL_ERROR="1")
 
 
-def _task(composed: Any) -> float | None:
+def _task(composed: Any, paths: list[str]) -> float | None:
     """One job of Hydra's; in a launcher's worker process the plugins are loaded anew."""
     from hydra.core.hydra_config import HydraConfig
 
     from flipperctl import plugins as loader
     from flipperctl.cli.compose import validated
+    from flipperctl.cli.search import objective
     from flipperctl.cli.training import start
 
-    loader.load()
+    loader.load(paths)
     config = validated(composed)
     _check_device(config)
     best = start(config, Path(HydraConfig.get().runtime.output_dir))["best"]
-    return best and float(best["success_rate"])
+    return objective(best, config.train.validation_episodes)
 
 
 def _check_device(config: TrainConfig) -> None:

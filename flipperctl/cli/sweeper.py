@@ -1,0 +1,216 @@
+"""``hydra/sweeper=optuna``: a search over intervals and lists that goes on after any stop.
+
+In: overrides, of which some are ``interval(…)``, ``tag(log,interval(…))`` or lists. Out: one
+training for each trial, the study in ``storage``, ``optimization_results.yaml`` in the sweep's
+folder. Optuna proposes, Hydra's launcher trains. (Hydra's own plugin, hydra-optuna-sweeper 1.3,
+needs an Optuna before 3, whose storage fails with SQLAlchemy 2; started again, it repeats every
+trial.)
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn
+from hydra.plugins.launcher import Launcher
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+from pydantic import ValidationError
+
+from flipperctl.cli.search import SearchSettings, search_space
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    RequestError,
+)
+from flipperctl.messages import explain
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.trial import FrozenTrial, Trial
+
+_TARGET = "hydra_plugins.flipperctl.OptunaSweeper"
+_FAILED = "failed"  # marks a trial whose training failed of itself; Optuna's own FAIL means less
+
+
+def offer() -> None:
+    """Make ``hydra/sweeper=optuna`` known to Hydra."""
+    # Hydra finds sweepers by this name alone, and only below hydra_plugins; the class stays here,
+    # so that worker processes can import it.
+    Plugins.instance().class_name_to_class[_TARGET] = OptunaSweeper
+    node = {"_target_": _TARGET, **SearchSettings().model_dump()}
+    ConfigStore.instance().store(group="hydra/sweeper", name="optuna", node=node)
+
+
+class OptunaSweeper(Sweeper):
+    """Asks Optuna for trials until the study has ``n_trials`` finished ones.
+
+    The proposals depend on the seed and on the finished trials only, so a search that was stopped
+    and started again finds what an uninterrupted one finds.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        self.given = settings  # checked in setup: Hydra rewords what is raised here
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Called by Hydra before ``sweep``.
+
+        Raises:
+            MissingExtraError: Optuna is not installed.
+            ConfigError: a setting is of the wrong type or out of bounds.
+        """
+        try:
+            import optuna
+        except ImportError as error:
+            raise MissingExtraError(
+                "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+            ) from error
+        try:
+            self.settings = SearchSettings(**self.given)
+        except ValidationError as error:
+            raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.config, self.hydra_context = config, hydra_context
+        self.folder = Path(config.hydra.sweep.dir)
+        self.launcher: Launcher = Plugins.instance().instantiate_launcher(
+            config=config, hydra_context=hydra_context, task_function=task_function
+        )
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Train trial after trial; ``arguments`` are the user's overrides."""
+        space, fixed = search_space(arguments)
+        study = self._study(arguments)
+        for trial in study.get_trials(deepcopy=False):
+            if not trial.state.is_finished():  # of a process that was killed
+                _stop(study, trial.number)
+        if known := len(_finished(study)):
+            _say(f"the study {study.study_name!r} has {known} finished trials already")
+        while (count := len(_finished(study))) < self.settings.n_trials:
+            study.sampler = self._sampler(count)
+            size = min(self.settings.n_jobs, self.settings.n_trials - count)
+            trials = [study.ask(space) for _ in range(size)]
+            jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
+            returns = self.launcher.launch(jobs, initial_job_idx=trials[0].number)
+            self._tell_all(study, trials, returns)
+        self._conclude(study)
+
+    def _study(self, arguments: Sequence[str]) -> Study:
+        import optuna
+        from sqlalchemy.exc import SQLAlchemyError
+
+        name, storage = self.settings.study_name, self.settings.storage
+        try:
+            study = optuna.create_study(
+                storage=storage, study_name=name, direction="maximize", load_if_exists=True
+            )
+        except (SQLAlchemyError, ImportError, ValueError) as error:
+            reason = " ".join(str(error).split("\n(Background")[0].split())
+            raise ConfigError(
+                f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
+                "a database URL is allowed, as in sqlite:///search.db"
+            ) from error
+        asked = sorted(arguments)
+        searched = study.user_attrs.get("overrides", asked)
+        if searched != asked:
+            raise ConfigError(
+                f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
+                f"{' '.join(searched)}; give the same overrides, or another study_name"
+            )
+        study.set_user_attr("overrides", asked)
+        return study
+
+    def _sampler(self, count: int) -> Any:
+        from optuna.samplers import RandomSampler, TPESampler
+
+        seed = int(np.random.SeedSequence([self.settings.seed, count]).generate_state(1)[0])
+        return (TPESampler if self.settings.sampler == "tpe" else RandomSampler)(seed=seed)
+
+    def _tell_all(
+        self, study: Study, trials: Sequence[Trial], returns: Sequence[JobReturn]
+    ) -> None:
+        problems = [
+            self._tell(study, trial, job) for trial, job in zip(trials, returns, strict=True)
+        ]
+        for problem in filter(None, problems):
+            if self.settings.storage and isinstance(problem, InterruptedRunError):
+                done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
+                raise InterruptedRunError(
+                    f"interrupted; {done}. The same command goes on with the search"
+                ) from problem
+            raise problem
+
+    def _tell(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
+        """Record what became of a trial; returns the error that stops the search, if any."""
+        from optuna.trial import TrialState
+
+        try:
+            value = job.return_value
+        except Exception as error:  # noqa: BLE001 (a job may fail in any way)
+            if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
+                trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
+                study.tell(trial, state=TrialState.FAIL)
+                _say(f"trial {trial.number} failed: {error}")
+                return None
+            _stop(study, trial.number)
+            return error
+        if value is None:
+            _stop(study, trial.number)
+            return RequestError("train.validate_every: a search needs a validation in each run")
+        composed: Any = job.hydra_cfg
+        trial.set_user_attr("run", str(composed.hydra.runtime.output_dir))
+        study.tell(trial, value)
+        best = study.best_trial
+        _say(
+            f"trial {trial.number}: objective {value:.5f}; "
+            f"best {best.value:.5f} (trial {best.number})"
+        )
+        return None
+
+    def _conclude(self, study: Study) -> None:
+        if not any(trial.value is not None for trial in _finished(study)):
+            raise FlipperctlError("every trial of the search failed; see the messages above")
+        best = study.best_trial
+        results = {
+            "name": "optuna",
+            "best_params": best.params,
+            "best_value": best.value,
+            "best_run": best.user_attrs["run"],
+        }
+        self.folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
+        drawn = " ".join(f"{key}={value}" for key, value in best.params.items())
+        _say(
+            f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.5f}.\n"
+            f"Evaluate: flipperctl eval --checkpoint {best.user_attrs['run']}"
+        )
+
+
+def _finished(study: Study) -> list[FrozenTrial]:
+    """The trials that count: trained to their end, or failed of themselves."""
+    return [
+        trial
+        for trial in study.get_trials(deepcopy=False)
+        if trial.value is not None or _FAILED in trial.user_attrs
+    ]
+
+
+def _stop(study: Study, number: int) -> None:
+    """Close a trial that was killed or interrupted; it does not count and is drawn again."""
+    from optuna.trial import TrialState
+
+    study.tell(number, state=TrialState.FAIL)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

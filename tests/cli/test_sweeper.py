@@ -1,0 +1,129 @@
+"""The search: what is drawn, what counts, and that stopping it changes nothing."""
+
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pytest
+from hydra.core.utils import JobReturn, JobStatus
+from omegaconf import OmegaConf
+
+from flipperctl.cli.search import SearchSettings, objective, search_space
+from flipperctl.cli.sweeper import OptunaSweeper
+from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
+
+DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
+
+
+class Launcher:
+    """Stands for Hydra's: a training whose success is its learning rate."""
+
+    def __init__(self, fails: dict[int, BaseException] | None = None) -> None:
+        self.fails = fails or {}
+        self.jobs: list[dict[str, str]] = []
+
+    def launch(self, jobs: list[list[str]], initial_job_idx: int) -> list[JobReturn]:
+        return [self.train(job, initial_job_idx + i) for i, job in enumerate(jobs)]
+
+    def train(self, job: list[str], number: int) -> JobReturn:
+        error = self.fails.get(number)
+        if error is not None and not isinstance(error, Exception):
+            raise error  # as if the process had been killed
+        drawn = dict(override.split("=") for override in job)
+        self.jobs.append(drawn)
+        done = JobReturn(status=JobStatus.FAILED if error else JobStatus.COMPLETED)
+        done.return_value = error or float(drawn["agent.learning_rate"])
+        done.hydra_cfg = OmegaConf.create({"hydra": {"runtime": {"output_dir": f"run{number}"}}})
+        return done
+
+
+def search(
+    folder: Path, overrides: list[str] = DRAWN, fails: dict[int, Any] | None = None, **settings: Any
+) -> tuple[list[dict[str, str]], list[optuna.trial.FrozenTrial]]:
+    """The jobs of this start, and all trials of the study."""
+    storage = f"sqlite:///{folder}/search.db"
+    sweeper = OptunaSweeper()
+    sweeper.settings = SearchSettings(storage=storage, **settings)
+    sweeper.launcher, sweeper.folder = Launcher(fails), folder
+    sweeper.sweep(overrides)
+    return sweeper.launcher.jobs, trials(folder)
+
+
+def trials(folder: Path) -> list[optuna.trial.FrozenTrial]:
+    return optuna.load_study(study_name="search", storage=f"sqlite:///{folder}/search.db").trials
+
+
+def drawn(found: list[optuna.trial.FrozenTrial]) -> list[dict[str, Any]]:
+    return [trial.params for trial in found if trial.value is not None]
+
+
+def test_a_search_that_was_killed_finds_what_an_uninterrupted_one_finds(tmp_path: Path) -> None:
+    for name in ("whole", "killed"):
+        (tmp_path / name).mkdir()
+    _, whole = search(tmp_path / "whole", n_trials=14)
+    with pytest.raises(KeyboardInterrupt):
+        search(tmp_path / "killed", fails={12: KeyboardInterrupt()}, n_trials=14)
+    jobs, killed = search(tmp_path / "killed", n_trials=14)
+    assert len(jobs) == 2  # twelve were finished and count
+    assert drawn(killed) == drawn(whole)  # tpe learns from the tenth trial on
+    assert search(tmp_path / "killed", n_trials=14)[0] == []
+
+
+def test_more_trials_go_on_and_the_best_is_written(tmp_path: Path) -> None:
+    search(tmp_path, n_trials=2)
+    jobs, found = search(tmp_path, n_trials=5, n_jobs=2)
+    assert (len(jobs), len(found)) == (3, 5)
+    best = max(found, key=lambda trial: trial.params["agent.learning_rate"])
+    written = OmegaConf.load(tmp_path / "optimization_results.yaml")
+    assert written.best_params == best.params
+    assert written.best_run == f"run{best.number}"
+
+
+def test_a_training_that_diverges_is_a_result(tmp_path: Path) -> None:
+    jobs, found = search(tmp_path, fails={1: NonFiniteError("loss: nan")}, n_trials=3)
+    assert len(jobs) == 3
+    assert [trial.state.name for trial in found] == ["COMPLETE", "FAIL", "COMPLETE"]
+
+
+def test_when_every_trial_fails_the_work_failed(tmp_path: Path) -> None:
+    with pytest.raises(FlipperctlError, match="every trial"):
+        search(tmp_path, fails={0: NonFiniteError("loss: nan")}, n_trials=1)
+
+
+def test_a_wrong_request_stops_the_search_at_once(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"agent\.gamma"):
+        search(tmp_path, fails={1: ConfigError("agent.gamma: …")}, n_trials=3)
+    with pytest.raises(InterruptedRunError, match="1 of 3 trials are finished"):
+        search(tmp_path, fails={2: InterruptedRunError("…")}, n_trials=3)
+
+
+def test_one_study_holds_one_search(tmp_path: Path) -> None:
+    search(tmp_path, n_trials=1)
+    with pytest.raises(ConfigError, match="another study_name"):
+        search(tmp_path, [*DRAWN, "seed=2"], n_trials=1)
+
+
+def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
+    interval = ["agent.gamma=interval(0.9,0.99)", "agent.batch_size=int(interval(32,64))"]
+    space, fixed = search_space([*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"])
+    assert fixed == ["seed=3", "~rewards.pitch"]
+    assert space == {
+        "agent.gamma": optuna.distributions.FloatDistribution(0.9, 0.99),
+        "agent.batch_size": optuna.distributions.IntDistribution(32, 64),
+        "network": optuna.distributions.CategoricalDistribution(["mlp", "at_d3qn"]),
+    }
+    with pytest.raises(ConfigError, match="nothing to draw"):
+        search_space(["seed=3"])
+
+
+def test_the_objective_orders_by_success_and_then_by_swing() -> None:
+    def value(success: float, swing: float) -> float:
+        found = objective({"success_rate": success, "pitch_variation": swing}, 40)
+        assert found is not None
+        return found
+
+    assert value(1.0, 1.0) == pytest.approx(1 - 0.5 / 40)
+    assert value(1.0, 0.0) == 1
+    assert value(1.0, 0.5) > value(1.0, 1.0) > value(39 / 40, 0.0) > value(38 / 40, 0.0)
+    assert value(1 / 40, 1e6) > value(0.0, 0.0)
+    assert objective(None, 40) is None

@@ -1,0 +1,148 @@
+"""Sweeps beyond one process: each launcher trains with a plugin file, where the basic one would."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import optuna
+import pytest
+from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
+
+from flipperctl.run import checkpoint
+from tests.cli.call import RUN, Done, call
+
+QUICK = [f"{key}={value}" for key, value in RUN.items()]
+RAY = [
+    "hydra/launcher=ray",
+    "hydra.launcher.ray.init.address=local",  # not a cluster that happens to run here
+    "+hydra.launcher.ray.init.num_cpus=2",
+    "+hydra.launcher.ray.init.include_dashboard=false",
+]
+SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
+RATE = "agent.learning_rate=tag(log,interval(1e-4,3e-3))"
+
+FLOOR = '''
+import numpy as np
+from flipperctl.api import Profile, Terrain, terrain
+from flipperctl.errors import NonFiniteError
+
+@terrain("floor")
+class Floor(Terrain):
+    """A floor, or an error."""
+    broken: bool = False
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        if self.broken:
+            raise NonFiniteError("the floor is broken")
+        return Profile([(0, 0), (0.1, 0)])
+'''
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a plugin file."""
+    (tmp_path / "floor.py").write_text(FLOOR)
+    return tmp_path
+
+
+def sweep(folder: Path, *arguments: str) -> Done:
+    return call("train", "-m", *QUICK, "--plugins", "floor.py", *arguments, cwd=folder)
+
+
+def runs(folder: Path) -> set[str]:
+    """The runs of the one sweep in ``folder`` that trained to their end."""
+    return {best.parents[1].name for best in folder.glob(f"runs/multirun/*/*/{checkpoint.BEST}")}
+
+
+def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
+    options = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    done = sweep(folder, "terrain=floor", "seed=1,2", *options)
+    assert done.code == 0, done.err
+    assert runs(folder) == {"0_floor_seed1", "1_floor_seed2"}
+
+
+def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> None:
+    combinations = ["terrain=floor", "terrain.broken=false,true", "seed=3"]
+    done = sweep(folder, *combinations, *RAY)
+    assert done.code == 1
+    assert done.err.splitlines()[-1] == "error: the floor is broken"
+    assert "Traceback" not in done.err
+    assert runs(folder) == {"0_floor_seed3"}
+    assert not sys.modules["ray"].is_initialized()
+
+
+def test_a_launcher_that_is_not_installed_names_its_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Plugins.instance()  # has read the installed launchers once and for all
+    for launcher in ("joblib", "ray"):
+        monkeypatch.delitem(ConfigStore.instance().repo["hydra"]["launcher"], f"{launcher}.yaml")
+        done = sweep(folder, "terrain=floor", f"hydra/launcher={launcher}")
+        assert done.code == 2
+        assert f"flipperctl[{launcher}]" in done.err
+        assert len(done.err.splitlines()) == 1
+
+
+def test_optuna_that_is_not_installed_names_its_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    done = sweep(folder, "terrain=floor", *SEARCH, RATE)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "flipperctl[optuna]" in done.err
+    assert not (folder / "runs").exists()
+
+
+def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) -> None:
+    command = ["terrain=floor", *SEARCH, RATE, "hydra.sweeper.n_trials=2"]
+    given = [*command, *QUICK, "--plugins", "floor.py"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "flipperctl", "train", "-m", *given],
+        cwd=folder,
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+    )
+    while not list(folder.glob("runs/multirun/*/1_floor_seed1/metrics.csv")):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait(timeout=60)
+    first, second = study(folder)
+    assert (first.state.name, second.state.name) == ("COMPLETE", "RUNNING")
+
+    done = sweep(folder, *command)
+    assert done.code == 0, done.err
+    assert "has 1 finished trials already" in done.err
+    same, killed, third = study(folder)
+    assert (same.value, same.params) == (first.value, first.params)
+    assert killed.state.name == "FAIL"
+    assert third.params == second.params
+    assert Path(third.user_attrs["run"]).name == "2_floor_seed1"
+    (results,) = folder.glob("runs/multirun/*/optimization_results.yaml")
+    assert "best_value" in results.read_text()
+
+
+def study(folder: Path) -> list[optuna.trial.FrozenTrial]:
+    return optuna.load_study(study_name="search", storage=f"sqlite:///{folder}/search.db").trials
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (["hydra.sweeper.n_trials=0"], ["hydra.sweeper.n_trials", "≥ 1"]),
+        (["hydra.sweeper.storage=sqlite:///no/x.db"], ["hydra.sweeper.storage", "no/x.db"]),
+        (["agent.gamma=interval(0.9,1.5)"], ["agent.gamma", "1.5"]),
+        (["agent.batch_size=interval(32,64)"], ["agent.batch_size", "integer"]),
+        (["hydra/launcher=joblip"], ["'joblip'", "'joblib'"]),
+    ],
+)
+def test_a_wrong_search_is_refused_before_it_starts(
+    wrong: list[str], words: list[str], folder: Path
+) -> None:
+    done = sweep(folder, "terrain=floor", *SEARCH, RATE, *wrong)
+    assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+    assert all(word in done.err for word in words)
+    assert not (folder / "runs").exists()
