@@ -44,11 +44,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
         if entry.value not in _loaded:
             _importing(entry.value, f"entry point {entry.name!r}", None, entry.load)
-<<<<<<< HEAD
-    named = [*extra_paths(), *(str(Path(p).absolute()) for p in paths)]
-=======
     named = [*given(), *(str(Path(p).absolute()) for p in paths)]
->>>>>>> sweep
     named = list(dict.fromkeys(named))
     for path in named:
         for file in _files(Path(path)):
@@ -57,13 +53,8 @@ def load(paths: Iterable[str | Path] = ()) -> None:
         os.environ[VARIABLE] = os.pathsep.join(named)
 
 
-<<<<<<< HEAD
-def extra_paths() -> list[str]:
-    """Files and folders of plugins beyond the installed ones, for processes elsewhere."""
-=======
 def given() -> list[str]:
     """The paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
->>>>>>> sweep
     return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
 
 

@@ -28,7 +28,6 @@ from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
 from flipperctl.api import registry
-<<<<<<< HEAD
 from flipperctl.config import (
     EnvConfig,
     EvalConfig,
@@ -38,21 +37,13 @@ from flipperctl.config import (
     container,
     parse,
 )
-from flipperctl.errors import ConfigError, FlipperctlError
-=======
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container, parse
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
->>>>>>> sweep
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # the terrain of a checkpoint, as a group entry
-<<<<<<< HEAD
-_GROUP_KEYS = ("terrain", "rewards", "network", "collector")
-=======
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_PLUGIN_KEYS = ("terrain", "rewards", "network")
->>>>>>> sweep
+_GROUP_KEYS = ("terrain", "rewards", "network", "collector")
 
 
 def offer_defaults() -> None:

@@ -53,7 +53,7 @@ def evaluate(
         player = Player(config, source, seed)
         yield from map(player.episode, range(episodes))
         return
-    arguments = (container(config.environment()), source, seed, plugins.extra_paths())
+    arguments = (container(config.environment()), source, seed, plugins.given())
     workers = Workers(min(jobs, episodes), _begin, arguments)
     try:
         waiting = deque(workers.submit(_episode, index) for index in range(episodes))

@@ -134,7 +134,7 @@ class Trainer:
         config = self.config
         if config.train.mode == "exact":
             return InProcess(FlipperEnv(config=config.environment()), self._act, self._next_seed)
-        document, paths = container(config), plugins.extra_paths()
+        document, paths = container(config), plugins.given()
         crew: Crew
         if config.collector.name == "ray":
             from flipperctl.run.ray_crew import RayCrew
