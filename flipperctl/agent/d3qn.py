@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from flipperctl.agent.adam import Adam
 from flipperctl.agent.losses import double_q_target, huber
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -96,9 +97,7 @@ class D3qn:
         # soft update are one operation each instead of one a layer.
         self._online, self._target = _joined(self.online), _joined(self.target)
         self._parameters = list(self.online.parameters())
-        self.optimiser = torch.optim.Adam(
-            [self._online], lr=torch.tensor(settings.learning_rate), fused=True
-        )
+        self.optimiser = Adam(self._online)
 
     @property
     def policy(self) -> torch.nn.Module:
@@ -123,9 +122,7 @@ class D3qn:
             NonFiniteError: a loss is not finite.
         """
         s = self.settings
-        self.optimiser.param_groups[0]["lr"].fill_(
-            linear(s.learning_rate, s.learning_rate_end, share)
-        )
+        rate = linear(s.learning_rate, s.learning_rate_end, share)
         batch = batch.to(self.device)
         with torch.no_grad():
             targets = double_q_target(
@@ -137,7 +134,7 @@ class D3qn:
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
-            value = self._step(batch.observation[part], batch.action[part], targets[part])
+            value = self._step(batch.observation[part], batch.action[part], targets[part], rate)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
@@ -145,29 +142,32 @@ class D3qn:
                 )
         return value
 
-    def _step(self, observation: torch.Tensor, action: torch.Tensor, target: torch.Tensor) -> float:
+    def _step(
+        self, observation: torch.Tensor, action: torch.Tensor, target: torch.Tensor, rate: float
+    ) -> float:
         taken = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
         loss = huber(taken, target)
+        value = float(loss.detach())
+        if not math.isfinite(value):
+            return value  # the caller raises; the weights stay whole
         gradients = torch.autograd.grad(loss, self._parameters)
         with torch.no_grad():
             gradient = torch.cat([g.reshape(-1) for g in gradients])
-            norm = torch.linalg.vector_norm(gradient)
-            shrink = (self.settings.gradient_norm / (norm + 1e-6)).clamp_(max=1.0)
-            self._online.grad = gradient.mul_(shrink)
-            self.optimiser.step()
+            norm = float(torch.linalg.vector_norm(gradient))
+            if norm > self.settings.gradient_norm:
+                gradient.mul_(self.settings.gradient_norm / norm)
+            self.optimiser.step(gradient, rate)
             self._target.lerp_(self._online, self.settings.target_rate)
-        return float(loss.detach())
+        return value
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that learning needs to go on: both networks and the optimiser's moments."""
         found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
         found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
-        for index, moments in self.optimiser.state_dict()["state"].items():
-            found |= {f"optimiser.{index}.{k}": v for k, v in moments.items()}
-        return found
+        return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
 
-    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
-        """Take back what ``tensors`` gave."""
+    def restore(self, tensors: dict[str, torch.Tensor], steps: int) -> None:
+        """Take back what ``tensors`` gave, after as many gradient steps."""
         parts: dict[str, dict[str, torch.Tensor]] = {"online": {}, "target": {}, "optimiser": {}}
         for name, tensor in tensors.items():
             part, _, key = name.partition(".")
@@ -175,9 +175,6 @@ class D3qn:
                 parts[part][key] = tensor
         self.online.load_state_dict(parts["online"])
         self.target.load_state_dict(parts["target"])
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, tensor in parts["optimiser"].items():
-            index, _, key = name.partition(".")
-            state.setdefault(int(index), {})[key] = tensor
-        groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": state, "param_groups": groups})
+        for name, moment in self.optimiser.moments.items():
+            moment.copy_(parts["optimiser"][name])
+        self.optimiser.steps = steps

@@ -46,15 +46,12 @@ class Workers:
 
     def __init__(self, count: int, begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
         self.count = count
-        # A fork server has torch imported once for all workers; elsewhere each does it itself.
-        ways = multiprocessing.get_all_start_methods()
-        self._context = multiprocessing.get_context(
-            "forkserver" if "forkserver" in ways else "spawn"
-        )
-        if "forkserver" in ways:
-            self._context.set_forkserver_preload(
-                ["flipperctl.run.actor", "flipperctl.sim.compiled"]
-            )
+        # A fork server imports torch once for all workers; for one worker it would only add to
+        # the memory.
+        several = count > 1 and "forkserver" in multiprocessing.get_all_start_methods()
+        self._context = multiprocessing.get_context("forkserver" if several else "spawn")
+        if several:
+            self._context.set_forkserver_preload([_ACTOR, "flipperctl.sim.compiled"])
         self._begin = (begin, arguments)
         self._pools = [self._pool() for _ in range(count)]
         self._deaths = [0] * count

@@ -26,6 +26,7 @@ from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.config import TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import CheckpointError
 from flipperctl.run import checkpoint
 from flipperctl.run.collect import Collector, Crew, InProcess, Order, Pipelined, Row, Weights
 from flipperctl.run.files import write_json
@@ -290,17 +291,22 @@ class Trainer:
     def restore(self, saved: checkpoint.Checkpoint) -> None:
         """Take back what ``save`` wrote."""
         state = saved.document["state"]
-        self.agent.restore(saved.tensors)
+        if "orders" not in state:
+            raise CheckpointError(
+                f"{saved.path} is of an earlier version: its policy can be judged and exported, "
+                "but the run cannot go on"
+            )
+        self.agent.restore(saved.tensors, state["updates"])
         arrays = {name: tensor.numpy() for name, tensor in saved.part("replay").items()}
         self.replay.restore(arrays, state["replay_added"])
         for name, generator in self._generators.items():
             generator.bit_generator.state = state["generators"][name]
         self.decision, self.episode = state["decision"], state["episode"]
-        self.started = state.get("started", self.episode)
-        self.lost, self.updates = state.get("lost", 0), state.get("updates", 0)
+        self.started, self.lost = state["started"], state["lost"]
+        self.updates = state["updates"]
         self.loss, self.seconds = state["loss"], state["seconds"]
         self._resumed = []
-        for episode, seed, epsilon, decision, version in state.get("orders", []):
+        for episode, seed, epsilon, decision, version in state["orders"]:
             weights = {n: t.numpy() for n, t in saved.part(f"weights{version}").items()}
             self._resumed.append(Order(episode, seed, epsilon, decision, version, weights))
         self.recent.extend(state["recent"])

@@ -10,7 +10,7 @@ import torch
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.replay import Batch
+from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
@@ -155,10 +155,25 @@ def test_rewards_are_scaled_inside_the_learner() -> None:
 
 
 def test_the_learning_rate_falls_with_the_share_of_the_run() -> None:
-    agent = learner(learning_rate=1e-3, learning_rate_end=2e-4)
+    # Adam's first step moves every weight with a gradient by the rate.
     for share, rate in [(0.0, 1e-3), (0.5, 6e-4), (1.0, 2e-4)]:
+        agent = learner(learning_rate=1e-3, learning_rate_end=2e-4)
+        before = weights(agent)
         agent.update(fixed_batch(), share)
-        assert [group["lr"] for group in agent.optimiser.param_groups] == pytest.approx([rate])
+        moved = max(float((w - before[n]).abs().max()) for n, w in weights(agent).items())
+        assert moved == pytest.approx(rate, rel=1e-3)
+
+
+def test_updates_together_equal_single_ones_where_no_target_depends_on_the_network() -> None:
+    together, alone = (learner(batch_size=8) for _ in range(2))
+    batch = dataclasses.replace(fixed_batch(16), discount=torch.zeros(16))
+    together.update(batch, 0.0)
+    for start in (0, 8):
+        part = {n: getattr(batch, n)[start : start + 8] for n in Replay.FIELDS}
+        alone.update(Batch(**part), 0.0)
+    theirs = weights(alone)
+    assert all(torch.equal(w, theirs[name]) for name, w in weights(together).items())
+    assert together.optimiser.steps == alone.optimiser.steps == 2
 
 
 @pytest.mark.parametrize("act_with", ["target", "online"])
@@ -171,7 +186,7 @@ def test_the_policy_is_the_network_that_the_settings_name(act_with: str) -> None
 def test_a_restored_learner_goes_on_as_the_saved_one() -> None:
     saved, other = learner(seed=1), learner(seed=2)
     saved.update(fixed_batch(), 0.0)
-    other.restore({name: tensor.clone() for name, tensor in saved.tensors().items()})
+    other.restore({name: tensor.clone() for name, tensor in saved.tensors().items()}, 1)
     assert saved.update(fixed_batch(), 0.1) == other.update(fixed_batch(), 0.1)
     again = weights(other)
     assert all(torch.equal(w, again[name]) for name, w in weights(saved).items())
