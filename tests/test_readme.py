@@ -42,6 +42,8 @@ def smaller(command: list[str]) -> list[str]:
     if command[0] == "train" and "--cfg" not in command:
         resumed = "--resume" in command
         return [*command, *(["train.decisions=310"] if resumed else QUICK)]
+    if command[0] == "bench":
+        return [*command, "--small"]
     if command[0] == "eval":
         return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
     return command

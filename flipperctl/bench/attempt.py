@@ -28,7 +28,7 @@ class Attempt:
     """``decision``, ``seconds`` since the start, ``success_rate``."""
     validating: float = 0.0
     """Time spent in validations [s]."""
-    begun: float = field(default_factory=time.perf_counter)
+    begun: float = field(default_factory=lambda: time.perf_counter())
 
     @property
     def elapsed(self) -> float:

@@ -66,7 +66,7 @@ def measure(bench: Bench) -> dict[str, Any]:
         details: dict[str, Any] = {"checkpoint_size": {"unit": "B", "value": last.stat().st_size}}
         try:
             took = _milliseconds(lambda: export(saved, "onnx", policy))
-            exports = in_turn({"e": took}, min(3, s.repeats), _part(bench, "export", 0.2, 0.4))
+            exports = in_turn({"e": took}, max(1, s.repeats // 3), _part(bench, "export", 0.2, 0.4))
             quantities["onnx_export"] = quantity(exports["e"], "ms")
             rounds = []
             for index in range(s.repeats):

@@ -18,7 +18,7 @@ SMALL: Mapping[str, Any] = {
     "batch_sizes": (32,),
     "transitions": 300,
     "seeds": 1,
-    "limit": 4.0,
+    "limit": 2.0,
     "validate_every": 100,
     "validation_episodes": 2,
     "calls": 200,
