@@ -78,7 +78,7 @@ def measure(bench: Bench) -> dict[str, Any]:
         except MissingExtraError as error:
             missing.append(str(error))
         bench.tell("memory of a short training", 0.8)
-        quantities["training_peak_memory"] = quantity([peak(trainer.config, folder)], "MiB")
+        quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
     return {"about": ABOUT, "quantities": quantities, "ratios": {}, **details, "missing": missing}
 
 
@@ -106,13 +106,12 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
     return found
 
 
-def peak(config: TrainConfig, folder: Path) -> float:
-    """Largest memory of a process of this training, run by the command line [MiB]."""
-    training = config.train
+def peak(bench: Bench, folder: Path) -> float:
+    """Largest memory of a process of a short training, run by the command line [MiB]."""
+    decisions = bench.settings.decisions
     command = [
-        *(sys.executable, "-m", "flipperctl", "train"),
-        *(f"terrain={config.terrain.plugin_name}", f"network={config.network.plugin_name}"),
-        *(f"train.decisions={training.decisions}", f"train.validate_every={training.decisions}"),
+        *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
+        *(f"train.decisions={decisions}", f"train.validate_every={decisions}"),
         *("train.validation_episodes=1", f"hydra.run.dir={folder / 'peak'}"),
     ]
     said = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")

@@ -24,7 +24,7 @@ PACKAGES = (
 
 
 def machine() -> dict[str, Any]:
-    """Versions (None: not installed), processor, cores, load average [-] and time of day."""
+    """Versions (None: not installed), processor, cores, load and time of day."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {
@@ -36,8 +36,13 @@ def machine() -> dict[str, Any]:
         "processor": processor(),
         "cores": os.cpu_count(),
         "cores_allowed": _allowed(),
-        "load_average": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
+        "load_average": load(),
     }
+
+
+def load() -> list[float] | None:
+    """Processes that run or wait to run, over the last 1, 5 and 15 minutes [-]."""
+    return list(os.getloadavg()) if hasattr(os, "getloadavg") else None
 
 
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:

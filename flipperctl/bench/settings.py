@@ -68,6 +68,8 @@ class Bench:
     settings: BenchSettings
     tell: Callable[[str, float], None] = lambda what, share: None
     """Told what is measured now, and which share of the measure is done."""
+    overrides: tuple[str, ...] = ()
+    """Those of which ``config`` was made, for processes that compose it anew."""
 
 
 def sizes(*, small: bool, changes: Mapping[str, Any]) -> BenchSettings:

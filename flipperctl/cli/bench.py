@@ -13,7 +13,6 @@ import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
 from flipperctl.errors import ConfigError, RequestError
-from flipperctl.messages import close_match
 
 if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings
@@ -73,7 +72,8 @@ def bench(
     """See HELP."""
     measures, overrides = split(arguments or [])
     from flipperctl import plugins as loader
-    from flipperctl.bench.machine import machine
+    from flipperctl.bench.machine import load, machine
+    from flipperctl.bench.settings import Bench
     from flipperctl.cli.measured import tables
     from flipperctl.run.files import make_folder, write_json
 
@@ -89,10 +89,11 @@ def bench(
         "measures": {},
     }
     commands = commands_of(context)
+    given = tuple(o for o in overrides if not o.startswith(SECTION))
     for measure in measures:
         with _progress(measure) as tell:
-            found = _measure(measure, _handed(config, settings, tell), commands)
-        document["measures"][measure] = found
+            found = _measure(measure, Bench(config, settings, tell, given), commands)
+        document["measures"][measure] = {**found, "load_average": load()}
         for text in found.get("missing", ()):
             print(f"{measure}: {text}", file=sys.stderr)
         if folder:
@@ -113,6 +114,8 @@ def split(arguments: list[str]) -> tuple[list[str], list[str]]:
     Raises:
         RequestError: a word is neither.
     """
+    from flipperctl.messages import close_match
+
     overrides = [a for a in arguments if "=" in a or a.startswith("~")]
     names = [a for a in arguments if a not in overrides]
     for name in names:
@@ -165,14 +168,6 @@ def commands_of(context: typer.Context) -> list[tuple[str, ...]]:
 
     visit(context.find_root().command, ())
     return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
-
-
-def _handed(
-    config: TrainConfig, settings: BenchSettings, tell: Callable[[str, float], None]
-) -> Bench:
-    from flipperctl.bench.settings import Bench
-
-    return Bench(config, settings, tell)
 
 
 def _measure(name: str, handed: Bench, commands: list[tuple[str, ...]]) -> dict[str, Any]:
