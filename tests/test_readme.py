@@ -48,6 +48,8 @@ def smaller(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials]
+    if command[0] == "bench":
+        return [*command, "--small"]
     if command[0] == "eval":
         return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
     return command

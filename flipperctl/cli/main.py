@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import typer
 from typer.exceptions import TyperException
 
+from flipperctl.cli import bench as bench_command
 from flipperctl.cli import eval as eval_command
 from flipperctl.cli import export as export_command
 from flipperctl.cli import inspect as inspect_command
@@ -41,6 +42,7 @@ train_command.add_to(app)
 eval_command.add_to(app)
 export_command.add_to(app)
 inspect_command.add_to(app)
+bench_command.add_to(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -103,3 +103,14 @@ class CompiledLoop:
     def run(self, angles: FloatArray, angle_limit: float, x_limit: float) -> int:
         """As ``PlainLoop.run``."""
         return int(_run(*self._arguments, angles, angle_limit, x_limit))
+
+
+@njit(cache=True)
+def _steps(space: int, substep: float, count: int) -> None:
+    for _ in range(count):
+        _step(space, substep)
+
+
+def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
+    """Step a space with nothing else in between: the limit of what ``run`` can reach."""
+    _steps(_address(space._space), substep, count)

@@ -1,0 +1,1 @@
+"""Benchmarks: each measure of ``flipperctl bench`` in a file of its own."""

@@ -1,0 +1,131 @@
+"""What a policy costs on the robot, and what a run costs on this machine.
+
+The clock of an exported policy runs in a process of its own that holds neither torch nor pymunk,
+as on a robot. Checkpoints and exports are those of a short training with this configuration.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from flipperctl.bench.process import output
+from flipperctl.bench.settings import Bench
+from flipperctl.bench.spread import in_turn, quantity
+from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.errors import MissingExtraError
+from flipperctl.run import checkpoint
+from flipperctl.run.export import export
+from flipperctl.run.train import Trainer
+
+ABOUT = (
+    "one decision of an exported ONNX policy on one thread, in a process without torch and "
+    "pymunk; writing and reading checkpoints, exporting; memory of a short training"
+)
+CLOCK = "flipperctl.bench.onnx_clock"
+
+_KIB = 1 if sys.platform == "darwin" else 1024  # unit of ru_maxrss [B]
+
+# A process starts with the memory peak of the one it is forked from, so a small one in between
+# starts the training; the peak is that of the largest process among it and its descendants.
+_PEAK = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+said = process.stderr.read()
+_, status, usage = os.wait4(process.pid, 0)
+sys.stderr.buffer.write(said)
+print(usage.ru_maxrss)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+
+
+def measure(bench: Bench) -> dict[str, Any]:
+    """Times [µs, ms] and memory [MiB]."""
+    s = bench.settings
+    missing: list[str] = []
+    with TemporaryDirectory(prefix="flipperctl-bench-") as name:
+        folder = Path(name)
+        bench.tell("a short training", 0.0)
+        trainer = trained(bench.config, s.decisions, folder)
+        last, best = folder / checkpoint.LAST, folder / checkpoint.BEST
+        saved, policy = checkpoint.read(best), folder / "policy.onnx"
+        clocks: dict[str, Callable[[], float]] = {
+            "checkpoint_write": _milliseconds(trainer.save),
+            "checkpoint_read": _milliseconds(lambda: checkpoint.read(last)),
+            "weights_read": _milliseconds(lambda: checkpoint.read(best)),
+        }
+        quantities = {
+            n: quantity(v, "ms")
+            for n, v in in_turn(clocks, s.repeats, _part(bench, "checkpoints", 0.1, 0.2)).items()
+        }
+        details: dict[str, Any] = {"checkpoint_size": {"unit": "B", "value": last.stat().st_size}}
+        try:
+            took = _milliseconds(lambda: export(saved, "onnx", policy))
+            exports = in_turn({"e": took}, max(1, s.repeats // 3), _part(bench, "export", 0.2, 0.4))
+            quantities["onnx_export"] = quantity(exports["e"], "ms")
+            rounds = []
+            for index in range(s.repeats):
+                bench.tell("decisions of the exported policy", 0.4 + 0.3 * index / s.repeats)
+                rounds.append(clocked(policy, s.calls, s.seed))
+            for what in ("median", "p99"):
+                quantities[f"decision_{what}"] = quantity([r[what] for r in rounds], "µs")
+            details["imported"] = rounds[0]["imported"]
+        except MissingExtraError as error:
+            missing.append(str(error))
+        bench.tell("memory of a short training", 0.8)
+        quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
+    return {"about": ABOUT, "quantities": quantities, "ratios": {}, **details, "missing": missing}
+
+
+def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
+    """A trainer that has spent a small budget."""
+    changes = {
+        "train.decisions": decisions,
+        "train.validate_every": decisions,
+        "train.validation_episodes": 1,
+    }
+    (folder / checkpoint.BEST).parent.mkdir()
+    trainer = Trainer(parse(TrainConfig, merged(config, changes)), folder)
+    trainer.run()
+    return trainer
+
+
+def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
+    """What the clock's own process found: ``median`` and ``p99`` [µs], modules ``imported``.
+
+    Raises:
+        MissingExtraError: ONNX Runtime is not installed.
+    """
+    command = [sys.executable, "-m", CLOCK, str(policy), str(calls), str(seed)]
+    found: dict[str, Any] = json.loads(output(command, "latency: the policy's own process"))
+    return found
+
+
+def peak(bench: Bench, folder: Path) -> float:
+    """Largest memory of a process of a short training, run by the command line [MiB]."""
+    decisions = bench.settings.decisions
+    command = [
+        *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
+        *(f"train.decisions={decisions}", f"train.validate_every={decisions}"),
+        *("train.validation_episodes=1", f"hydra.run.dir={folder / 'peak'}"),
+    ]
+    said = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
+    return int(said) * _KIB / 2**20
+
+
+def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
+    def clock() -> float:
+        begun = time.perf_counter()
+        work()
+        return 1e3 * (time.perf_counter() - begun)
+
+    return clock
+
+
+def _part(bench: Bench, what: str, low: float, high: float) -> Callable[[float], None]:
+    return lambda share: bench.tell(what, low + share * (high - low))

@@ -1,0 +1,244 @@
+"""The environment against the limit: Chipmunk alone on the same situations.
+
+An episode is recorded once. Then, episode by episode and in turn, the environment plays its
+actions again, and a bare world is put to where each decision began and stepped as often as that
+decision took, with nothing else on the clock. The parts of a decision are timed alike.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from flipperctl import plugins
+from flipperctl.api import ACTIONS, Profile, Transition
+from flipperctl.bench.settings import Bench
+from flipperctl.bench.spread import quantity, ratio
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.rewards import RewardSum
+from flipperctl.run.seeds import episode_seed
+from flipperctl.sim import bare
+from flipperctl.sim.sensing import TerrainSensor
+from flipperctl.sim.world import SAMPLE, World
+
+ABOUT = (
+    "decisions of the environment against the same substeps by Chipmunk's step alone "
+    "(same situations, one process, in turn), and what a decision's time is spent on"
+)
+
+
+@dataclass
+class Recording:
+    """One episode, decision by decision."""
+
+    seed: int
+    profile: Profile
+    start: tuple[float, float, float]
+    """x of the chassis [m], front and rear flipper angle [rad]."""
+    actions: list[int] = field(default_factory=list)
+    targets: list[tuple[float, float]] = field(default_factory=list)
+    """Angles commanded to the front and the rear flippers [rad]."""
+    moments: list[bare.Moment] = field(default_factory=list)
+    """One more than decisions: the start is the first."""
+    transitions: list[Transition] = field(default_factory=list)
+    contacts: list[int] = field(default_factory=list)
+    """Contact points at the end of each decision."""
+
+    def samples(self, index: int) -> int:
+        """How many samples of the state decision ``index`` took."""
+        t = self.transitions[index]
+        return round((t.after.time - t.before.time) / SAMPLE)
+
+
+def record(config: EnvConfig, controller: str, seed: int) -> Recording:
+    """Play an episode with a controller plugin and note all that happens."""
+    env = FlipperEnv(config=config)
+    acts = plugins.create("controller", controller, "bench.controller")
+    env.reset(seed=seed)
+    state, robot = env.state, config.robot
+    made = Recording(seed, env.profile, (float(state.position[0]), state.front, state.rear))
+    made.moments.append(bare.moment(env.world))
+    target, pitches = (state.front, state.rear), [state.pitch]
+    outcome = None
+    while outcome is None:
+        action, before = acts.act(env.perception), env.state
+        *_, info = env.step(action)
+        outcome, move = info.get("outcome"), ACTIONS[action]
+        target = (
+            robot.clip(target[0] + move[0] * robot.angle_step),
+            robot.clip(target[1] + move[1] * robot.angle_step),
+        )
+        pitches.append(env.state.pitch)
+        made.actions.append(action)
+        made.targets.append(target)
+        made.moments.append(bare.moment(env.world))
+        made.contacts.append(bare.contacts(env.world))
+        made.transitions.append(
+            Transition(before, env.state, np.array(pitches), move, env.profile, robot, outcome)
+        )
+    return made
+
+
+class Clocks:
+    """Times each part of an episode's decisions; every method returns seconds."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        self.config = config
+        self.env = FlipperEnv(config=config)
+        self.reward = RewardSum(config.rewards)
+        self.bare_contacts: list[int] = []
+
+    def reset(self, r: Recording) -> float:
+        """The environment's reset."""
+        begun = time.perf_counter()
+        self.env.reset(seed=r.seed)
+        return time.perf_counter() - begun
+
+    def decision(self, r: Recording) -> float:
+        """The environment's steps, after ``reset``."""
+        step = self.env.step
+        begun = time.perf_counter()
+        for action in r.actions:
+            step(action)
+        return time.perf_counter() - begun
+
+    def bare(self, r: Recording) -> float:
+        """Chipmunk's step alone."""
+        world, spent = self._world(r), 0.0
+        bare.strip(world)
+        substeps = round(SAMPLE / self.config.sim.substep)
+        self.bare_contacts = []
+        for index in range(len(r.actions)):
+            bare.put(world, r.moments[index], r.moments[index + 1].phases)
+            count = substeps * r.samples(index)
+            begun = time.perf_counter()
+            bare.step(world, count)
+            spent += time.perf_counter() - begun
+            self.bare_contacts.append(bare.contacts(world))
+        return spent
+
+    def world(self, r: Recording) -> float:
+        """The world with its belts, sampled as the environment samples it."""
+        world, spent = self._world(r), 0.0
+        for index, target in enumerate(r.targets):
+            count = r.samples(index)
+            begun = time.perf_counter()
+            run(world, target, count)
+            spent += time.perf_counter() - begun
+        return spent
+
+    def sensing(self, r: Recording) -> float:
+        """Terrain points and the heights of the bins."""
+        perception, episode = self.config.perception, self.config.episode
+        margin = episode.run_up + episode.run_out + perception.reach + 2.0
+        sensor, rng = TerrainSensor(r.profile, perception, margin), np.random.default_rng(0)
+        begun = time.perf_counter()
+        for t in r.transitions:
+            sensor.heights(sensor.points(t.after.position, rng))
+        return time.perf_counter() - begun
+
+    def rewards(self, r: Recording) -> float:
+        """All reward terms."""
+        begun = time.perf_counter()
+        for t in r.transitions:
+            self.reward(t)
+        return time.perf_counter() - begun
+
+    def _world(self, r: Recording) -> World:
+        return World(r.profile, self.config.robot, self.config.sim, *r.start)
+
+
+def run(world: World, target: tuple[float, float], samples: int) -> None:
+    """Run a world through one decision, as the environment does."""
+    world.command(*target)
+    world.advance(samples)
+
+
+def measure(bench: Bench) -> dict[str, Any]:
+    """Rates [1/s], their ratio, and the parts of a decision [µs].
+
+    The parts: ``physics`` is Chipmunk alone; ``contacts`` what belts, commands and samples add to
+    it; ``sensing``; ``reward``; ``rest`` is all else in the environment's step.
+    """
+    s, config = bench.settings, bench.config.environment()
+    clocks = Clocks(config)
+    names = ("reset", "decision", "bare", "world", "sensing", "rewards")
+    recordings = []
+    for index in range(s.episodes):
+        bench.tell("recording episodes", 0.0)
+        seed = episode_seed("evaluation", s.seed, index)
+        recordings.append(record(config, s.controller, seed))
+    rounds: list[dict[str, float]] = []
+    contacts: list[int] = []
+    for index in range(-1, s.repeats):  # the first round warms up
+        spent: Counter[str] = Counter()
+        for r in recordings:
+            for name in names:
+                spent[name] += getattr(clocks, name)(r)
+            contacts += clocks.bare_contacts if index < 0 else []
+        if index >= 0:
+            rounds.append(dict(spent))
+        bench.tell("episodes in turn", (index + 1) / s.repeats)
+    samples = sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
+    work = Work(
+        sum(len(r.actions) for r in recordings), samples * round(SAMPLE / config.sim.substep)
+    )
+    return {
+        "about": ABOUT,
+        **work.rates(rounds),
+        "decisions_a_round": work.decisions,
+        "substeps_a_round": work.substeps,
+        "contacts_at_decision_ends": {
+            "unit": "-",
+            "environment": sum(sum(r.contacts) for r in recordings) / work.decisions,
+            "bare": sum(contacts) / work.decisions,
+        },
+    }
+
+
+@dataclass(frozen=True)
+class Work:
+    """How much each round did."""
+
+    decisions: int
+    substeps: int
+
+    def rates(self, rounds: list[dict[str, float]]) -> dict[str, Any]:
+        """Quantities and ratios from the seconds of each round."""
+        count, micro = self.decisions, 1e6 / self.decisions
+        bare_rate = [count / t["bare"] for t in rounds]
+        env_rate = [count / t["decision"] for t in rounds]
+        parts = {
+            "physics": [micro * t["bare"] for t in rounds],
+            "contacts": [micro * (t["world"] - t["bare"]) for t in rounds],
+            "sensing": [micro * t["sensing"] for t in rounds],
+            "reward": [micro * t["rewards"] for t in rounds],
+            "rest": [
+                micro * (t["decision"] - t["world"] - t["sensing"] - t["rewards"]) for t in rounds
+            ],
+            "whole": [micro * t["decision"] for t in rounds],
+        }
+        return {
+            "quantities": {
+                "bare_substeps": quantity([self.substeps / t["bare"] for t in rounds], "1/s"),
+                "bare_decisions": quantity(bare_rate, "1/s"),
+                "environment_decisions": quantity(env_rate, "1/s"),
+                "environment_decisions_with_reset": quantity(
+                    [count / (t["decision"] + t["reset"]) for t in rounds], "1/s"
+                ),
+                **{f"decision.{name}": quantity(v, "µs") for name, v in parts.items()},
+            },
+            "ratios": {
+                "environment_decisions / bare_decisions": ratio(env_rate, bare_rate),
+                **{
+                    f"decision.{name} / decision.whole": ratio(values, parts["whole"])
+                    for name, values in parts.items()
+                    if name != "whole"
+                },
+            },
+        }

@@ -1,0 +1,146 @@
+"""Stable-Baselines3's DQN, set up for this task; the only file here that imports it.
+
+In: a training configuration. Out: a model on ``flipperctl/Flipper-v0`` whose ``q_net`` maps
+observations (B, N + 3) in SI units to Q-values (B, 9), as a network of ours does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import gymnasium
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.utils import LinearSchedule, polyak_update
+
+import flipperctl.env  # noqa: F401  # registers the environment
+from flipperctl.agent.replay import Replay
+from flipperctl.bench.attempt import Attempt, Validation
+from flipperctl.config import TrainConfig
+
+SETTINGS: Mapping[str, Any] = {
+    "learning_rate": (1e-3, 2e-5),
+    "buffer_size": 100_000,
+    "learning_starts": 1000,
+    "batch_size": 128,
+    "tau": 0.005,
+    "target_update_interval": 1,
+    "gamma": 0.99,
+    "n_steps": 3,
+    "train_freq": 2,
+    "gradient_steps": 1,
+    "exploration_fraction": 0.25,
+    "exploration_final_eps": 0.05,
+    "net_arch": (128, 128),
+    "reward_scale": 0.1,
+    "fused": True,
+}
+"""tbd"""
+
+
+class Scaled(BaseFeaturesExtractor):
+    """Divides each number by ``ObservationLayout.scale``, as our networks do."""
+
+    scale: torch.Tensor
+
+    def __init__(self, observation_space: gymnasium.spaces.Box, scale: tuple[float, ...]) -> None:
+        super().__init__(observation_space, len(scale))
+        self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, N + 3) → (B, N + 3)."""
+        return observation / self.scale
+
+
+def environment(config: TrainConfig, reward_scale: float = 1.0) -> gymnasium.Env[Any, Any]:
+    """The task through Gymnasium, without the checker that ``make`` adds."""
+    env = gymnasium.make(
+        "flipperctl/Flipper-v0", config=config.environment(), disable_env_checker=True
+    )
+    if reward_scale == 1.0:
+        return env
+    return gymnasium.wrappers.TransformReward(env, lambda reward: float(reward) * reward_scale)
+
+
+def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
+    """A DQN with ``SETTINGS``, some of them changed."""
+    s: dict[str, Any] = {**SETTINGS, **changes}
+    reward_scale, net_arch = s.pop("reward_scale"), s.pop("net_arch")
+    fused, (first, last) = s.pop("fused"), s.pop("learning_rate")
+    made = DQN(
+        "MlpPolicy",
+        environment(config, reward_scale),
+        learning_rate=LinearSchedule(first, last, 1.0),
+        policy_kwargs={
+            "net_arch": list(net_arch),
+            "features_extractor_class": Scaled,
+            "features_extractor_kwargs": {"scale": tuple(config.perception.scale.tolist())},
+            "optimizer_kwargs": {"fused": fused},
+        },
+        seed=seed,
+        device="cpu",
+        **s,
+    )
+    made.set_logger(configure(None, []))
+    return made
+
+
+def solve(config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:
+    """Learn until the attempt is over; validate as our trainer does, between episodes."""
+    torch.set_num_threads(config.train.threads)
+    made = model(config, config.seed)
+    made.learn(config.train.decisions, callback=_Validates(config, attempt, tell))
+
+
+class _Validates(BaseCallback):
+    def __init__(self, config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:
+        super().__init__()
+        self._every = config.train.validate_every
+        self._validation = Validation(config)
+        self._attempt = attempt
+        self._tell = tell
+        self._last = 0
+
+    def _on_step(self) -> bool:
+        """False stops learning."""
+        if not self.locals["dones"][0]:
+            return True
+        self._tell()
+        before, self._last = self._last, self.num_timesteps
+        if self._last // self._every > before // self._every:
+            dqn = cast("DQN", self.model)
+            begun = self._attempt.elapsed
+            success_rate = self._validation(dqn.q_net_target)
+            took = self._attempt.elapsed - begun
+            self._attempt.validated(self._last, success_rate, took)
+        return not self._attempt.over
+
+
+def fill(model: DQN, replay: Replay) -> None:
+    """Give the model's buffer what a replay of single decisions holds."""
+    held, buffer = replay.filled(), model.replay_buffer
+    if not isinstance(buffer, ReplayBuffer):
+        raise TypeError("a model without a replay buffer cannot be filled")
+    count = len(replay)
+    buffer.observations[:count, 0] = held["observation"]
+    buffer.next_observations[:count, 0] = held["next_observation"]
+    buffer.actions[:count, 0, 0] = held["action"]
+    buffer.rewards[:count, 0] = held["reward"]
+    buffer.dones[:count, 0] = held["discount"] == 0
+    buffer.pos = count
+
+
+def updater(model: DQN, batch_size: int) -> Callable[[], None]:
+    """One gradient step and the soft target update that ``learn`` does beside it."""
+    pairs = list(model.q_net.parameters()), list(model.q_net_target.parameters())
+
+    def update() -> None:
+        model.train(gradient_steps=1, batch_size=batch_size)
+        polyak_update(*pairs, model.tau)
+
+    return update

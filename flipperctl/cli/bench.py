@@ -1,0 +1,192 @@
+"""``flipperctl bench``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.errors import ConfigError, RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.bench.settings import Bench, BenchSettings
+    from flipperctl.config import TrainConfig
+
+MEASURES = ("physics", "learner", "solve", "latency", "startup", "scaling")
+SECTION = "bench."
+
+HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
+
+[bold]physics[/] the environment against Chipmunk alone; [bold]learner[/] updates against
+Stable-Baselines3's DQN; [bold]solve[/] time until unseen stairs succeed, against it too;
+[bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
+[bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
+
+OVERRIDES are those of train, and bench.<key>=…: repeats, seed, controller, episodes, updates,
+batch_sizes, transitions, seeds, limit, validate_every, validation_episodes, in_a_row, calls,
+decisions, commands.
+
+[bold]Examples[/]
+
+  flipperctl bench physics learner
+
+  flipperctl bench --small --json
+
+  flipperctl bench solve bench.seeds=3 bench.limit=300 terrain=step --output speed
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("bench", help=HELP)(bench)
+
+
+def bench(
+    context: typer.Context,
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MEASURE]... [OVERRIDE]...",
+            help=f"all, {', '.join(MEASURES)}; and key=value.",
+            show_default=False,
+        ),
+    ] = None,
+    small: Annotated[
+        bool, typer.Option("--small", help="Everything in seconds, to see that it works.")
+    ] = False,
+    repeats: Annotated[
+        str | None, typer.Option(metavar="N", help="Rounds in which contestants take turns [10].")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")
+    ] = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    measures, overrides = split(arguments or [])
+    from flipperctl import plugins as loader
+    from flipperctl.bench.machine import load, machine
+    from flipperctl.bench.settings import Bench
+    from flipperctl.cli.measured import tables
+    from flipperctl.run.files import make_folder, write_json
+
+    loader.load(plugins or ())
+    if repeats is not None:
+        overrides.append(f"{SECTION}repeats={repeats}")
+    config, settings = composed(overrides, small=small)
+    folder = make_folder(output) if output else None
+    document: dict[str, Any] = {
+        "machine": machine(),
+        "settings": settings.model_dump(mode="json"),
+        "overrides": overrides,
+        "measures": {},
+    }
+    commands = commands_of(context)
+    given = tuple(o for o in overrides if not o.startswith(SECTION))
+    for measure in measures:
+        with _progress(measure) as tell:
+            found = _measure(measure, Bench(config, settings, tell, given), commands)
+        document["measures"][measure] = {**found, "load_average": load()}
+        for text in found.get("missing", ()):
+            print(f"{measure}: {text}", file=sys.stderr)
+        if folder:
+            write_json(folder / "bench.json", document)  # each time: the next may take an hour
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+        return
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    for table in tables(document):
+        console.print(table)
+
+
+def split(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """The measures, in the order of ``MEASURES``, and the overrides.
+
+    Raises:
+        RequestError: a word is neither.
+    """
+    from flipperctl.messages import close_match
+
+    overrides = [a for a in arguments if "=" in a or a.startswith("~")]
+    names = [a for a in arguments if a not in overrides]
+    for name in names:
+        if name != "all" and name not in MEASURES:
+            known = ("all", *MEASURES)
+            raise RequestError(
+                f"there is no measure {name!r}{close_match(name, known)}; "
+                f"known: {', '.join(known)}; an override is key=value"
+            )
+    every = not names or "all" in names
+    return [m for m in MEASURES if every or m in names], overrides
+
+
+def composed(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSettings]:
+    """The training configuration, and the benchmark's own settings.
+
+    Raises:
+        ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
+    """
+    from omegaconf import OmegaConf
+
+    from flipperctl.bench.settings import sizes
+    from flipperctl.cli import compose
+
+    own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
+    with compose.translated():
+        changes = cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.from_dotlist(own)))
+    try:
+        settings = sizes(small=small, changes=changes)
+    except ConfigError as error:
+        raise ConfigError(f"{SECTION}{error}") from error
+    from flipperctl import plugins as loader
+
+    loader.get("controller", settings.controller, f"{SECTION}controller")
+    compose.offer_defaults()
+    configs = compose.compose_train([o for o in overrides if not o.startswith(SECTION)])
+    if len(configs) > 1:
+        raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
+    return configs[0], settings
+
+
+def commands_of(context: typer.Context) -> list[tuple[str, ...]]:
+    """What startup measures: every subcommand's help, and two that do a little work."""
+    helps: list[tuple[str, ...]] = []
+
+    def visit(command: Any, path: tuple[str, ...]) -> None:
+        helps.append((*path, "--help"))
+        for name, inner in getattr(command, "commands", {}).items():
+            visit(inner, (*path, name))
+
+    visit(context.find_root().command, ())
+    return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
+
+
+def _measure(name: str, handed: Bench, commands: list[tuple[str, ...]]) -> dict[str, Any]:
+    from importlib import import_module
+
+    module = import_module(f"flipperctl.bench.{name}")
+    found: dict[str, Any] = (
+        module.measure(handed, commands) if name == "startup" else module.measure(handed)
+    )
+    return found
+
+
+@contextmanager
+def _progress(measure: str) -> Iterator[Callable[[str, float], None]]:
+    """A bar with the time left on a terminal, a line now and then elsewhere."""
+    from flipperctl.cli.measured import Bar, Lines
+
+    shown = Bar(measure) if sys.stderr.isatty() else Lines(measure)
+    try:
+        yield shown
+    finally:
+        shown.close()

@@ -1,0 +1,35 @@
+"""Measures of a size for tests, and what holds for every measure's result."""
+
+import math
+
+import pytest
+
+from flipperctl.bench.settings import Bench, sizes
+from flipperctl.config import TrainConfig
+
+UNITS = {"1/s", "s", "ms", "µs", "MiB", "-"}
+
+
+def small_bench(**changes: object) -> Bench:
+    """Steps, which are quicker than stairs; what limits a run is its budget, not the clock."""
+    config = TrainConfig(terrain="step", network="at_d3qn", seed=3, train={"decisions": 250})
+    changes = {"limit": 3600.0, **changes}
+    return Bench(config, sizes(small=True, changes=changes))
+
+
+def check(found: dict) -> None:
+    """Raw numbers, units, and statistics that follow from the raw numbers."""
+    assert found["about"]
+    for name, q in found["quantities"].items():
+        assert q["unit"] in UNITS, name
+        ordered = sorted(math.inf if v is None else v for v in q["values"])
+        middle = (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+        assert q["median"] == (pytest.approx(middle) if math.isfinite(middle) else None), name
+        if q["low"] is not None:
+            assert ordered[0] <= q["low"] <= (q["median"] or math.inf), name
+
+
+def check_ratio(found: dict, name: str, above: str, below: str) -> None:
+    """The ratio is the one of the medians of the two quantities."""
+    medians = [found["quantities"][what]["median"] for what in (above, below)]
+    assert found["ratios"][name]["ratio"] == pytest.approx(medians[0] / medians[1])

@@ -1,0 +1,51 @@
+"""Decisions a second over collectors."""
+
+import pytest
+
+from flipperctl.bench import scaling
+from flipperctl.errors import MissingExtraError
+from tests.bench.small import check, check_ratio, small_bench
+
+
+class Counting:
+    """Collects without playing."""
+
+    def __init__(self, config: object, workers: int) -> None:
+        self.collected = self.closed = 0
+
+    def collect(self, decisions: int) -> int:
+        self.collected += decisions
+        return decisions
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_the_reference_plays_what_is_asked() -> None:
+    check(scaling.measure(small_bench()))
+
+
+def test_every_collector_is_measured_and_closed() -> None:
+    made: list[Counting] = []
+
+    def factory(config: object, workers: int) -> Counting:
+        made.append(Counting(config, workers))
+        return made[-1]
+
+    def absent(config: object, workers: int) -> Counting:
+        raise MissingExtraError("ray is not installed; install flipperctl[ray]")
+
+    bench = small_bench(repeats=3)
+    found = scaling.measure(bench, {"processes": (factory, (1, 2)), "ray": (absent, (1,))})
+    check(found)
+    check_ratio(found, "processes.2 / processes.1", "processes.2", "processes.1")
+    assert found["missing"] == ["ray is not installed; install flipperctl[ray]"]
+    wanted = bench.settings.decisions * (bench.settings.repeats + 1)  # once to warm up
+    assert [(c.collected, c.closed) for c in made] == [(wanted, 1), (wanted, 1)]
+
+
+@pytest.mark.parametrize(
+    ("cores", "counts"), [(1, (1,)), (2, (1, 2)), (6, (1, 2, 4, 6)), (8, (1, 2, 4, 8))]
+)
+def test_the_numbers_of_workers(cores: int, counts: tuple[int, ...]) -> None:
+    assert scaling.worker_counts(cores) == counts

@@ -1,0 +1,118 @@
+"""Time to solve."""
+
+import sys
+from itertools import pairwise
+
+import pytest
+
+from flipperctl.bench import solve
+from flipperctl.bench.attempt import Attempt, Listens, Validation
+from flipperctl.run.train import Trainer
+from tests.bench.small import check, small_bench
+
+
+class Clock:
+    """An attempt's clock that a test sets."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        monkeypatch.setattr("flipperctl.bench.attempt.time.perf_counter", lambda: self.now)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def attempt(**changes: object) -> Attempt:
+    return Attempt(1, small_bench(limit=60.0, in_a_row=3, **changes).settings)
+
+
+def test_solved_is_three_perfect_validations_in_a_row(clock: Clock) -> None:
+    a = attempt()
+    for index, rate in enumerate((1.0, 1.0, 0.99, 1.0, 1.0)):
+        clock.now += 4.0
+        a.validated(1000 * (index + 1), rate, took=1.0)
+        assert not a.over
+    clock.now += 4.0
+    a.validated(6000, 1.0, took=1.0)
+    assert a.over
+    report = a.report()
+    assert (report["seconds"], report["training_seconds"], report["decisions"]) == (
+        24.0,
+        18.0,
+        6000,
+    )
+
+
+def test_out_of_time_is_not_solved(clock: Clock) -> None:
+    a = attempt()
+    a.validated(1000, 1.0, took=1.0)
+    a.validated(2000, 1.0, took=1.0)
+    clock.now += 61.0
+    a.validated(3000, 1.0, took=1.0)  # too late to count
+    assert a.over
+    report = a.report()
+    assert report["solved"] is False
+    assert report["seconds"] is None
+    assert len(report["validations"]) == 2
+
+
+def test_the_time_since_the_episode_is_the_validations(clock: Clock) -> None:
+    a = attempt()
+    listener = Listens(a)
+    clock.now += 10.0
+    listener.episode({})
+    clock.now += 3.0
+    listener.validation({"decision": 1000, "success_rate": 0.5})
+    assert a.validating == 3.0
+
+
+def test_medians_count_the_unsolved_as_longest() -> None:
+    def run(seconds: float | None) -> dict:
+        return {
+            **{"seconds": seconds, "training_seconds": seconds, "decisions": seconds},
+            "solved": seconds is not None,
+        }
+
+    s = small_bench(seeds=3, limit=50.0).settings
+    found = solve.summary(
+        {"flipperctl": [run(10.0), run(20.0), run(30.0)], "sb3": [run(40.0), run(None), run(None)]},
+        s,
+    )
+    assert found["solved"] == {"flipperctl": "3 of 3", "sb3": "1 of 3"}
+    assert found["quantities"]["flipperctl.seconds"]["median"] == 20.0
+    assert found["quantities"]["sb3.seconds"]["median"] is None
+    assert found["ratios"]["sb3 / flipperctl, seconds"]["ratio"] is None
+    assert found["ratios"]["sb3 / flipperctl, seconds"]["low"] is None  # pairs 4, ∞, ∞
+
+
+def test_both_learners_run_and_are_validated_alike() -> None:
+    found = solve.measure(small_bench())
+    check(found)
+    assert found["missing"] == []
+    for name in ("flipperctl", "sb3"):
+        (run,) = found["runs"][name]
+        assert run["seed"] == 1
+        decisions = [v["decision"] for v in run["validations"]]
+        assert decisions, name
+        assert all(later > before for before, later in pairwise([99, *decisions]))
+
+
+def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
+    bench = small_bench()
+    config = solve.configured(bench, 5)
+    trainer = Trainer(config, tmp_path)
+    (tmp_path / "checkpoints").mkdir()
+    trainer._validate()
+    expected = trainer.validations[0]["success_rate"]
+    assert Validation(config)(trainer.agent.policy) == expected
+
+
+def test_without_sb3_our_side_still_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "flipperctl.bench.sb3", raising=False)
+    found = solve.measure(small_bench())
+    check(found)
+    assert "flipperctl[bench]" in found["missing"][0]
+    assert list(found["runs"]) == ["flipperctl"]
