@@ -29,18 +29,28 @@ ABOUT = (
 )
 CLOCK = "flipperctl.bench.onnx_clock"
 
-_KIB = 1 if sys.platform == "darwin" else 1024  # unit of ru_maxrss [B]
-
-# A process starts with the memory peak of the one it is forked from, so a small one in between
-# starts the training; the peak is that of the largest process among it and its descendants.
+# Runs a command in a session of its own and prints the largest sum of its processes' memory
+# [KiB]; what several share (libraries, a fork server's pages) counts once, divided among them.
 _PEAK = """
-import os, subprocess, sys
-process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-said = process.stderr.read()
-_, status, usage = os.wait4(process.pid, 0)
-sys.stderr.buffer.write(said)
-print(usage.ru_maxrss)
-sys.exit(os.waitstatus_to_exitcode(status))
+import pathlib, subprocess, sys, time
+process = subprocess.Popen(
+    sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
+)
+def share(entry):
+    try:
+        if entry.joinpath("stat").read_text().rpartition(")")[2].split()[3] != str(process.pid):
+            return 0
+        lines = entry.joinpath("smaps_rollup").read_text().splitlines()
+        return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    except (OSError, IndexError):
+        return 0
+peak = 0
+while process.poll() is None:
+    peak = max(peak, sum(map(share, pathlib.Path("/proc").glob("[0-9]*"))))
+    time.sleep(0.1)
+sys.stderr.buffer.write(process.stderr.read())
+print(peak)
+sys.exit(process.returncode)
 """
 
 
@@ -77,8 +87,11 @@ def measure(bench: Bench) -> dict[str, Any]:
             details["imported"] = rounds[0]["imported"]
         except MissingExtraError as error:
             missing.append(str(error))
-        bench.tell("memory of a short training", 0.8)
-        quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
+        if Path("/proc/self/smaps_rollup").exists():
+            bench.tell("memory of a short training", 0.8)
+            quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
+        else:
+            missing.append("memory is measured on Linux only")
     return {"about": ABOUT, "quantities": quantities, "ratios": {}, **details, "missing": missing}
 
 
@@ -107,7 +120,7 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
 
 
 def peak(bench: Bench, folder: Path) -> float:
-    """Largest memory of a process of a short training, run by the command line [MiB]."""
+    """Largest memory of all processes of a short training together [MiB]."""
     decisions = bench.settings.decisions
     command = [
         *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
@@ -115,7 +128,7 @@ def peak(bench: Bench, folder: Path) -> float:
         *("train.validation_episodes=1", f"hydra.run.dir={folder / 'peak'}"),
     ]
     said = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
-    return int(said) * _KIB / 2**20
+    return int(said) / 1024
 
 
 def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:

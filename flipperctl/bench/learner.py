@@ -3,7 +3,8 @@
 Both draw from a replay of the same content, take one gradient step and move the target network
 softly; both have one torch thread, Huber loss, clipped gradients and Adam. SB3 gets a perceptron
 of as many layers and, as nearly as whole widths allow, as many weights as our network has. It is
-measured as it comes (``sb3``) and with torch's fused Adam, which ours uses (``sb3_fused``).
+measured as it comes (``sb3``) and with torch's fused Adam (``sb3_fused``). Ours makes
+``agent.updates_together`` updates a call, as in training; each is a gradient step of its own.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def measure(bench: Bench) -> dict[str, Any]:
                 contestants |= other
             except MissingExtraError as error:
                 missing = [str(error)]
-            clocks = {n: _clock(update, s.updates) for n, update in contestants.items()}
+            clocks = {n: _clock(*c, s.updates) for n, c in contestants.items()}
             for clock in clocks.values():
                 clock()  # warms up
 
@@ -91,26 +92,32 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     return replay
 
 
-def _clock(update: Callable[[], object], count: int) -> Callable[[], float]:
+def _clock(update: Callable[[], object], together: int, count: int) -> Callable[[], float]:
+    calls = max(1, count // together)
+
     def rate() -> float:
         begun = time.perf_counter()
-        for _ in range(count):
+        for _ in range(calls):
             update()
-        return count / (time.perf_counter() - begun)
+        return calls * together / (time.perf_counter() - begun)
 
     return rate
 
 
-Contestants = dict[str, Callable[[], object]]
+Contestants = dict[str, tuple[Callable[[], object], int]]
+"""By name: a call, and the updates that it makes."""
 
 
 def _ours(
     config: TrainConfig, replay: Replay, batch_size: int, seed: int
 ) -> tuple[Contestants, int]:
-    agent = D3qn(config.network, config.perception, len(ACTIONS), config.agent, seed=seed)
+    settings = config.agent.model_copy(update={"batch_size": batch_size})
+    agent = D3qn(config.network, config.perception, len(ACTIONS), settings, seed=seed)
     rng = np.random.default_rng(seed)
     count = sum(p.numel() for p in agent.online.parameters())
-    return {"flipperctl": lambda: agent.update(replay.sample(batch_size, rng), 0.0)}, count
+    together = settings.updates_together
+    rows = together * batch_size
+    return {"flipperctl": (lambda: agent.update(replay.sample(rows, rng), 0.0), together)}, count
 
 
 def _theirs(
@@ -126,7 +133,7 @@ def _theirs(
     for name, fused in (("sb3", None), ("sb3_fused", True)):
         model = sb3.model(config, seed, net_arch=(width,) * layers, n_steps=1, fused=fused)
         sb3.fill(model, replay)
-        contestants[name] = sb3.updater(model, batch_size)
+        contestants[name] = (sb3.updater(model, batch_size), 1)
         count = sum(p.numel() for p in model.q_net.parameters())
     return contestants, count
 

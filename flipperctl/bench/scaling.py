@@ -7,6 +7,7 @@ in worker processes, through Ray) is measured by giving ``measure`` one factory 
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
@@ -14,13 +15,16 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from flipperctl.agent.d3qn import D3qn
+from flipperctl import plugins
+from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import in_turn, quantity, ratio
-from flipperctl.config import TrainConfig
+from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.run.collect import Crew, Order
+from flipperctl.run.processes import ProcessCrew
 from flipperctl.run.seeds import episode_seed
 
 ABOUT = "decisions collected a second (ε-greedy on the network, no updates), over workers, in turn"
@@ -72,12 +76,59 @@ class InProcess:
         """Nothing was started."""
 
 
-def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:
-    """What is measured: a name, its factory, and the numbers of workers.
+class OfCrew:
+    """Episodes played on order by a crew, with the weights of a fresh network."""
 
-    This is the place for other collectors: over processes, ``worker_counts()``; over Ray alike.
-    """
-    return {"in_process": (InProcess, (1,))}
+    def __init__(self, config: TrainConfig, crew: Crew) -> None:
+        layout = config.perception
+        agent = D3qn(config.network, layout, len(ACTIONS), config.agent, seed=config.seed)
+        self._weights = arrays(agent.online)
+        self._seed = config.seed
+        self._crew = crew
+        self._ordered = 0
+
+    def _order(self) -> Order:
+        self._ordered += 1
+        seed = episode_seed("training", self._seed, self._ordered)
+        return Order(self._ordered, seed, EPSILON, 0, 0, self._weights)
+
+    def collect(self, decisions: int) -> int:
+        """Whole episodes; none is left to be played when the next contestant's turn comes."""
+        crew, done = self._crew, 0
+        while done < decisions or crew.outstanding():
+            while done < decisions and len(crew.outstanding()) < crew.capacity:
+                crew.send(self._order())
+            _, played = crew.take()
+            done += 0 if played is None else len(played.actions)
+        return done
+
+    def close(self) -> None:
+        """Stop the crew."""
+        self._crew.close()
+
+
+def in_processes(config: TrainConfig, workers: int) -> Collector:
+    """As ``train.workers``."""
+    return OfCrew(config, ProcessCrew(workers, container(config), plugins.given()))
+
+
+def on_ray(config: TrainConfig, workers: int) -> Collector:
+    """As ``collector=ray`` on a cluster that is started here, with room for all contestants."""
+    from flipperctl.run.ray_crew import RayCrew, start_local
+
+    start_local(sum(worker_counts()))
+    settings = RayCollector(workers=workers)
+    return OfCrew(config, RayCrew(settings, container(config), plugins.given()))
+
+
+def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:
+    """What is measured: a name, its factory, and the numbers of workers."""
+    counts = worker_counts()
+    return {
+        "in_process": (InProcess, (1,)),
+        "processes": (in_processes, counts),
+        "ray": (on_ray, counts),
+    }
 
 
 def worker_counts(cores: int | None = None) -> tuple[int, ...]:
@@ -112,14 +163,25 @@ def measure(
     finally:
         for made in collectors.values():
             made.close()
+        if (ray := sys.modules.get("ray")) is not None:
+            ray.shutdown()
         torch.set_num_threads(threads)
-    first, *others = rates
     return {
         "about": ABOUT,
         "quantities": {name: quantity(values, "1/s") for name, values in rates.items()},
-        "ratios": {f"{name} / {first}": ratio(rates[name], rates[first]) for name in others},
+        "ratios": {f"{a} / {b}": ratio(rates[a], rates[b]) for a, b in pairs(list(rates))},
         "missing": missing,
     }
+
+
+def pairs(names: list[str]) -> list[tuple[str, str]]:
+    """What is compared: each with the first, with fewer workers of its kind, Ray with processes."""
+    found = [(name, names[0]) for name in names[1:]]
+    for name in names:
+        kind, _, count = name.rpartition(".")
+        found += [(name, f"{kind}.1")] if count != "1" else []
+        found += [(name, f"processes.{count}")] if kind == "ray" else []
+    return list(dict.fromkeys((a, b) for a, b in found if b in names))
 
 
 def _clock(collector: Collector, decisions: int) -> Callable[[], float]:

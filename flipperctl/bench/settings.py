@@ -14,6 +14,7 @@ from flipperctl.config import TrainConfig, parse
 SMALL: Mapping[str, Any] = {
     "repeats": 2,
     "episodes": 1,
+    "starts": 1,
     "updates": 4,
     "batch_sizes": (32,),
     "transitions": 300,
@@ -35,6 +36,7 @@ class BenchSettings(Settings):
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of what is drawn [-]")
     controller: str = Field("okada", description="plugin whose actions physics repeats [-]")
     episodes: int = Field(4, ge=1, le=1000, description="physics: episodes a round [-]")
+    starts: int = Field(20, ge=1, le=10_000, description="accuracy: starts a scene [-]")
     updates: int = Field(200, ge=1, le=100_000, description="learner: updates a round [-]")
     batch_sizes: tuple[int, ...] = Field(
         (32, 128, 512), min_length=1, description="learner: transitions an update [-]"

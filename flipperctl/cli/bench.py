@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings
     from flipperctl.config import TrainConfig
 
-MEASURES = ("physics", "learner", "solve", "latency", "startup", "scaling")
+MEASURES = ("physics", "accuracy", "learner", "solve", "latency", "startup", "scaling")
 SECTION = "bench."
 
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
-[bold]physics[/] the environment against Chipmunk alone; [bold]learner[/] updates against
-Stable-Baselines3's DQN; [bold]solve[/] time until unseen stairs succeed, against it too;
+[bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of its substep;
+[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen stairs succeed, against it too;
 [bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
-OVERRIDES are those of train, and bench.<key>=…: repeats, seed, controller, episodes, updates,
-batch_sizes, transitions, seeds, limit, validate_every, validation_episodes, in_a_row, calls,
-decisions, commands.
+OVERRIDES are those of train, and bench.<key>=…: repeats, seed, controller, episodes, starts,
+updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
+in_a_row, calls, decisions, commands.
 
 [bold]Examples[/]
 

@@ -32,11 +32,8 @@ class RayCrew:
             MissingExtraError: Ray is not installed.
             ConfigError: there is no cluster at the address.
         """
-        try:
-            import ray
-        except ImportError as error:
-            raise MissingExtraError("collector=ray", "ray") from error
-        self._ray: Any = ray
+        ray = _imported()
+        self._ray = ray
         self._settings = settings
         self._owned = not ray.is_initialized()
         if self._owned:
@@ -111,19 +108,39 @@ class RayCrew:
             self._ray.shutdown()
 
 
-def _connect(settings: RayCollector) -> None:
-    import ray
+_QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+
+def start_local(cpus: int) -> None:
+    """Start a cluster of this process' own, unless there is one.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+    """
+    ray = _imported()
+    if not ray.is_initialized():  # "local": whatever else runs on this machine is not ours
+        ray.init(address="local", num_cpus=cpus, include_dashboard=False, **_QUIET)
+
+
+def _imported() -> Any:
     try:
-        if settings.address is None:
-            ray.init(num_cpus=settings.workers, include_dashboard=False, **quiet)
-        else:
-            _knock(settings.address)
-            ray.init(address=settings.address, **quiet)
+        import ray
+    except ImportError as error:
+        raise MissingExtraError("collector=ray needs Ray: pip install flipperctl[ray]") from error
+    return ray
+
+
+def _connect(settings: RayCollector) -> None:
+    address = settings.address
+    if address is None:
+        start_local(settings.workers)
+        return
+    try:
+        _knock(address)
+        _imported().init(address=address, **_QUIET)
     except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(
-            f"collector.address: no Ray cluster answers at {settings.address!r}: "
+            f"collector.address: no Ray cluster answers at {address!r}: "
             f"{' '.join(str(error).split())[:200]}"
         ) from error
 

@@ -1,0 +1,60 @@
+"""What the simulator's substep costs in accuracy: θ̂_R on the paper's scenes against finer steps.
+
+The same controller crosses the same scene from several starts at each substep.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flipperctl import plugins
+from flipperctl.bench.settings import Bench
+from flipperctl.bench.spread import quantity, ratio
+from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.run.rollout import play
+from flipperctl.run.seeds import episode_seed
+from flipperctl.sim.world import SAMPLE
+
+ABOUT = (
+    "θ̂_R of a rule on the paper's scenes, from several starts, by substep; ratios against a "
+    "quarter of the configured substep"
+)
+SCENES = ("paper_step", "paper_stair")
+FACTORS = (2.0, 1.0, 0.5, 0.25)
+"""Substeps as multiples of the configured one; the last is the reference."""
+
+
+def measure(bench: Bench) -> dict[str, Any]:
+    """θ̂_R [rad] by scene and substep [ms], and its ratio to that of the finest."""
+    # The sampling time is the coarsest substep that the simulator takes.
+    substeps = [f * bench.config.sim.substep for f in FACTORS]
+    substeps = [step for step in substeps if step <= SAMPLE * (1 + 1e-9)]
+    runs = [(scene, step) for scene in SCENES for step in substeps]
+    found: dict[tuple[str, float], list[float | None]] = {}
+    for index, (scene, step) in enumerate(runs):
+        bench.tell(f"{scene} at {1e3 * step:g} ms", index / len(runs))
+        found[scene, step] = variations(bench, scene, step)
+    names = {(scene, step): f"{scene}.{1e3 * step:g}ms" for scene, step in runs}
+    finest = substeps[-1]
+    return {
+        "about": ABOUT,
+        "quantities": {names[run]: quantity(values, "rad") for run, values in found.items()},
+        "ratios": {
+            f"{names[scene, step]} / {names[scene, finest]}": ratio(values, found[scene, finest])
+            for (scene, step), values in found.items()
+            if step != finest
+        },
+        "missing": [],
+    }
+
+
+def variations(bench: Bench, scene: str, substep: float) -> list[float | None]:
+    """θ̂_R of each start [rad]; None where the finish was not reached."""
+    whole = merged(bench.config.environment(), {"terrain": scene, "sim.substep": substep})
+    env = FlipperEnv(config=parse(EnvConfig, whole))
+    controller = plugins.create("controller", bench.settings.controller, "bench.controller")
+    s = bench.settings
+    seeds = (episode_seed("evaluation", s.seed, index) for index in range(s.starts))
+    rows = [play(env, controller, seed) for seed in seeds]
+    return [r["pitch_variation"] if r["outcome"] == "reached" else None for r in rows]
