@@ -217,6 +217,7 @@ class Ridge(Terrain):
         ["train"],
         ["eval"],
         ["export"],
+        ["bench"],
         ["inspect"],
         *(["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")),
     ],
@@ -230,7 +231,7 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     "command",
-    [["train"], ["eval"], ["export"]]
+    [["train"], ["eval"], ["export"], ["bench"]]
     + [["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")],
 )
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
