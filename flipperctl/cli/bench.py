@@ -24,7 +24,8 @@ SECTION = "bench."
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of its substep;
-[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen stairs succeed, against it too;
+[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen draws
+succeed, against it too;
 [bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
