@@ -7,18 +7,20 @@ from collections import deque
 
 from flipperctl.api import Outcome, Profile
 from flipperctl.config import Episode, Robot
+from flipperctl.sim.plain import Limits
 from flipperctl.sim.world import World
 
 
 class Ends:
-    """Judges one episode: ``instant`` wherever a limit may be reached, ``decision`` after each."""
+    """Judges one episode: ``instant`` where ``limits`` are reached, ``decision`` after each."""
 
     def __init__(self, profile: Profile, robot: Robot, episode: Episode, start: float) -> None:
         """``start``: x of the chassis centre [m]."""
         self._episode = episode
-        self._robot = robot
-        self._profile = profile
         self.finish = profile.end + episode.run_out
+        # Behind the profile the ground is level, so that one height tells who is close to it.
+        top = profile.height(self.finish) + robot.track_radius + episode.clearance
+        self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
         nominal = (self.finish - start) / robot.track_speed  # [s]
         self.t_max = math.ceil(episode.slack * nominal / robot.decision_period)
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_window + 1)
@@ -26,15 +28,12 @@ class Ends:
 
     def instant(self, world: World) -> Outcome | None:
         """Overturned, or behind the finish with the whole chassis close to the ground."""
-        pitch = world.pitch
-        if abs(pitch) >= self._episode.overturn:
+        limits = self.limits
+        if abs(world.pitch) >= limits.angle:
             return Outcome.OVERTURNED
         x, z = world.position
-        if x < self.finish:
-            return None
-        highest = z + self._robot.hinge_offset * abs(math.sin(pitch)) - self._robot.track_radius
-        close = highest - self._profile.height(x) <= self._episode.clearance
-        return Outcome.REACHED if close else None
+        close = z + limits.half * abs(math.sin(world.pitch)) <= limits.top
+        return Outcome.REACHED if x >= limits.x and close else None
 
     def decision(self, x: float) -> Outcome | None:
         """Too little progress over the window, or out of decisions."""

@@ -164,7 +164,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         world.command(*self._target)
         left = self._samples
         while left > 0:
-            pitches = world.advance(left, self.config.episode.overturn, ends.finish)
+            pitches = world.advance(left, ends.limits)
             self._metrics.samples(pitches)
             if (outcome := ends.instant(world)) is not None:
                 return outcome

@@ -6,6 +6,7 @@ velocity. ``plain`` does the same through pymunk's public interface, number for 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import llvmlite.binding
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray
-from flipperctl.sim.plain import GROUND, TRACK
+from flipperctl.sim.plain import GROUND, TRACK, Limits
 
 _DOUBLE = 8  # bytes
 
@@ -66,14 +67,19 @@ def _run(
     angles: FloatArray,
     angle_limit: float,
     x_limit: float,
+    top: float,
+    half: float,
 ) -> int:
     for sample in range(len(angles)):
         for _ in range(substeps):
             _step(space, substep)
         filled[0] = 0
         _read(body, request)
-        angles[sample] = pose[2]
-        if abs(pose[2]) >= angle_limit or pose[0] >= x_limit:
+        x, z, angle = pose[0], pose[1], pose[2]
+        angles[sample] = angle
+        if abs(angle) >= angle_limit:
+            return sample + 1
+        if x >= x_limit and z + half * abs(math.sin(angle)) <= top:
             return sample + 1
     return len(angles)
 
@@ -100,9 +106,9 @@ class CompiledLoop:
             *(_address(body._body), _address(request), filled, np.frombuffer(ffi.buffer(pose))),
         )
 
-    def run(self, angles: FloatArray, angle_limit: float, x_limit: float) -> int:
+    def run(self, angles: FloatArray, limits: Limits) -> int:
         """As ``PlainLoop.run``."""
-        return int(_run(*self._arguments, angles, angle_limit, x_limit))
+        return int(_run(*self._arguments, angles, *limits))
 
 
 @njit(cache=True)

@@ -8,7 +8,8 @@ on the tangent and vanishes at a vertical face.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import pymunk
 
@@ -16,6 +17,19 @@ from flipperctl.api import FloatArray
 
 TRACK, GROUND = 1, 2
 """Collision types."""
+
+
+class Limits(NamedTuple):
+    """Where a run stops: at ``angle``, or behind ``x`` with both ends not above ``top``."""
+
+    angle: float = math.inf
+    """Of the body, either way [rad]."""
+    x: float = math.inf
+    """Of its centre [m]."""
+    top: float = math.inf
+    """Height of its higher end [m]."""
+    half: float = 0.0
+    """From its centre to each end [m]."""
 
 
 class PlainLoop:
@@ -40,17 +54,20 @@ class PlainLoop:
 
         self._space.on_collision(TRACK, GROUND, pre_solve=belt)
 
-    def run(self, angles: FloatArray, angle_limit: float, x_limit: float) -> int:
+    def run(self, angles: FloatArray, limits: Limits) -> int:
         """Run for one sample after the other, at most as many as ``angles`` has room for.
 
-        Stops behind the sample at which the body's angle [rad] or x [m] reaches its limit, and
-        returns how many samples there were; ``angles`` holds them.
+        Stops behind the sample at which a limit is reached, and returns how many samples there
+        were; ``angles`` holds them [rad].
         """
         step, dt, body = self._space.step, self._substep, self._body
         for sample in range(len(angles)):
             for _ in range(self._substeps):
                 step(dt)
             angles[sample] = angle = body.angle
-            if abs(angle) >= angle_limit or body.position.x >= x_limit:
+            if abs(angle) >= limits.angle:
+                return sample + 1
+            x, z = body.position
+            if x >= limits.x and z + limits.half * abs(math.sin(angle)) <= limits.top:
                 return sample + 1
         return len(angles)

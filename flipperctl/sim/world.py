@@ -15,13 +15,15 @@ import pymunk
 
 from flipperctl.api import FloatArray, Profile, RobotState
 from flipperctl.config import Robot, Sim
-from flipperctl.sim.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.plain import GROUND, TRACK, Limits, PlainLoop
 
 if TYPE_CHECKING:
     from flipperctl.sim.compiled import CompiledLoop
 
 SAMPLE = 0.01
 """Time between two samples of the state [s]."""
+
+NO_LIMITS = Limits()
 
 _LEVEL_GROUND = 20.0  # [m] of level ground before and behind the profile
 
@@ -122,16 +124,13 @@ class World:
         self._front_gear.phase = front
         self._rear_gear.phase = -rear
 
-    def advance(
-        self, samples: int = 1, pitch_limit: float = math.inf, x_limit: float = math.inf
-    ) -> FloatArray:
+    def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
         """Run for up to ``samples`` samples; returns the pitch at each, (S,) [rad].
 
-        Stops behind the sample at which the pitch [rad], either way, or the chassis centre's x [m]
-        reaches its limit.
+        Stops behind the sample at which the chassis reaches a limit.
         """
         pitches = np.empty(samples)
-        done = self._loop.run(pitches, pitch_limit, x_limit)
+        done = self._loop.run(pitches, limits)
         self._time += done * SAMPLE
         return pitches[:done]
 

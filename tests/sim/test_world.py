@@ -12,7 +12,7 @@ from flipperctl.config import Robot, Sim
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim import world as world_module
 from flipperctl.sim.compiled import CompiledLoop
-from flipperctl.sim.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.plain import GROUND, TRACK, Limits, PlainLoop
 from flipperctl.sim.world import World
 
 FLAT = Profile([(0.0, 0.0)])
@@ -163,19 +163,24 @@ def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
-@pytest.mark.parametrize("limits", [(math.inf, -4.9), (1e-9, math.inf)], ids=["x", "pitch"])
-def test_both_engines_stop_at_the_sample_that_reaches_a_limit(
-    engine: str, limits: tuple[float, float]
-) -> None:
+@pytest.mark.parametrize("limits", [Limits(x=-4.9), Limits(angle=1e-9)], ids=["x", "pitch"])
+def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limits: Limits) -> None:
     world, other = (World(FLAT, Robot(), Sim(engine=engine), -5.0) for _ in range(2))
-    pitches = world.advance(100, *limits)
+    pitches = world.advance(100, limits)
     every = [other.advance()[0] for _ in pitches]
     assert 0 < len(pitches) < 100
     assert world.time == pytest.approx(0.01 * len(pitches))
     assert pitches.tolist() == every
     assert other.position == world.position
-    reached = (abs(world.pitch), world.position[0])
-    assert any(value >= limit for value, limit in zip(reached, limits, strict=True))
+    assert abs(world.pitch) >= limits.angle or world.position[0] >= limits.x
+
+
+@pytest.mark.parametrize("engine", ["plain", "compiled"])
+def test_both_engines_go_on_behind_the_finish_while_an_end_is_too_high(engine: str) -> None:
+    world = World(FLAT, Robot(), Sim(engine=engine), 0.0)
+    low = Limits(x=-1.0, top=0.09, half=0.28)  # the chassis rests at 0.1 m
+    assert len(world.advance(30, low)) == 30
+    assert len(world.advance(30, low._replace(top=0.11))) == 1
 
 
 def test_one_constant_surface_velocity_would_stall_at_the_riser(
@@ -221,7 +226,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    loop(space, track, 0.2, 0.005, 2).run(np.empty(100), math.inf, math.inf)
+    loop(space, track, 0.2, 0.005, 2).run(np.empty(100), Limits())
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 
