@@ -50,6 +50,10 @@ class Workers:
         # the memory.
         several = count > 1 and "forkserver" in multiprocessing.get_all_start_methods()
         self._context = multiprocessing.get_context("forkserver" if several else "spawn")
+        known = multiprocessing.get_all_start_methods()
+        if multiprocessing.get_start_method(allow_none=True) not in (None, *known):
+            # A worker of joblib's has one of its own, which its children would not know.
+            multiprocessing.set_start_method("spawn", force=True)
         if several:
             self._context.set_forkserver_preload([_ACTOR, "flipperctl.sim.compiled"])
         self._begin = (begin, arguments)

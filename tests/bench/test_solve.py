@@ -100,12 +100,12 @@ def test_both_learners_run_and_are_validated_alike() -> None:
 
 
 def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
-    bench = small_bench()
-    config = solve.configured(bench, 5)
+    config = solve.configured(small_bench(), 5)
     trainer = Trainer(config, tmp_path)
     (tmp_path / "checkpoints").mkdir()
-    trainer._validate()
-    expected = trainer.validations[0]["success_rate"]
+    trainer.run()
+    assert trainer.last_validated == trainer.decision  # so the policy is the validated one
+    expected = trainer.validations[-1]["success_rate"]
     assert Validation(config)(trainer.agent.policy) == expected
 
 

@@ -57,7 +57,9 @@ def test_a_command_without_arguments_shows_its_help_and_no_error(
     assert "Usage: flipperctl" in done.out
 
 
-def test_completion_is_still_offered(tmp_path: Path) -> None:
+def test_completion_is_still_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Else typer asks which shell runs the tests.
+    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     done = call("--show-completion", "bash", cwd=tmp_path)
     assert done.code == 0
     assert "_FLIPPERCTL_COMPLETE" in done.out
