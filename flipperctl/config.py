@@ -305,8 +305,8 @@ class TrainConfig(EnvConfig):
     @model_validator(mode="after")
     def _one_place_to_play(self) -> TrainConfig:
         if self.train.mode == "exact" and self.collector.name != "local":
-            raise ValueError(
-                f"train.mode=exact plays in the learner's process; collector={self.collector.name} "
+            raise ConfigError(
+                f"train.mode: exact plays in the learner's process; collector={self.collector.name} "
                 "needs train.mode=fast"
             )
         return self
