@@ -306,8 +306,8 @@ class TrainConfig(EnvConfig):
     def _one_place_to_play(self) -> TrainConfig:
         if self.train.mode == "exact" and self.collector.name != "local":
             raise ConfigError(
-                f"train.mode: exact plays in the learner's process; collector={self.collector.name} "
-                "needs train.mode=fast"
+                "train.mode: exact plays in the learner's process; "
+                f"collector={self.collector.name} needs train.mode=fast"
             )
         return self
 
