@@ -6,6 +6,7 @@ import re
 import shlex
 from itertools import pairwise
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 
@@ -47,7 +48,9 @@ def smaller(command: list[str]) -> list[str]:
     if command[0] == "train" and "--cfg" not in command:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
-        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials]
+        alone = not resumed and "-m" not in command  # two of one second would share a folder
+        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
+        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
         return [*command, "--small"]
     if command[0] == "eval":

@@ -105,6 +105,7 @@ class Workers:
                 f"worker process {worker} died {_DEATHS} times in a row, the last time in "
                 "its first job; is the memory full?"
             )
+        _unblock(self._pools[worker])
         self._pools[worker].shutdown(wait=False)
         self._pools[worker] = self._pool()
         for other in self._jobs[worker]:
@@ -116,12 +117,22 @@ class Workers:
         return [pid for pool in self._pools for pid in (pool._processes or {})]
 
     def close(self) -> None:
-        """Stop all processes, whatever they do."""
+        """Stop all processes, each behind the job that it works on."""
         for pool in self._pools:
-            running = list((pool._processes or {}).values())
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in running:
-                process.terminate()
+            if not all(process.is_alive() for process in (pool._processes or {}).values()):
+                _unblock(pool)
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _unblock(pool: ProcessPoolExecutor) -> None:
+    """Let a pool whose process died come to its end.
+
+    Before Python 3.12 its thread waits for ever to hand over what fills the pipe to the dead
+    process (CPython issue 94777), and the interpreter waits for the thread.
+    """
+    queue: Any = getattr(pool, "_call_queue", None)
+    if queue is not None:
+        queue._reader.close()
 
 
 def _start(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
