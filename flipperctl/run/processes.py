@@ -15,9 +15,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+
+from safetensors.numpy import load_file, save_file
 
 from flipperctl.errors import FlipperctlError
 from flipperctl.run.collect import Judged, Order, Played, Row, Weights
@@ -105,7 +109,6 @@ class Workers:
                 f"worker process {worker} died {_DEATHS} times in a row, the last time in "
                 "its first job; is the memory full?"
             )
-        _unblock(self._pools[worker])
         self._pools[worker].shutdown(wait=False)
         self._pools[worker] = self._pool()
         for other in self._jobs[worker]:
@@ -119,20 +122,7 @@ class Workers:
     def close(self) -> None:
         """Stop all processes, each behind the job that it works on."""
         for pool in self._pools:
-            if not all(process.is_alive() for process in (pool._processes or {}).values()):
-                _unblock(pool)
             pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _unblock(pool: ProcessPoolExecutor) -> None:
-    """Let a pool whose process died come to its end.
-
-    Before Python 3.12 its thread waits for ever to hand over what fills the pipe to the dead
-    process (CPython issue 94777), and the interpreter waits for the thread.
-    """
-    queue: Any = getattr(pool, "_call_queue", None)
-    if queue is not None:
-        queue._reader.close()
 
 
 def _start(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
@@ -157,10 +147,18 @@ class ProcessCrew:
         self.capacity = 2 * count  # one is waiting while the other is played
         self._workers = Workers(count, _begin, (config, plugin_paths))
         self._sent: deque[tuple[Order, Job]] = deque()
+        # Weights go through files: a pool whose process dies while a long message to it is under
+        # way would hold up the interpreter's exit (CPython issue 94777, before Python 3.12).
+        self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
+        self._files: dict[int, Path] = {}
 
     def send(self, order: Order) -> None:
         """Hand an order to the worker that has the least to do."""
-        self._sent.append((order, self._workers.submit(_play, order)))
+        if order.version not in self._files:
+            self._files[order.version] = self._write(f"order{order.version}", order.weights)
+        path = self._files[order.version]
+        slim = replace(order, weights={})
+        self._sent.append((order, self._workers.submit(_play, slim, path)))
 
     def take(self) -> tuple[Order, Played | None]:
         """The oldest order, and its episode."""
@@ -169,11 +167,21 @@ class ProcessCrew:
             return order, self._workers.result(job)
         except WorkerDiedError:
             return order, None
+        finally:
+            in_use = {waiting.version for waiting in self.outstanding()}
+            for version in self._files.keys() - in_use:
+                self._files.pop(version).unlink()
 
     def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
         """Each share goes to the worker that has the least to do."""
-        jobs = [self._workers.submit(_judge, weights, share) for share in shares]
+        path = self._write("judged", weights)
+        jobs = [self._workers.submit(_judge, path, share) for share in shares]
         return [partial(self._judged, job) for job in jobs]
+
+    def _write(self, name: str, weights: Weights) -> Path:
+        path = Path(self._folder.name) / f"{name}.safetensors"
+        save_file(dict(weights), path)
+        return path
 
     def _judged(self, job: Job) -> list[Row] | None:
         try:
@@ -189,6 +197,7 @@ class ProcessCrew:
     def close(self) -> None:
         """Stop the processes."""
         self._workers.close()
+        self._folder.cleanup()
 
 
 _actor: Any = None  # one a worker process
@@ -210,11 +219,11 @@ def _ready() -> Any:
     return _actor
 
 
-def _play(order: Order) -> Played:
-    played: Played = _ready().play(order)
+def _play(order: Order, weights: Path) -> Played:
+    played: Played = _ready().play_shared(order, load_file(weights))
     return played
 
 
-def _judge(weights: Weights, seeds: Sequence[int]) -> list[Row]:
-    rows: list[Row] = _ready().judge(weights, seeds)
+def _judge(weights: Path, seeds: Sequence[int]) -> list[Row]:
+    rows: list[Row] = _ready().judge(load_file(weights), seeds)
     return rows
