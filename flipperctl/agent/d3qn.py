@@ -17,6 +17,8 @@ from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
 
+_CPU = torch.device("cpu")
+
 
 def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
     """The network, after a check of its output's shape.
@@ -51,10 +53,12 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
     return module
 
 
-def greedy(module: torch.nn.Module, observation: NDArray[np.float32]) -> int:
-    """The action of the largest Q-value of a network on the CPU; ``observation`` is (N + 3,)."""
+def greedy(
+    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
+) -> int:
+    """The action of the largest Q-value of a network on ``device``; ``observation``: (N + 3,)."""
     with torch.inference_mode():
-        return int(module(torch.from_numpy(observation).unsqueeze(0)).argmax())
+        return int(module(torch.from_numpy(observation).to(device).unsqueeze(0)).argmax())
 
 
 def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
@@ -110,7 +114,7 @@ class D3qn:
         """ε-greedy on the online network."""
         if rng.random() < epsilon:
             return int(rng.integers(self._n_actions))
-        return greedy(self.online, observation)
+        return greedy(self.online, observation, self.device)
 
     def update(self, batch: Batch, share: float) -> float:
         """Gradient steps of ``batch_size`` transitions each; ``share`` of the run is over.

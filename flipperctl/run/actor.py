@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,13 +38,12 @@ class Actor:
         policy = QPolicy(self._module)
         return [play(self._env, policy, seed) for seed in seeds]
 
-    def play_shared(self, order: Order, weights: Weights) -> Played:
-        """As ``play``, with the weights apart, so that many orders can share them."""
-        return self.play(replace(order, weights=weights))
+    def play(self, order: Order, weights: Weights) -> Played:
+        """One episode to its end; equal orders give equal episodes.
 
-    def play(self, order: Order) -> Played:
-        """One episode to its end; equal orders give equal episodes."""
-        self._load(order.weights)
+        The weights come apart from the order, since many orders share them.
+        """
+        self._load(weights)
         rng = exploration(self._seed, order.episode)
         observation, _ = self._env.reset(seed=order.seed)
         observations, actions, rewards = [observation], [], []

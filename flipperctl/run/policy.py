@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import build_network
+from flipperctl.agent.d3qn import build_network, greedy
 from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
@@ -33,9 +33,7 @@ class QPolicy:
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""
-        with torch.inference_mode():
-            observation = torch.from_numpy(p.observation).to(self._device)
-            return int(self.module(observation.unsqueeze(0)).argmax())
+        return greedy(self.module, p.observation, self._device)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:

@@ -220,7 +220,7 @@ def _ready() -> Any:
 
 
 def _play(order: Order, weights: Path) -> Played:
-    played: Played = _ready().play_shared(order, load_file(weights))
+    played: Played = _ready().play(order, load_file(weights))
     return played
 
 

@@ -59,7 +59,7 @@ class RayCrew:
         if self._shared[0] is not order.weights:
             self._shared = (order.weights, self._ray.put(dict(order.weights)))
         slim = replace(order, weights={})
-        reference = self._actors[worker].play_shared.remote(slim, self._shared[1])
+        reference = self._actors[worker].play.remote(slim, self._shared[1])
         self._sent[reference] = (order, worker)
 
     def take(self) -> tuple[Order, Played | None]:
