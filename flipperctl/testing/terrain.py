@@ -19,8 +19,8 @@ from flipperctl.testing.variants import Variant
 SEEDS = range(5)
 LENGTH, HEIGHT = 100.0, 20.0
 """The longest profile, and the largest height above or below its first edge [m]."""
-DECISIONS = 3
-"""Made with the flippers held: 0.36 m of the run-up of 1 m."""
+DECISIONS = 5
+"""Made with the flippers held: 0.6 m, the last third with the front flippers on the terrain."""
 DRIVEN, DEEP = 0.15, 0.02
 """Least way in them, and the deepest overlap with the ground that contact explains [m]."""
 
@@ -133,6 +133,7 @@ def _draw(terrain: Terrain, seed: int) -> Profile:
     return profile
 
 
-def _global_state() -> tuple[object, bytes]:
+def _global_state() -> tuple[object, ...]:
     state = np.random.get_state(legacy=False)  # noqa: NPY002  # it is only looked at
-    return random.getstate(), str(state).encode() + state["state"]["key"].tobytes()
+    words = state["state"]
+    return random.getstate(), words["key"].tobytes(), words["pos"], state["gauss"]
