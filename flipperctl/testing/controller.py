@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from statistics import median
+from time import perf_counter
 
 from flipperctl.api import ACTIONS, Controller
 from flipperctl.testing.check import require
@@ -49,9 +49,9 @@ def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
     taken: list[float] = []
     over = False
     while not over and len(answers) < DECISIONS:
-        begun = time.perf_counter()
+        begun = perf_counter()
         action = controller.act(env.perception)
-        taken.append(time.perf_counter() - begun)
+        taken.append(perf_counter() - begun)
         require(
             isinstance(action, int) and action in range(len(ACTIONS)),
             f"act returned {action!r} at {env.state.time:.1f} s of scene {scene}; "
