@@ -25,8 +25,9 @@ class Bench(Terrain):
 '''
 # Both processes hold flipperctl and its own plugins already; argv: folder, module names.
 _BEFORE = """
-import sys, time
+import os, sys, time
 from importlib import import_module
+os.environ.pop("FLIPPERCTL_PLUGINS", None)  # those would be loaded too
 sys.path.insert(0, sys.argv[1])
 import flipperctl_plugins
 from flipperctl import plugins
