@@ -62,7 +62,7 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     env.reset(seed=seed)
     state, robot = env.state, config.robot
     made = Recording(seed, env.profile, (float(state.position[0]), state.front, state.rear))
-    made.moments.append(bare.moment(env.world))
+    made.moments.append(bare.moment(env.drive.world))
     target, pitches = (state.front, state.rear), [state.pitch]
     outcome = None
     while outcome is None:
@@ -76,8 +76,8 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
         pitches.append(env.state.pitch)
         made.actions.append(action)
         made.targets.append(target)
-        made.moments.append(bare.moment(env.world))
-        made.contacts.append(bare.contacts(env.world))
+        made.moments.append(bare.moment(env.drive.world))
+        made.contacts.append(bare.contacts(env.drive.world))
         made.transitions.append(
             Transition(before, env.state, np.array(pitches), move, env.profile, robot, outcome)
         )

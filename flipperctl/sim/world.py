@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pymunk
@@ -172,3 +172,21 @@ class World:
             pitch_rate=chassis.angular_velocity,
             time=self._time,
         )
+
+    def save(self) -> tuple[Any, ...]:
+        """Poses, speeds and flipper targets, for ``load``.
+
+        The engine's contact impulses are not in it: what follows differs from an uninterrupted
+        run by less than its solver's tolerance at each load.
+        """
+        bodies = [
+            (b.position, b.angle, b.velocity, b.angular_velocity)
+            for b in (self._chassis, self._front, self._rear)
+        ]
+        return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Go back to what ``save`` gave."""
+        bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
+        for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
+            body.position, body.angle, body.velocity, body.angular_velocity = pose
