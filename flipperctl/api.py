@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +38,7 @@ __all__ = [
     "RobotGeometry",
     "RobotState",
     "Settings",
+    "Simulator",
     "Terrain",
     "Transition",
     "action_index",
@@ -341,10 +342,52 @@ class Network(Plugin, ABC):
         """A module from observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
 
 
+class Simulator(Protocol):
+    """The scene of an episode, for controllers that look ahead; no real robot has one."""
+
+    @property
+    def state(self) -> RobotState:
+        """The robot now."""
+
+    @property
+    def robot(self) -> RobotGeometry:
+        """Its geometry."""
+
+    @property
+    def speed(self) -> float:
+        """Of its belts [m/s]."""
+
+    @property
+    def finish(self) -> float:
+        """X that the chassis centre must pass [m]."""
+
+    def step(self, action: int) -> Outcome | None:
+        """One decision; None while the episode goes on."""
+
+    def save(self) -> Any:
+        """The moment, for ``load``."""
+
+    def load(self, saved: Any) -> None:
+        """Go back to a moment.
+
+        The engine's contact impulses are not restored, so that a path through loaded moments
+        differs a little from the same actions in one go.
+        """
+
+    def restart(self) -> None:
+        """Back to the start: the same actions now lead to the episode's own states, exactly."""
+
+    def tell(self, share: float) -> None:
+        """Say how much of a long search is done, in [0, 1]."""
+
+
 class Controller(Plugin, ABC):
     """A rule that maps what the robot perceives to an action."""
 
     kind: ClassVar[str] = "controller"
+
+    def begin(self, simulator: Simulator) -> None:  # noqa: B027  # for the few that need it
+        """An episode begins; ``simulator`` is its scene. Most rules do nothing here."""
 
     @abstractmethod
     def act(self, p: Perception) -> int:

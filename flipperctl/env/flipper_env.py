@@ -29,6 +29,7 @@ from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
+from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import NonFiniteError, TerrainError
 from flipperctl.sim.sensing import TerrainSensor
 
@@ -122,6 +123,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return Drive(
             self.profile, self._sections, self.config.episode, self._start, period, samples
         )
+
+    def simulator(self, tell: Callable[[float], None] = lambda share: None) -> SceneSimulator:
+        """The episode's scene from its start, apart from the episode itself.
+
+        ``tell`` hears what share of a search is done.
+        """
+        return SceneSimulator(self._drive, tell)
 
     @property
     def state(self) -> RobotState:

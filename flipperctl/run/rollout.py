@@ -18,6 +18,7 @@ def play(
     The states at every decision, start and end included, are appended to ``trace``.
     """
     env.reset(seed=seed)
+    controller.begin(env.simulator())
     while True:
         if trace is not None:
             trace.append(env.state)
