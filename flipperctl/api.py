@@ -12,21 +12,30 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    SerializationInfo,
+)
+from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
     import torch
 
 __all__ = [
     "ACTIONS",
+    "AnyTerrain",
     "Controller",
     "Network",
     "ObservationLayout",
@@ -111,15 +120,17 @@ class Profile:
     """The obstacle in the robot's side plane, from its first edge to its last.
 
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
-    The ground goes on level before the first point and behind the last.
+    The ground goes on level before the first point and behind the last. ``label`` says what was
+    drawn, for tables; empty stands for the terrain's own name.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
     """
 
     points: FloatArray
+    label: str = ""
 
-    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]]) -> None:
+    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]], label: str = "") -> None:
         array = np.array(points, dtype=np.float64)
         if array.size == 0:
             raise ValueError("a profile needs at least one point; it is empty")
@@ -137,6 +148,7 @@ class Profile:
             )
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
+        object.__setattr__(self, "label", label)
 
     @property
     def start(self) -> float:
@@ -318,6 +330,49 @@ class Terrain(Plugin, ABC):
     def generate(self, rng: np.random.Generator) -> Profile:
         """A profile; every random choice comes from ``rng``."""
 
+    def labelled(self, rng: np.random.Generator) -> Profile:
+        """What ``generate`` draws; without a label it gets the terrain's name.
+
+        Raises:
+            ValueError: it is no profile.
+        """
+        profile = self.generate(rng)
+        if not isinstance(profile, Profile):
+            found = type(profile).__name__
+            raise ValueError(f"generate must return a Profile; it returned a {found}")
+        return profile if profile.label else Profile(profile.points, self.plugin_name)
+
+
+def _nested_terrain(value: object) -> object:
+    """The terrain meant by its name, or by a mapping with ``name`` and its fields."""
+    if isinstance(value, Terrain):
+        return value
+    if isinstance(value, str):
+        value = {"name": value}
+    if not isinstance(value, Mapping) or "name" not in value:
+        raise ValueError("a terrain's name, or a mapping with 'name' and its fields, is allowed")
+    cls = registry.get(("terrain", str(value["name"])))
+    if cls is None:
+        known = sorted(name for kind, name in registry if kind == "terrain")
+        context = {"kind": "terrain", "name": str(value["name"]), "known": known}
+        raise PydanticCustomError("unknown_plugin", "there is no {kind} plugin '{name}'", context)
+    return cls(**{key: field for key, field in value.items() if key != "name"})
+
+
+def _nested_container(plugin: Plugin, info: SerializationInfo) -> Any:
+    """What ``_nested_terrain`` takes; in the context ``brief`` a name alone if it says it all."""
+    context = info.context or {}
+    if context.get("brief") and plugin == type(plugin)():
+        return plugin.plugin_name
+    fields = plugin.model_dump(mode="json", context=context)
+    return {"name": plugin.plugin_name, **fields}
+
+
+AnyTerrain = Annotated[
+    Terrain, BeforeValidator(_nested_terrain), PlainSerializer(_nested_container)
+]
+"""The type of a field that takes another terrain: an instance, a name, or a mapping."""
+
 
 class RewardTerm(Plugin, ABC):
     """One summand of the reward; the environment multiplies it by ``weight``."""
@@ -386,7 +441,7 @@ class Controller(Plugin, ABC):
 
     kind: ClassVar[str] = "controller"
 
-    def begin(self, simulator: Simulator) -> None:  # noqa: B027  # for the few that need it
+    def begin(self, simulator: Simulator) -> None:  # for the few that need it
         """An episode begins; ``simulator`` is its scene. Most rules do nothing here."""
 
     @abstractmethod

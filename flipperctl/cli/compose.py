@@ -55,7 +55,7 @@ def offer_defaults() -> None:
             for field, info in cls.model_fields.items()
         }
         try:
-            node = plugins.container(cls(**fields))
+            node = plugins.container(cls(**fields), brief=True)
         except ValueError as error:
             raise ConfigError(
                 f"{kind} plugin {name!r}: its defaults are not valid: {error}"
@@ -76,6 +76,7 @@ def offer_trained(config: TrainConfig | EvalConfig) -> str:
     """Offer a policy's own environment as the primary configuration; returns its name."""
     store = ConfigStore.instance()
     whole = container(config.environment())
+    whole["terrain"] = plugins.container(config.terrain, brief=True)
     store.store(group="terrain", name=_TRAINED, node=whole.pop("terrain"))
     name = "flipperctl_eval_trained"
     defaults = [{"terrain": _TRAINED}, "_self_"]

@@ -139,15 +139,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def _draw(self, rng: np.random.Generator) -> Profile:
         terrain = self.config.terrain
         try:
-            profile = terrain.generate(rng)
+            return terrain.labelled(rng)
         except ValueError as error:
             raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
-        if not isinstance(profile, Profile):
-            raise TerrainError(
-                f"terrain {terrain.plugin_name!r}: generate must return a Profile; "
-                f"it returned a {type(profile).__name__}"
-            )
-        return profile
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision.
@@ -171,7 +165,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
             info["outcome"] = outcome
-            info["metrics"] = {**self._metrics.summary(), **self._draws}
+            info["metrics"] = {
+                "terrain": self.profile.label,
+                **self._metrics.summary(),
+                **self._draws,
+            }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
         return self.perception.observation, sum(parts.values()), terminated, truncated, info

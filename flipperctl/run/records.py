@@ -35,6 +35,7 @@ COLUMNS = (
     "decision",
     "episode",
     "seed",
+    "terrain",
     "outcome",
     "success_rate",
     "decisions",

@@ -144,9 +144,7 @@ class Planner(Controller):
             simulator.tell(min(1.0, gone / max(1e-6, simulator.finish - origin)))
         return sorted(done, key=_cost)[:_TRIES] or [farthest], spent
 
-    def _tries(
-        self, moments: list[_Moment], simulator: Simulator
-    ) -> Iterator[tuple[_Moment, int]]:
+    def _tries(self, moments: list[_Moment], simulator: Simulator) -> Iterator[tuple[_Moment, int]]:
         """Every action at every moment, the simulator being there."""
         limit = simulator.robot.angle_limit - 0.02
         for moment in moments:
