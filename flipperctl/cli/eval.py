@@ -158,23 +158,24 @@ def _judge(
 
 def _play(config: EvalConfig, source: ControllerSource, label: str) -> list[dict[str, Any]]:
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress
 
     from flipperctl.run.evaluate import evaluate as run
 
     s = config.eval
-    episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs)
     console = Console(stderr=True)
-    return list(
-        track(
-            episodes,
-            label,
-            s.episodes,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-    )
+    rows: list[dict[str, Any]] = []
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(label, total=s.episodes)
+
+        def tell(share: float) -> None:
+            progress.update(task, completed=len(rows) + share)
+
+        episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs, tell=tell)
+        for row in episodes:
+            rows.append(row)
+            tell(0.0)
+    return rows
 
 
 def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -> None:

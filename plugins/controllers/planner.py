@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -24,7 +24,7 @@ _HOLD = action_index(0, 0)
 _TRIES = 20
 """Plans of a search that are tried in the episode's own world."""
 _STRAYED = 0.02
-"""A plan is left where the episode's own world differs by more from the search [m, rad]."""
+"""A plan has strayed where the episode's own world differs by more from the search [m]."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,18 @@ class _Moment:
             found.append(moment)
             moment = moment.parent
         return found[::-1]
+
+
+class _Tried(NamedTuple):
+    """A plan in the episode's own world."""
+
+    actions: list[int]
+    """As far as the episode went."""
+    reached: bool
+    cost: float
+    """[s]"""
+    same: int
+    """Decisions until it strayed from the search."""
 
 
 @controller("planner")
@@ -83,29 +95,27 @@ class Planner(Controller):
 
     def begin(self, simulator: Simulator) -> None:
         """Search, and try the plans in the episode's own world; search again where they stray."""
-        left = self.budget
-        prefix: list[int] = []
+        left, width, prefix = self.budget, self.width, list[int]()
         while True:
-            found, spent = self._search(simulator, prefix, left)
+            found, spent = self._search(simulator, prefix, width, left)
             left -= spent
-            longest: list[int] = prefix
-            for moment in found:
-                followed, reached = _followed(simulator, moment)
-                if reached:
-                    self._plan[:] = followed[::-1]
-                    return
-                longest = max(longest, followed, key=len)
-            if left <= 0 or len(longest) <= len(prefix):
-                self._plan[:] = longest[::-1]
+            tried = [self._followed(simulator, moment) for moment in found]
+            reached = [t for t in tried if t.reached]
+            best = min(reached or tried, key=lambda t: t.cost if reached else -t.same)
+            if reached or left <= 0:
+                self._plan[:] = best.actions[::-1]
                 return
-            prefix = longest
+            if best.same > len(prefix) + 1:
+                prefix = best.actions[: best.same - 1]
+            else:  # nothing leads on from here: further back, and wider
+                prefix, width = prefix[: -len(prefix) // 4], 2 * width
 
     def act(self, p: Perception) -> int:
         """The next action of the plan; behind it, the flippers are held."""
         return self._plan.pop() if self._plan else _HOLD
 
     def _search(
-        self, simulator: Simulator, prefix: list[int], budget: int
+        self, simulator: Simulator, prefix: list[int], width: int, budget: int
     ) -> tuple[list[_Moment], int]:
         """Moments at the finish, the cheapest first, and how many decisions it took to find them.
 
@@ -125,7 +135,7 @@ class Planner(Controller):
         farthest, spent = start, 0
         while stages and spent < budget:
             stage = min(stages)
-            moments = sorted(stages.pop(stage).values(), key=_cost)[: self.width]
+            moments = sorted(stages.pop(stage).values(), key=_cost)[:width]
             if done and moments[0].cost >= min(map(_cost, done)):
                 continue  # none of them can be cheaper any more
             for parent, action in self._tries(moments, simulator):
@@ -143,6 +153,23 @@ class Planner(Controller):
             gone = float(farthest.state.position[0]) - origin
             simulator.tell(min(1.0, gone / max(1e-6, simulator.finish - origin)))
         return sorted(done, key=_cost)[:_TRIES] or [farthest], spent
+
+    def _followed(self, simulator: Simulator, goal: _Moment) -> _Tried:
+        """What becomes of a plan in the episode's own world."""
+        simulator.restart()
+        here = _Moment(simulator.state, 0.0, 0.0, None)
+        actions: list[int] = []
+        same = 0
+        for moment in goal.path():
+            outcome = simulator.step(moment.action)
+            here = self._next(here, moment.action, simulator)
+            actions.append(moment.action)
+            apart = np.subtract(here.state.position, moment.state.position)
+            if same == len(actions) - 1 and float(np.abs(apart).max()) < _STRAYED:
+                same += 1
+            if outcome is not None:
+                return _Tried(actions, outcome is Outcome.REACHED, here.cost, same)
+        return _Tried(actions, False, here.cost, same)
 
     def _tries(self, moments: list[_Moment], simulator: Simulator) -> Iterator[tuple[_Moment, int]]:
         """Every action at every moment, the simulator being there."""
@@ -173,18 +200,3 @@ class Planner(Controller):
 
 def _cost(moment: _Moment) -> float:
     return moment.cost
-
-
-def _followed(simulator: Simulator, goal: _Moment) -> tuple[list[int], bool]:
-    """How far the episode's own world follows a plan, and whether it reaches the finish."""
-    simulator.restart()
-    actions: list[int] = []
-    for moment in goal.path():
-        if simulator.step(moment.action) is Outcome.REACHED:
-            return [*actions, moment.action], True
-        state = simulator.state
-        apart = [*(state.position - moment.state.position), state.pitch - moment.state.pitch]
-        if float(np.abs(apart).max()) > _STRAYED and actions:
-            break
-        actions.append(moment.action)
-    return actions, False
