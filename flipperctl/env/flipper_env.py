@@ -83,12 +83,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a terrain and put the robot before it; equal seeds give equal episodes."""
+        """Draw a terrain and put the robot before it; equal seeds give equal episodes.
+
+        ``options``: ``difficulty`` from 0 to 1, for terrains that have one; else it is 1.
+        """
         super().reset(seed=seed)
         # One stream each, so that sensing noise never changes the terrain that is drawn.
         terrain_rng, start_rng, self._sensor_rng, self._controller_rng = self.np_random.spawn(4)
         episode = self.config.episode
-        self.profile = self._draw(terrain_rng)
+        self.profile = self._draw(terrain_rng, (options or {}).get("difficulty", 1.0))
         shift, front, rear = start_rng.uniform(-1.0, 1.0, 3)
         start = self.profile.start - episode.run_up + shift * episode.start_noise
         angles = [
@@ -112,10 +115,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.perception = self._perceive(self.state)
         return self.perception.observation, {}
 
-    def _draw(self, rng: np.random.Generator) -> Profile:
+    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
         try:
-            return terrain.labelled(rng)
+            return terrain.at(difficulty).labelled(rng)
         except ValueError as error:
             raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
 

@@ -3,6 +3,7 @@
 from flipperctl_plugins.terrains import (
     building_stair,
     curb_and_ramp,
+    curriculum,
     flat,
     gap,
     mirror,
@@ -25,6 +26,7 @@ from flipperctl_plugins.terrains import (
 __all__ = [
     "building_stair",
     "curb_and_ramp",
+    "curriculum",
     "flat",
     "gap",
     "mirror",
