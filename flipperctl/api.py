@@ -330,6 +330,19 @@ class Terrain(Plugin, ABC):
     def generate(self, rng: np.random.Generator) -> Profile:
         """A profile; every random choice comes from ``rng``."""
 
+    @property
+    def first_difficulty(self) -> float:
+        """Difficulty of the first episode of a training, 0 to 1."""
+        return 1.0
+
+    def next_difficulty(self, difficulty: float, reached: bool) -> float:
+        """Difficulty of the episodes behind one that did or did not reach the finish, 0 to 1."""
+        return difficulty
+
+    def at(self, difficulty: float) -> Terrain:
+        """The terrain from which a training at this difficulty draws; itself is that of 1."""
+        return self
+
     def labelled(self, rng: np.random.Generator) -> Profile:
         """What ``generate`` draws; without a label it gets the terrain's name.
 

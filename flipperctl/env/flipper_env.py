@@ -85,7 +85,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a terrain and put the robot before it; equal seeds give equal episodes."""
+        """Draw a terrain and put the robot before it; equal seeds give equal episodes.
+
+        ``options``: ``difficulty`` from 0 to 1, for terrains that have one; else it is 1.
+        """
         super().reset(seed=seed)
         # One stream each, so that sensing noise never changes the terrain that is drawn.
         terrain_rng, start_rng, self._sensor_rng, self._controller_rng, draw_rng = (
@@ -95,7 +98,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         drawn = config.randomise.draw(draw_rng)
         sections = config.drawn(drawn)
         _, self.robot, perception = sections
-        self.profile = self._draw(terrain_rng)
+        self.profile = self._draw(terrain_rng, (options or {}).get("difficulty", 1.0))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
         )
@@ -136,10 +139,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """The robot's true state."""
         return self.drive.state
 
-    def _draw(self, rng: np.random.Generator) -> Profile:
+    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
         try:
-            return terrain.labelled(rng)
+            return terrain.at(difficulty).labelled(rng)
         except ValueError as error:
             raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
 

@@ -36,6 +36,7 @@ COLUMNS = (
     "episode",
     "seed",
     "terrain",
+    "difficulty",
     "outcome",
     "success_rate",
     "decisions",

@@ -3,6 +3,7 @@
 from flipperctl_plugins.terrains import (
     building_stair,
     curb_and_ramp,
+    curriculum,
     flat,
     gap,
     mirror,
@@ -12,6 +13,7 @@ from flipperctl_plugins.terrains import (
     paper_stair,
     paper_step,
     plum,
+    profile_file,
     rail,
     ramp,
     rubble,
@@ -25,6 +27,7 @@ from flipperctl_plugins.terrains import (
 __all__ = [
     "building_stair",
     "curb_and_ramp",
+    "curriculum",
     "flat",
     "gap",
     "mirror",
@@ -34,6 +37,7 @@ __all__ = [
     "paper_stair",
     "paper_step",
     "plum",
+    "profile_file",
     "rail",
     "ramp",
     "rubble",

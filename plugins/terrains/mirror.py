@@ -1,14 +1,15 @@
 """A terrain the other way round."""
 
 import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
 from flipperctl_plugins.terrains.curb_and_ramp import CurbAndRamp
 from pydantic import Field
 
-from flipperctl.api import AnyTerrain, Profile, Terrain, terrain
+from flipperctl.api import AnyTerrain, Profile, terrain
 
 
 @terrain("mirror")
-class Mirror(Terrain):
+class Mirror(Combinator):
     """Another terrain, driven from its end to its start."""
 
     terrain: AnyTerrain = Field(

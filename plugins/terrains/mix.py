@@ -3,15 +3,16 @@
 from typing import Self
 
 import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
 from flipperctl_plugins.terrains.stair import Stair
 from flipperctl_plugins.terrains.step import Step
 from pydantic import Field, model_validator
 
-from flipperctl.api import AnyTerrain, Profile, Terrain, terrain
+from flipperctl.api import AnyTerrain, Profile, terrain
 
 
 @terrain("mix")
-class Mix(Terrain):
+class Mix(Combinator):
     """Draws one of several terrains each episode; the episode's row says which."""
 
     parts: tuple[AnyTerrain, ...] = Field(

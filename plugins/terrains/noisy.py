@@ -3,14 +3,15 @@
 from itertools import pairwise
 
 import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
 from flipperctl_plugins.terrains.stair import Stair
 from pydantic import Field
 
-from flipperctl.api import AnyTerrain, FloatArray, Profile, Terrain, terrain
+from flipperctl.api import AnyTerrain, FloatArray, Profile, terrain
 
 
 @terrain("noisy")
-class Noisy(Terrain):
+class Noisy(Combinator):
     """Another terrain with a rough surface; vertical faces stay vertical and as high."""
 
     terrain: AnyTerrain = Field(

@@ -1,6 +1,7 @@
 """Several terrains, one after another."""
 
 import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
 from flipperctl_plugins.terrains.drawn import Drawn
 from flipperctl_plugins.terrains.ramp import Ramp
 from flipperctl_plugins.terrains.step import Step
@@ -10,7 +11,7 @@ from flipperctl.api import AnyTerrain, Profile, terrain
 
 
 @terrain("sequence")
-class Sequence(Drawn):
+class Sequence(Drawn, Combinator):
     """Terrains one after another; each begins at the height at which the last one ended."""
 
     parts: tuple[AnyTerrain, ...] = Field(

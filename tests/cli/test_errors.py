@@ -104,6 +104,7 @@ def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path
     for command in (
         ["inspect", "terrain", "odd"],
         ["eval", "--controller", "level", "terrain=odd"],
+        ["train", "terrain=odd"],
     ):
         error = refused(*command, "--plugins", "odd.py", cwd=tmp_path)
         assert [word for word in ["odd", *words] if word not in error] == [], error

@@ -113,12 +113,12 @@ def test_a_lowered_front_pair_lifts_the_nose_and_a_lowered_rear_pair_the_tail(
 
 @pytest.mark.parametrize("slope", [0.25, -0.25])
 def test_the_pitch_is_positive_uphill(slope: float, registry: dict) -> None:
-    @terrain("incline")
+    @terrain("slope")
     class Ramp(Terrain):
         def generate(self, rng: np.random.Generator) -> Profile:
             return Profile([(0.0, 0.0), (3.0, 3.0 * math.tan(slope))])
 
-    env = FlipperEnv("incline", episode=EXACT)
+    env = FlipperEnv("slope", episode=EXACT)
     env.reset(seed=0)
     for _ in range(20):  # 20 · 0.12 m = 2.4 m: half way along the ramp
         observation, *_ = env.step(HOLD)
