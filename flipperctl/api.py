@@ -270,6 +270,10 @@ class Transition:
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
     """None while the episode runs."""
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
+    previous_action: tuple[int, int] = (0, 0)
+    """Of the decision before, (0, 0) at an episode's first."""
 
 
 def candidate_angle(

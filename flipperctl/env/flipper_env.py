@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
+    FloatArray,
     Outcome,
     Perception,
     Profile,
@@ -140,15 +141,17 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             for target, turn in zip(self._target, move, strict=True)
         ]
         before = self.state
-        outcome = self._run()
+        path, outcome = self._run()
         after = self.state = self._checked(self.world.state())
         outcome = outcome or self.ends.decision(float(after.position[0]))
         self._pitches.append(after.pitch)
-        self._last_move, self._outcome = move, outcome
-        transition = Transition(
-            before, after, np.array(self._pitches), move, self.profile, robot, outcome
+        previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
+        pitches = np.array(self._pitches)
+        self.transition = Transition(
+            before, after, pitches, move, self.profile, robot, outcome, path, previous
         )
-        parts = self._reward(transition)
+        parts = self._reward(self.transition)
+        self._metrics.samples(path[:, 2])
         self._metrics.decision(after, parts)
         self.perception = self._perceive(after)
         info: dict[str, Any] = {"rewards": parts}
@@ -159,17 +162,18 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         terminated = outcome is not None and not truncated
         return self.perception.observation, sum(parts.values()), terminated, truncated, info
 
-    def _run(self) -> Outcome | None:
+    def _run(self) -> tuple[FloatArray, Outcome | None]:
+        """The decision's path, (S + 1, 3) as in ``Transition``, and the outcome if it ends."""
         world, ends = self.world, self.ends
         world.command(*self._target)
-        left = self._samples
-        while left > 0:
-            pitches = world.advance(left, ends.limits)
-            self._metrics.samples(pitches)
-            if (outcome := ends.instant(world)) is not None:
-                return outcome
-            left -= len(pitches)
-        return None
+        outcome, left = None, self._samples
+        path = np.array([[*world.position, world.pitch]])
+        while left > 0 and outcome is None:
+            poses = world.advance(left, ends.limits)
+            path = np.concatenate([path, poses])
+            outcome = ends.instant(world)
+            left -= len(poses)
+        return path, outcome
 
     def _checked(self, state: RobotState) -> RobotState:
         numbers = (*state.position, *state.velocity, state.pitch, state.front, state.rear)
