@@ -38,6 +38,7 @@ __all__ = [
     "RobotGeometry",
     "RobotState",
     "Settings",
+    "Shaping",
     "Terrain",
     "Transition",
     "action_index",
@@ -333,6 +334,29 @@ class RewardTerm(Plugin, ABC):
     @abstractmethod
     def __call__(self, t: Transition) -> float:
         """The unweighted reward of one decision [-]."""
+
+
+class Shaping(RewardTerm):
+    """Potential-based shaping: γ·Φ(after) − Φ(before), and Φ = 0 behind every outcome.
+
+    It leaves every optimal policy optimal (Ng, Harada and Russell 1999): over a whole episode the
+    discounted terms add up to −Φ(start), whatever the robot did in between. That holds for the
+    discount ``gamma`` alone, and only if nothing is expected behind an outcome; training checks
+    both. A subclass writes ``potential``, and ``bounds`` if Φ has any.
+    """
+
+    gamma: float = Field(
+        0.99, ge=0, lt=1, description="discount per decision, equal to agent.gamma [-]"
+    )
+
+    @abstractmethod
+    def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
+        """Φ, how good it is to be there; a function of the state alone [-]."""
+
+    def __call__(self, t: Transition) -> float:
+        """The unweighted shaping of one decision [-]."""
+        ahead = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
+        return self.gamma * ahead - self.potential(t.before, t.profile, t.robot)
 
 
 class Network(Plugin, ABC):

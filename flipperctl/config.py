@@ -20,6 +20,7 @@ from flipperctl.api import (
     RewardTerm,
     RobotGeometry,
     Settings,
+    Shaping,
     Terrain,
 )
 from flipperctl.errors import ConfigError
@@ -309,6 +310,26 @@ class TrainConfig(EnvConfig):
                 "train.mode: exact plays in the learner's process; "
                 f"collector={self.collector.name} needs train.mode=fast"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _shaping_changes_no_policy(self) -> TrainConfig:
+        agent = self.agent
+        for name, term in self.rewards.items():
+            if not isinstance(term, Shaping):
+                continue
+            if term.gamma != agent.gamma:
+                raise ConfigError(
+                    f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
+                    "shaping would change which policy is best; set "
+                    f"rewards.{name}.gamma={agent.gamma}"
+                )
+            if agent.bootstrap_outcomes:
+                raise ConfigError(
+                    f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
+                    f"so the value must too; set agent.bootstrap_outcomes=[] or drop the term with "
+                    f"~rewards.{name}"
+                )
         return self
 
 
