@@ -377,5 +377,5 @@ def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
     if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
         for inner, item in value.items():
             _lay_over(old, inner, item)
-    else:
-        node[key] = value
+    else:  # a copy, since a later override may lie inside it
+        node[key] = dict(value) if isinstance(value, Mapping) else value
