@@ -47,6 +47,7 @@ __all__ = [
     "RobotGeometry",
     "RobotState",
     "Settings",
+    "Shaping",
     "Simulator",
     "Terrain",
     "Transition",
@@ -283,6 +284,10 @@ class Transition:
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
     """None while the episode runs."""
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
+    previous_action: tuple[int, int] = (0, 0)
+    """Of the decision before, (0, 0) at an episode's first."""
 
 
 def candidate_angle(
@@ -398,6 +403,29 @@ class RewardTerm(Plugin, ABC):
     @abstractmethod
     def __call__(self, t: Transition) -> float:
         """The unweighted reward of one decision [-]."""
+
+
+class Shaping(RewardTerm):
+    """Potential-based shaping: γ·Φ(after) − Φ(before), and Φ = 0 behind every outcome.
+
+    It leaves every optimal policy optimal (Ng, Harada and Russell 1999): over a whole episode the
+    discounted terms add up to −Φ(start), whatever the robot did in between. That holds for the
+    discount ``gamma`` alone, and only if nothing is expected behind an outcome; training checks
+    both. A subclass writes ``potential``, and ``bounds`` if Φ has any.
+    """
+
+    gamma: float = Field(
+        0.99, ge=0, lt=1, description="discount per decision, equal to agent.gamma [-]"
+    )
+
+    @abstractmethod
+    def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
+        """Φ, how good it is to be there; a function of the state alone [-]."""
+
+    def __call__(self, t: Transition) -> float:
+        """The unweighted shaping of one decision [-]."""
+        ahead = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
+        return self.gamma * ahead - self.potential(t.before, t.profile, t.robot)
 
 
 class Network(Plugin, ABC):

@@ -20,6 +20,7 @@ from flipperctl.api import (
     RewardTerm,
     RobotGeometry,
     Settings,
+    Shaping,
     Terrain,
 )
 from flipperctl.errors import ConfigError
@@ -354,6 +355,26 @@ class TrainConfig(EnvConfig):
             )
         return self
 
+    @model_validator(mode="after")
+    def _shaping_changes_no_policy(self) -> TrainConfig:
+        agent = self.agent
+        for name, term in self.rewards.items():
+            if not isinstance(term, Shaping):
+                continue
+            if term.gamma != agent.gamma:
+                raise ConfigError(
+                    f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
+                    "shaping would change which policy is best; set "
+                    f"rewards.{name}.gamma={agent.gamma}"
+                )
+            if agent.bootstrap_outcomes:
+                raise ConfigError(
+                    f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
+                    f"so the value must too; set agent.bootstrap_outcomes=[] or drop the term with "
+                    f"~rewards.{name}"
+                )
+        return self
+
 
 ConfigT = TypeVar("ConfigT", bound=Settings)
 
@@ -399,5 +420,5 @@ def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
     if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
         for inner, item in value.items():
             _lay_over(old, inner, item)
-    else:
-        node[key] = value
+    else:  # a copy, since a later override may lie inside it
+        node[key] = dict(value) if isinstance(value, Mapping) else value

@@ -7,10 +7,11 @@ neither observations nor rewards.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-from flipperctl.api import ACTIONS, FloatArray, Outcome, Profile
+import numpy as np
+
+from flipperctl.api import ACTIONS, Outcome, Profile
 from flipperctl.config import Episode, PerceptionSettings, Robot, Sim
 from flipperctl.env.ends import Ends
 from flipperctl.sim.world import SAMPLE, World
@@ -26,18 +27,15 @@ class Drive:
         episode: Episode,
         start: tuple[float, float, float],
         period: float,
-        samples: Callable[[FloatArray], None] = lambda pitches: None,
     ) -> None:
-        """``start``: x [m], front and rear angle [rad]; ``period``: of the decisions [s].
-
-        ``samples`` hears of the pitch at each sample of 10 ms, (S,) [rad].
-        """
+        """``start``: x [m], front and rear angle [rad]; ``period``: of the decisions [s]."""
         sim, self.robot, perception = sections
         self.world = World(profile, self.robot, sim, *start)
         self.ends = Ends(profile, self.robot, episode, start[0], period)
         self.state = self.seen = self.world.state()
         """The state now, and the one that the robot perceives: ``perception.delay`` older."""
-        self._samples = samples
+        self.path = np.array([[*self.world.position, self.world.pitch]])
+        """The last decision at 100 Hz: x [m], z [m] and pitch [rad], (S + 1, 3)."""
         self._target = list(start[1:])
         whole = math.ceil(period / SAMPLE - 1e-9)
         act = min(whole, round(self.robot.actuator_delay / SAMPLE))
@@ -61,13 +59,14 @@ class Drive:
     def _run(self) -> Outcome | None:
         world, ends = self.world, self.ends
         done = 0
+        self.path = np.array([[*world.position, world.pitch]])
         for moment, what in self._moments:
             while done < moment:
-                pitches = world.advance(moment - done, ends.limits)
-                self._samples(pitches)
+                poses = world.advance(moment - done, ends.limits)
+                self.path = np.concatenate([self.path, poses])
                 if (outcome := ends.instant(world)) is not None:
                     return outcome
-                done += len(pitches)
+                done += len(poses)
             if what == 0:
                 world.command(*self._target)
             elif what == 1 and not self._fresh:

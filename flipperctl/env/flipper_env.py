@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
-    FloatArray,
     Outcome,
     Perception,
     Profile,
@@ -106,7 +105,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
         self._start = (x, front, rear)
         self._sections = sections
-        self.drive = self._drive(lambda pitches: self._metrics.samples(pitches))
+        self.drive = self._drive()
         if (depth := self.drive.world.penetration()) > _DEEPEST_START:
             raise TerrainError(
                 f"terrain {config.terrain.plugin_name!r} starts in the robot: they overlap by "
@@ -121,11 +120,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.perception = self._perceive(self.drive.seen)
         return self.perception.observation, {}
 
-    def _drive(self, samples: Callable[[FloatArray], None] = lambda pitches: None) -> Drive:
-        period = self.config.robot.decision_period
-        return Drive(
-            self.profile, self._sections, self.config.episode, self._start, period, samples
-        )
+    def _drive(self) -> Drive:
+        config = self.config
+        period = config.robot.decision_period
+        return Drive(self.profile, self._sections, config.episode, self._start, period)
 
     def simulator(self, tell: Callable[[float], None] = lambda share: None) -> SceneSimulator:
         """The episode's scene from its start, apart from the episode itself.
@@ -158,11 +156,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         outcome = self.drive.decide(int(action))
         after = self._checked(self.state)
         self._pitches.append(after.pitch)
-        self._last_move, self._outcome = move, outcome
-        transition = Transition(
-            before, after, np.array(self._pitches), move, self.profile, self.robot, outcome
+        previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
+        pitches, path = np.array(self._pitches), self.drive.path
+        self.transition = Transition(
+            before, after, pitches, move, self.profile, self.robot, outcome, path, previous
         )
-        parts = self._reward(transition)
+        parts = self._reward(self.transition)
+        self._metrics.samples(path[:, 2])
         self._metrics.decision(after, parts)
         self.perception = self._perceive(self.drive.seen)
         info: dict[str, Any] = {"rewards": parts}

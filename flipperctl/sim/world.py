@@ -125,14 +125,15 @@ class World:
         self._rear_gear.phase = -rear
 
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Run for up to ``samples`` samples; returns the pitch at each, (S,) [rad].
+        """Run for up to ``samples`` samples; returns the chassis' pose at each.
 
-        Stops behind the sample at which the chassis reaches a limit.
+        (S, 3): x [m], z [m], pitch [rad]. Stops behind the sample at which the chassis reaches a
+        limit.
         """
-        pitches = np.empty(samples)
-        done = self._loop.run(pitches, limits)
+        poses = np.empty((samples, 3))
+        done = self._loop.run(poses, limits)
         self._time += done * SAMPLE
-        return pitches[:done]
+        return poses[:done]
 
     @property
     def position(self) -> tuple[float, float]:

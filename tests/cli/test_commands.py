@@ -144,9 +144,12 @@ def test_inspect_terrain_draws_and_measures(tmp_path: Path) -> None:
 
 
 def test_inspect_reward_audits_every_term(tmp_path: Path) -> None:
-    done = call("inspect", "reward", "terrain=step", "--episodes", "2", "--json", cwd=tmp_path)
+    sought = ["+reward@rewards.hit=impact", "rewards.hit.weight=-2"]  # as if blows were wanted
+    options = ["--episodes", "2", "--json"]
+    done = call("inspect", "reward", "terrain=step", *sought, *options, cwd=tmp_path)
     terms = json.loads(done.out)["terms"]
-    assert set(terms) == {"flipper", "pitch", "end"}
+    assert set(terms) == {"flipper", "pitch", "end", "hit"}
+    assert 0 <= terms["hit"]["saturated"] < 0.5
     assert sum(term["share"] for term in terms.values()) == pytest.approx(1.0)
     assert 0 <= terms["pitch"]["saturated"] <= 1
     assert terms["end"]["saturated"] is None

@@ -133,7 +133,7 @@ def test_the_robot_can_start_on_a_terrain(terrain: Terrain) -> None:
 
 
 @pytest.mark.parametrize("reward", at_bounds("reward"))
-def test_a_reward_is_a_finite_number(
+def test_a_reward_is_a_finite_number_within_its_bounds(
     reward: RewardTerm, episodes: tuple[list[Perception], list[Transition]]
 ) -> None:
     _, transitions = episodes
@@ -141,6 +141,7 @@ def test_a_reward_is_a_finite_number(
     values = [reward(t) for t in transitions]
     assert all(isinstance(value, float) for value in values)
     assert np.isfinite(values).all()
+    assert reward.bounds[0] <= min(values) <= max(values) <= reward.bounds[1]
     assert values == [reward(t) for t in transitions]  # a pure function of the transition
 
 
