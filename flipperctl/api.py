@@ -12,21 +12,30 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    SerializationInfo,
+)
+from pydantic_core import PydanticCustomError
 
 if TYPE_CHECKING:
     import torch
 
 __all__ = [
     "ACTIONS",
+    "AnyTerrain",
     "Controller",
     "Network",
     "ObservationLayout",
@@ -38,6 +47,8 @@ __all__ = [
     "RobotGeometry",
     "RobotState",
     "Settings",
+    "Shaping",
+    "Simulator",
     "Terrain",
     "Transition",
     "action_index",
@@ -110,15 +121,17 @@ class Profile:
     """The obstacle in the robot's side plane, from its first edge to its last.
 
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
-    The ground goes on level before the first point and behind the last.
+    The ground goes on level before the first point and behind the last. ``label`` says what was
+    drawn, for tables; empty stands for the terrain's own name.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
     """
 
     points: FloatArray
+    label: str = ""
 
-    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]]) -> None:
+    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]], label: str = "") -> None:
         array = np.array(points, dtype=np.float64)
         if array.size == 0:
             raise ValueError("a profile needs at least one point; it is empty")
@@ -136,6 +149,7 @@ class Profile:
             )
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
+        object.__setattr__(self, "label", label)
 
     @property
     def start(self) -> float:
@@ -270,6 +284,10 @@ class Transition:
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
     """None while the episode runs."""
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
+    previous_action: tuple[int, int] = (0, 0)
+    """Of the decision before, (0, 0) at an episode's first."""
 
 
 def candidate_angle(
@@ -317,6 +335,62 @@ class Terrain(Plugin, ABC):
     def generate(self, rng: np.random.Generator) -> Profile:
         """A profile; every random choice comes from ``rng``."""
 
+    @property
+    def first_difficulty(self) -> float:
+        """Difficulty of the first episode of a training, 0 to 1."""
+        return 1.0
+
+    def next_difficulty(self, difficulty: float, reached: bool) -> float:
+        """Difficulty of the episodes behind one that did or did not reach the finish, 0 to 1."""
+        return difficulty
+
+    def at(self, difficulty: float) -> Terrain:
+        """The terrain from which a training at this difficulty draws; itself is that of 1."""
+        return self
+
+    def labelled(self, rng: np.random.Generator) -> Profile:
+        """What ``generate`` draws; without a label it gets the terrain's name.
+
+        Raises:
+            ValueError: it is no profile.
+        """
+        profile = self.generate(rng)
+        if not isinstance(profile, Profile):
+            found = type(profile).__name__
+            raise ValueError(f"generate must return a Profile; it returned a {found}")
+        return profile if profile.label else Profile(profile.points, self.plugin_name)
+
+
+def _nested_terrain(value: object) -> object:
+    """The terrain meant by its name, or by a mapping with ``name`` and its fields."""
+    if isinstance(value, Terrain):
+        return value
+    if isinstance(value, str):
+        value = {"name": value}
+    if not isinstance(value, Mapping) or "name" not in value:
+        raise ValueError("a terrain's name, or a mapping with 'name' and its fields, is allowed")
+    cls = registry.get(("terrain", str(value["name"])))
+    if cls is None:
+        known = sorted(name for kind, name in registry if kind == "terrain")
+        context = {"kind": "terrain", "name": str(value["name"]), "known": known}
+        raise PydanticCustomError("unknown_plugin", "there is no {kind} plugin '{name}'", context)
+    return cls(**{key: field for key, field in value.items() if key != "name"})
+
+
+def _nested_container(plugin: Plugin, info: SerializationInfo) -> Any:
+    """What ``_nested_terrain`` takes; in the context ``brief`` a name alone if it says it all."""
+    context = info.context or {}
+    if context.get("brief") and plugin == type(plugin)():
+        return plugin.plugin_name
+    fields = plugin.model_dump(mode="json", context=context)
+    return {"name": plugin.plugin_name, **fields}
+
+
+AnyTerrain = Annotated[
+    Terrain, BeforeValidator(_nested_terrain), PlainSerializer(_nested_container)
+]
+"""The type of a field that takes another terrain: an instance, a name, or a mapping."""
+
 
 class RewardTerm(Plugin, ABC):
     """One summand of the reward; the environment multiplies it by ``weight``."""
@@ -331,6 +405,29 @@ class RewardTerm(Plugin, ABC):
         """The unweighted reward of one decision [-]."""
 
 
+class Shaping(RewardTerm):
+    """Potential-based shaping: γ·Φ(after) − Φ(before), and Φ = 0 behind every outcome.
+
+    It leaves every optimal policy optimal (Ng, Harada and Russell 1999): over a whole episode the
+    discounted terms add up to −Φ(start), whatever the robot did in between. That holds for the
+    discount ``gamma`` alone, and only if nothing is expected behind an outcome; training checks
+    both. A subclass writes ``potential``, and ``bounds`` if Φ has any.
+    """
+
+    gamma: float = Field(
+        0.99, ge=0, lt=1, description="discount per decision, equal to agent.gamma [-]"
+    )
+
+    @abstractmethod
+    def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
+        """Φ, how good it is to be there; a function of the state alone [-]."""
+
+    def __call__(self, t: Transition) -> float:
+        """The unweighted shaping of one decision [-]."""
+        ahead = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
+        return self.gamma * ahead - self.potential(t.before, t.profile, t.robot)
+
+
 class Network(Plugin, ABC):
     """Builds the Q-network."""
 
@@ -341,10 +438,52 @@ class Network(Plugin, ABC):
         """A module from observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
 
 
+class Simulator(Protocol):
+    """The scene of an episode, for controllers that look ahead; no real robot has one."""
+
+    @property
+    def state(self) -> RobotState:
+        """The robot now."""
+
+    @property
+    def robot(self) -> RobotGeometry:
+        """Its geometry."""
+
+    @property
+    def speed(self) -> float:
+        """Of its belts [m/s]."""
+
+    @property
+    def finish(self) -> float:
+        """X that the chassis centre must pass [m]."""
+
+    def step(self, action: int) -> Outcome | None:
+        """One decision; None while the episode goes on."""
+
+    def save(self) -> Any:
+        """The moment, for ``load``."""
+
+    def load(self, saved: Any) -> None:
+        """Go back to a moment.
+
+        The engine's contact impulses are not restored, so that a path through loaded moments
+        differs a little from the same actions in one go.
+        """
+
+    def restart(self) -> None:
+        """Back to the start: the same actions now lead to the episode's own states, exactly."""
+
+    def tell(self, share: float) -> None:
+        """Say how much of a long search is done, in [0, 1]."""
+
+
 class Controller(Plugin, ABC):
     """A rule that maps what the robot perceives to an action."""
 
     kind: ClassVar[str] = "controller"
+
+    def begin(self, simulator: Simulator) -> None:  # for the few that need it
+        """An episode begins; ``simulator`` is its scene. Most rules do nothing here."""
 
     @abstractmethod
     def act(self, p: Perception) -> int:

@@ -20,10 +20,12 @@ from flipperctl.api import (
     RewardTerm,
     RobotGeometry,
     Settings,
+    Shaping,
     Terrain,
 )
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
+from flipperctl.randomise import Randomise, replaced
 
 
 class Robot(RobotGeometry):
@@ -39,6 +41,9 @@ class Robot(RobotGeometry):
     )
     flipper_torque: float = Field(
         200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
+    )
+    actuator_delay: float = Field(
+        0.0, ge=0, le=0.5, description="from a decision to the flippers' turn; paper silent [s]"
     )
 
     @property
@@ -82,11 +87,23 @@ class PerceptionSettings(ObservationLayout):
         0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
     )
     dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
+    bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
+    )
     horizon: float = Field(
         10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
     )
     angle_noise: float = Field(
         0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
+    )
+    pitch_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of the measured pitch, constant [rad]"
+    )
+    flipper_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
+    )
+    delay: float = Field(
+        0.0, ge=0, le=0.5, description="age of all that is perceived at a decision [s]"
     )
 
 
@@ -279,6 +296,33 @@ class EnvConfig(Settings):
     sim: Sim = Sim()
     perception: PerceptionSettings = PerceptionSettings()
     episode: Episode = Episode()
+    randomise: Randomise = Randomise()
+
+    @model_validator(mode="after")
+    def _draws_are_allowed(self) -> EnvConfig:
+        for section, name, ends in self.randomise.ranges():
+            model = type(getattr(self, section))
+            for value in ends:
+                try:
+                    model(**{name: value})
+                except ValidationError as error:
+                    raise ConfigError(explain(error, "randomise", model)) from error
+        for section, name in (("robot", "actuator_delay"), ("perception", "delay")):
+            longest = max(
+                getattr(self, section).__dict__[name], *(getattr(self.randomise, name) or (0,))
+            )
+            if longest > self.robot.decision_period:
+                raise ConfigError(
+                    f"{section}.{name}: {longest:g} s is longer than a decision, "
+                    f"{self.robot.decision_period:g} s"
+                )
+        return self
+
+    def drawn(self, values: Mapping[str, float]) -> tuple[Sim, Robot, PerceptionSettings]:
+        """Engine, robot and perception of an episode in which ``values`` were drawn."""
+        sections = {"sim": self.sim, "robot": self.robot, "perception": self.perception}
+        found = replaced(sections, values)
+        return found["sim"], found["robot"], found["perception"]
 
     def environment(self) -> EnvConfig:
         """The part that the environment is made of."""
@@ -309,6 +353,26 @@ class TrainConfig(EnvConfig):
                 "train.mode: exact plays in the learner's process; "
                 f"collector={self.collector.name} needs train.mode=fast"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _shaping_changes_no_policy(self) -> TrainConfig:
+        agent = self.agent
+        for name, term in self.rewards.items():
+            if not isinstance(term, Shaping):
+                continue
+            if term.gamma != agent.gamma:
+                raise ConfigError(
+                    f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
+                    "shaping would change which policy is best; set "
+                    f"rewards.{name}.gamma={agent.gamma}"
+                )
+            if agent.bootstrap_outcomes:
+                raise ConfigError(
+                    f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
+                    f"so the value must too; set agent.bootstrap_outcomes=[] or drop the term with "
+                    f"~rewards.{name}"
+                )
         return self
 
 
@@ -356,5 +420,5 @@ def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
     if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
         for inner, item in value.items():
             _lay_over(old, inner, item)
-    else:
-        node[key] = value
+    else:  # a copy, since a later override may lie inside it
+        node[key] = dict(value) if isinstance(value, Mapping) else value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
     from pydantic import BaseModel, ValidationError
@@ -30,17 +30,30 @@ def bounds(model: type[BaseModel], field: str) -> str:
     return ", ".join(parts)
 
 
-def explain(error: ValidationError, where: str, model: type[BaseModel]) -> str:
-    """The first finding of a validation in one line: path, value, what is allowed."""
+def explain(
+    error: ValidationError,
+    where: str,
+    model: type[BaseModel],
+    given: Mapping[str, Any] | None = None,
+) -> str:
+    """The first finding of a validation in one line: path, value, what is allowed.
+
+    ``given`` is what was validated: it says which plugins lie within the model's fields.
+    """
     first = error.errors()[0]
     location = (
         ".".join([where, *map(str, first["loc"])]) if where else ".".join(map(str, first["loc"]))
     )
-    owner, known = _owner(model, first["loc"])
+    owner, known = _owner(model, first["loc"], given or {})
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
         hint = close_match(leaf, known)
         return f"{location}: there is no such key{hint}; known: {', '.join(known)}"
+    if first["type"] == "unknown_plugin":
+        name, known = first["ctx"]["name"], first["ctx"]["known"]
+        return (
+            f"{location}: {first['msg']}{close_match(name, known)}; registered: {', '.join(known)}"
+        )
     allowed = f" ({bounds(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
@@ -49,17 +62,33 @@ def explain(error: ValidationError, where: str, model: type[BaseModel]) -> str:
 
 
 def _owner(
-    model: type[BaseModel], location: tuple[int | str, ...]
+    model: type[BaseModel], location: tuple[int | str, ...], given: Any
 ) -> tuple[type[BaseModel] | None, list[str]]:
+    """The model whose field the location's last part names, and its fields."""
     from pydantic import BaseModel
 
-    owner: Any = model
+    from flipperctl.api import Plugin, registry
+
+    owner: type[BaseModel] | None = model
     for part in location[:-1]:
-        info = owner.model_fields.get(str(part)) if owner else None
-        owner = info.annotation if info else None
-        if not (isinstance(owner, type) and issubclass(owner, BaseModel)):
-            return None, []
-    return owner, sorted(owner.model_fields)
+        if not isinstance(part, int):  # which is an item of the field before it
+            info = owner.model_fields.get(part) if owner else None
+            owner = _model_in(info.annotation, BaseModel) if info else None
+        try:
+            given = given[part]
+        except (KeyError, IndexError, TypeError):
+            given = None
+        if owner and issubclass(owner, Plugin) and isinstance(given, Mapping) and "name" in given:
+            owner = registry.get((owner.kind, str(given["name"])), owner)
+    return owner, sorted(owner.model_fields) if owner else []
+
+
+def _model_in(annotation: Any, base: type[BaseModel]) -> type[BaseModel] | None:
+    """The first model that an annotation such as ``tuple[Model, ...]`` speaks of."""
+    if isinstance(annotation, type) and issubclass(annotation, base):
+        return annotation
+    inner = (_model_in(item, base) for item in get_args(annotation))
+    return next((found for found in inner if found is not None), None)
 
 
 def _short(value: object) -> str:

@@ -167,12 +167,29 @@ def create(kind: str, settings: object, where: str) -> Any:
     try:
         return cls(**fields)
     except ValidationError as error:
-        raise ConfigError(explain(error, where, cls)) from error
+        raise ConfigError(explain(error, where, cls, fields)) from error
 
 
-def container(plugin: Plugin) -> dict[str, Any]:
-    """The mapping from which ``create`` makes an equal instance."""
-    return {"name": plugin.plugin_name, **plugin.model_dump(mode="json")}
+def container(plugin: Plugin, *, brief: bool = False) -> dict[str, Any]:
+    """The mapping from which ``create`` makes an equal instance.
+
+    ``brief``: a plugin within it that has all its defaults is its name alone.
+    """
+    return {"name": plugin.plugin_name, **plugin.model_dump(mode="json", context={"brief": brief})}
+
+
+def nested(plugin: Plugin) -> list[Plugin]:
+    """The plugin and those in its fields, at any depth."""
+    found, waiting = [plugin], [getattr(plugin, name) for name in type(plugin).model_fields]
+    while waiting:
+        value = waiting.pop(0)
+        if isinstance(value, Plugin):
+            found += nested(value)
+        elif isinstance(value, tuple | list):
+            waiting += value
+        elif isinstance(value, Mapping):
+            waiting += value.values()
+    return found
 
 
 def source(cls: type[Plugin]) -> str:

@@ -62,25 +62,22 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     env.reset(seed=seed)
     state, robot = env.state, config.robot
     made = Recording(seed, env.profile, (float(state.position[0]), state.front, state.rear))
-    made.moments.append(bare.moment(env.world))
-    target, pitches = (state.front, state.rear), [state.pitch]
+    made.moments.append(bare.moment(env.drive.world))
+    target = (state.front, state.rear)
     outcome = None
     while outcome is None:
-        action, before = acts.act(env.perception), env.state
+        action = acts.act(env.perception)
         *_, info = env.step(action)
         outcome, move = info.get("outcome"), ACTIONS[action]
         target = (
             robot.clip(target[0] + move[0] * robot.angle_step),
             robot.clip(target[1] + move[1] * robot.angle_step),
         )
-        pitches.append(env.state.pitch)
         made.actions.append(action)
         made.targets.append(target)
-        made.moments.append(bare.moment(env.world))
-        made.contacts.append(bare.contacts(env.world))
-        made.transitions.append(
-            Transition(before, env.state, np.array(pitches), move, env.profile, robot, outcome)
-        )
+        made.moments.append(bare.moment(env.drive.world))
+        made.contacts.append(bare.contacts(env.drive.world))
+        made.transitions.append(env.transition)
     return made
 
 

@@ -41,9 +41,10 @@ from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, R
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
-_TRAINED = "_trained"  # the terrain of a checkpoint, as a group entry
+_TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _GROUP_KEYS = ("terrain", "rewards", "network", "collector")
+_CALLED = {"rewards": "preset"}  # what an entry of a group is called, if not as the group
 
 
 def offer_defaults() -> None:
@@ -55,7 +56,7 @@ def offer_defaults() -> None:
             for field, info in cls.model_fields.items()
         }
         try:
-            node = plugins.container(cls(**fields))
+            node = plugins.container(cls(**fields), brief=True)
         except ValueError as error:
             raise ConfigError(
                 f"{kind} plugin {name!r}: its defaults are not valid: {error}"
@@ -76,9 +77,12 @@ def offer_trained(config: TrainConfig | EvalConfig) -> str:
     """Offer a policy's own environment as the primary configuration; returns its name."""
     store = ConfigStore.instance()
     whole = container(config.environment())
-    store.store(group="terrain", name=_TRAINED, node=whole.pop("terrain"))
+    whole["terrain"] = plugins.container(config.terrain, brief=True)
+    groups = ("terrain", "rewards")
+    for group in groups:
+        store.store(group=group, name=_TRAINED, node=whole.pop(group))
     name = "flipperctl_eval_trained"
-    defaults = [{"terrain": _TRAINED}, "_self_"]
+    defaults = [*({group: _TRAINED} for group in groups), "_self_"]
     store.store(name=name, node={"defaults": defaults, **whole, "eval": container(config.eval)})
     return name
 
@@ -122,7 +126,7 @@ def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, 
             except MissingConfigException as error:
                 raise _missing(error) from error
             except ConfigCompositionException as error:
-                raise _unknown_key(error, primary) from error
+                raise _unknown_key(error, primary, combination) from error
 
 
 def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
@@ -200,31 +204,35 @@ def _missing(error: MissingConfigException) -> RequestError:
             f"{group}={option} needs the package hydra-{extra}-launcher; "
             f"install flipperctl[{extra}]"
         )
-    what = f"{group} plugin" if plugins.names(group) else group
+    what = f"{group} plugin" if plugins.names(group) else _CALLED.get(group, group)
     return ConfigError(
         f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
         f"known: {', '.join(sorted(options)) or 'none'}"
     )
 
 
-def _unknown_key(error: ConfigCompositionException, primary: str) -> ConfigError:
+def _unknown_key(
+    error: ConfigCompositionException, primary: str, overrides: Sequence[str]
+) -> ConfigError:
     text = _flat(error)
     named = re.search(r"Could not (?:override|delete|append)[^']*'([^']+)'", text)
     if not named:
         return ConfigError(text)
     key = named[1].split("@")[0]
-    parents, _, leaf = key.rpartition(".")
-    try:
-        node: Any = _plain(compose(primary))
-        for parent in parents.split(".") if parents else ():
-            node = node[parent]
-        known = [name for name in node if name != "name"]
-    except (KeyError, TypeError):
-        known, leaf = list(_plain(compose(primary))), key
+    choices = [o for o in overrides if o.partition("=")[0] in (*_GROUP_KEYS, "experiment")]
+    node: Any = _plain(compose(primary, choices))
+    *parents, leaf = key.split(".")
+    inside = ""  # the innermost section on the way to the key that is there
+    for parent in parents:
+        if not isinstance(node.get(parent), dict):
+            leaf = parent
+            break
+        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+    known = sorted(name for name in node if name != "name")
     cause = error.__cause__
     if isinstance(cause, OmegaConfBaseException) and "not in struct" not in str(cause):
         return ConfigError(f"{key}: {_flat(cause)}")
     return ConfigError(
         f"{key}: there is no such key{close_match(leaf, known)}; "
-        f"known {'in ' + parents if parents else 'groups and keys'}: {', '.join(sorted(known))}"
+        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
     )

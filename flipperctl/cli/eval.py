@@ -142,7 +142,7 @@ def _judge(
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
     scene = scene_summary(terrain, rows)
-    named = [{"terrain": terrain, "controller": source.label(), **row} for row in rows]
+    named = [{"scene": terrain, "controller": source.label(), **row} for row in rows]
     if baseline:
         other = _play(config, baseline, f"{terrain}, {baseline.label()}")
         measures = ("t_cost", "pitch_variation", "pitch_variation_100hz")
@@ -151,30 +151,31 @@ def _judge(
             **scene_summary(terrain, other),
             "difference": {name: paired(rows, other, name) for name in measures},
         }
-        named += [{"terrain": terrain, "controller": baseline.label(), **row} for row in other]
+        named += [{"scene": terrain, "controller": baseline.label(), **row} for row in other]
     document["scenes"].append(scene)
     return named
 
 
 def _play(config: EvalConfig, source: ControllerSource, label: str) -> list[dict[str, Any]]:
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress
 
     from flipperctl.run.evaluate import evaluate as run
 
     s = config.eval
-    episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs)
     console = Console(stderr=True)
-    return list(
-        track(
-            episodes,
-            label,
-            s.episodes,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
-    )
+    rows: list[dict[str, Any]] = []
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(label, total=s.episodes)
+
+        def tell(share: float) -> None:
+            progress.update(task, completed=len(rows) + share)
+
+        episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs, tell=tell)
+        for row in episodes:
+            rows.append(row)
+            tell(0.0)
+    return rows
 
 
 def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -> None:
@@ -213,18 +214,22 @@ def _table(document: dict[str, Any]) -> Table:
     for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
         table.add_column(escape(heading))
     for scene in document["scenes"]:
-        outcomes = " ".join(f"{name} {count}" for name, count in scene["outcomes"].items() if count)
-        table.add_row(
-            scene["terrain"],
-            str(scene["episodes"]),
-            _shown(scene["success"], 3),
-            outcomes,
-            _shown(scene["t_cost"], 1),
-            _shown(scene["pitch_variation"]),
-            _shown(scene["pitch_variation_100hz"]),
-            _shown(scene["max_pitch"]),
-        )
+        table.add_row(*_cells(scene["terrain"], scene))
+        for label, part in scene.get("parts", {}).items():
+            table.add_row(*_cells(f"  {label}", part), style="dim")
     return table
+
+
+def _cells(name: str, summary: dict[str, Any]) -> list[str]:
+    outcomes = " ".join(f"{name} {count}" for name, count in summary["outcomes"].items() if count)
+    return [
+        name,
+        str(summary["episodes"]),
+        _shown(summary["success"], 3),
+        outcomes,
+        _shown(summary["t_cost"], 1),
+        *(_shown(summary[m]) for m in ("pitch_variation", "pitch_variation_100hz", "max_pitch")),
+    ]
 
 
 def _comparison(document: dict[str, Any], baseline: str) -> Table:

@@ -90,6 +90,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         for probe in ([], *compose.interval_probes(own)):
             for config in compose.compose_train([*own, *probe]):  # before Hydra makes a directory
                 _check_device(config)
+                _check_terrain(config)
     errors: list[FlipperctlError] = []
     paths = loader.given()  # a worker on a running cluster has another environment
 
@@ -166,6 +167,12 @@ def _check_device(config: TrainConfig) -> None:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
+
+
+def _check_terrain(config: TrainConfig) -> None:
+    from flipperctl.env.flipper_env import FlipperEnv
+
+    FlipperEnv(config=config.environment()).reset(seed=0)
 
 
 def _resume(run: Path, overrides: list[str]) -> None:

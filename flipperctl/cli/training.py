@@ -56,7 +56,9 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     config, directory = trainer.config, trainer.directory
     write_bytes(directory / "config.yaml", OmegaConf.to_yaml(container(config)).encode())
     trainer.listeners += [
-        MetricsCsv(directory / "metrics.csv", list(config.rewards), resume_at),
+        MetricsCsv(
+            directory / "metrics.csv", list(config.rewards), config.randomise.names, resume_at
+        ),
         TensorBoard(directory / "tensorboard", resume_at),
         progress(config.train.decisions, trainer.decision),
     ]

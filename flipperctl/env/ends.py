@@ -14,15 +14,17 @@ from flipperctl.sim.world import World
 class Ends:
     """Judges one episode: ``instant`` where ``limits`` are reached, ``decision`` after each."""
 
-    def __init__(self, profile: Profile, robot: Robot, episode: Episode, start: float) -> None:
-        """``start``: x of the chassis centre [m]."""
+    def __init__(
+        self, profile: Profile, robot: Robot, episode: Episode, start: float, period: float
+    ) -> None:
+        """``start``: x of the chassis centre [m]; ``period``: of the decisions [s]."""
         self._episode = episode
         self.finish = profile.end + episode.run_out
         # Behind the profile the ground is level, so that one height tells who is close to it.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
         self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
         nominal = (self.finish - start) / robot.track_speed  # [s]
-        self.t_max = math.ceil(episode.slack * nominal / robot.decision_period)
+        self.t_max = math.ceil(episode.slack * nominal / period)
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_window + 1)
         self._decisions = 0
 
@@ -43,3 +45,12 @@ class Ends:
         if full and x < self.finish and x - self._trail[0] < self._episode.stuck_progress:
             return Outcome.STUCK
         return Outcome.TIMEOUT if self._decisions >= self.t_max else None
+
+    def save(self) -> tuple[tuple[float, ...], int]:
+        """What changes from decision to decision."""
+        return tuple(self._trail), self._decisions
+
+    def load(self, saved: tuple[tuple[float, ...], int]) -> None:
+        """Go back to what ``save`` gave."""
+        trail, self._decisions = saved
+        self._trail = deque(trail, maxlen=self._trail.maxlen)

@@ -7,6 +7,7 @@ transition → reward terms.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -23,13 +24,13 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, merged, parse
-from flipperctl.env.ends import Ends
+from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
+from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import NonFiniteError, TerrainError
 from flipperctl.sim.sensing import TerrainSensor
-from flipperctl.sim.world import SAMPLE, World
 
 Observation = NDArray[np.float32]
 
@@ -67,10 +68,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             config = parse(EnvConfig, merged(EnvConfig(terrain=terrain), overrides))
         self.config = config
         self.robot = config.robot
+        """As the episode drew it."""
         self.layout = config.perception
         self.render_mode = render_mode
         self._reward = RewardSum(config.rewards)
-        self._samples = math.ceil(config.robot.decision_period / SAMPLE - 1e-9)
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
@@ -83,47 +84,65 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a terrain and put the robot before it; equal seeds give equal episodes."""
+        """Draw a terrain and put the robot before it; equal seeds give equal episodes.
+
+        ``options``: ``difficulty`` from 0 to 1, for terrains that have one; else it is 1.
+        """
         super().reset(seed=seed)
         # One stream each, so that sensing noise never changes the terrain that is drawn.
-        terrain_rng, start_rng, self._sensor_rng, self._controller_rng = self.np_random.spawn(4)
-        episode = self.config.episode
-        self.profile = self._draw(terrain_rng)
-        shift, front, rear = start_rng.uniform(-1.0, 1.0, 3)
-        start = self.profile.start - episode.run_up + shift * episode.start_noise
-        angles = [
-            self.robot.clip(episode.start_angle + a * episode.start_angle_noise)
-            for a in (front, rear)
-        ]
-        self.world = World(self.profile, self.robot, self.config.sim, start, *angles)
-        if (depth := self.world.penetration()) > _DEEPEST_START:
+        terrain_rng, start_rng, self._sensor_rng, self._controller_rng, draw_rng = (
+            self.np_random.spawn(5)
+        )
+        config, episode = self.config, self.config.episode
+        drawn = config.randomise.draw(draw_rng)
+        sections = config.drawn(drawn)
+        _, self.robot, perception = sections
+        self.profile = self._draw(terrain_rng, (options or {}).get("difficulty", 1.0))
+        shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
+            [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
+        )
+        x = self.profile.start - episode.run_up + shift
+        front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
+        self._start = (x, front, rear)
+        self._sections = sections
+        self.drive = self._drive()
+        if (depth := self.drive.world.penetration()) > _DEEPEST_START:
             raise TerrainError(
-                f"terrain {self.config.terrain.plugin_name!r} starts in the robot: they overlap by "
+                f"terrain {config.terrain.plugin_name!r} starts in the robot: they overlap by "
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        self._sensor = TerrainSensor(self.profile, self.config.perception, margin + 2.0)
-        self.ends = Ends(self.profile, self.robot, episode, start)
-        self._target = list(angles)
+        self._sensor = TerrainSensor(self.profile, perception, margin + 2.0)
+        self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
         self._last_move, self._outcome = None, None
-        self.state = self.world.state()
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self.state)
-        self.perception = self._perceive(self.state)
+        self.perception = self._perceive(self.drive.seen)
         return self.perception.observation, {}
 
-    def _draw(self, rng: np.random.Generator) -> Profile:
+    def _drive(self) -> Drive:
+        config = self.config
+        period = config.robot.decision_period
+        return Drive(self.profile, self._sections, config.episode, self._start, period)
+
+    def simulator(self, tell: Callable[[float], None] = lambda share: None) -> SceneSimulator:
+        """The episode's scene from its start, apart from the episode itself.
+
+        ``tell`` hears what share of a search is done.
+        """
+        return SceneSimulator(self._drive, tell)
+
+    @property
+    def state(self) -> RobotState:
+        """The robot's true state."""
+        return self.drive.state
+
+    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
         try:
-            profile = terrain.generate(rng)
+            return terrain.at(difficulty).labelled(rng)
         except ValueError as error:
             raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
-        if not isinstance(profile, Profile):
-            raise TerrainError(
-                f"terrain {terrain.plugin_name!r}: generate must return a Profile; "
-                f"it returned a {type(profile).__name__}"
-            )
-        return profile
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision.
@@ -133,43 +152,30 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """
         if not 0 <= int(action) < len(ACTIONS):
             raise ValueError(f"there is no action {action!r}; 0 to {len(ACTIONS) - 1} are allowed")
-        move = ACTIONS[int(action)]
-        robot = self.robot
-        self._target = [
-            robot.clip(target + turn * robot.angle_step)
-            for target, turn in zip(self._target, move, strict=True)
-        ]
-        before = self.state
-        outcome = self._run()
-        after = self.state = self._checked(self.world.state())
-        outcome = outcome or self.ends.decision(float(after.position[0]))
+        move, before = ACTIONS[int(action)], self.state
+        outcome = self.drive.decide(int(action))
+        after = self._checked(self.state)
         self._pitches.append(after.pitch)
-        self._last_move, self._outcome = move, outcome
-        transition = Transition(
-            before, after, np.array(self._pitches), move, self.profile, robot, outcome
+        previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
+        pitches, path = np.array(self._pitches), self.drive.path
+        self.transition = Transition(
+            before, after, pitches, move, self.profile, self.robot, outcome, path, previous
         )
-        parts = self._reward(transition)
+        parts = self._reward(self.transition)
+        self._metrics.samples(path[:, 2])
         self._metrics.decision(after, parts)
-        self.perception = self._perceive(after)
+        self.perception = self._perceive(self.drive.seen)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
             info["outcome"] = outcome
-            info["metrics"] = self._metrics.summary()
+            info["metrics"] = {
+                "terrain": self.profile.label,
+                **self._metrics.summary(),
+                **self._draws,
+            }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
         return self.perception.observation, sum(parts.values()), terminated, truncated, info
-
-    def _run(self) -> Outcome | None:
-        world, ends = self.world, self.ends
-        world.command(*self._target)
-        left = self._samples
-        while left > 0:
-            pitches = world.advance(left, ends.limits)
-            self._metrics.samples(pitches)
-            if (outcome := ends.instant(world)) is not None:
-                return outcome
-            left -= len(pitches)
-        return None
 
     def _checked(self, state: RobotState) -> RobotState:
         numbers = (*state.position, *state.velocity, state.pitch, state.front, state.rear)
@@ -181,11 +187,14 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return state
 
     def _perceive(self, state: RobotState) -> Perception:
-        rng = self._sensor_rng
+        rng, settings = self._sensor_rng, self._sensor.settings
         points = self._sensor.points(state.position, rng)
-        angles = np.array([state.front, state.rear, state.pitch])
-        if self.config.perception.angle_noise > 0:
-            angles = angles + rng.normal(0.0, self.config.perception.angle_noise, 3)
+        bias = settings.flipper_bias
+        angles = np.array(
+            [state.front + bias, state.rear + bias, state.pitch + settings.pitch_bias]
+        )
+        if settings.angle_noise > 0:
+            angles = angles + rng.normal(0.0, settings.angle_noise, 3)
         observation = np.empty(self.layout.size, dtype=np.float32)
         observation[: self.layout.bins] = self._sensor.heights(points)
         observation[self.layout.bins :] = angles
@@ -201,7 +210,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             self.config.terrain.plugin_name,
             self.profile,
             self.profile.start - self.config.episode.run_up,
-            self.ends.finish,
+            self.drive.ends.finish,
             self.robot.track_speed,
             self.state,
             self.perception,

@@ -12,7 +12,6 @@ class EpisodeMetrics:
 
     def __init__(self, state: RobotState) -> None:
         self._last = state
-        self._pitch = state.pitch
         self._variation = 0.0
         self._variation_100hz = 0.0
         self._max_pitch = abs(state.pitch)
@@ -21,11 +20,9 @@ class EpisodeMetrics:
         self._parts: dict[str, float] = {}
 
     def samples(self, pitches: FloatArray) -> None:
-        """Note the pitch at 10 ms samples, (S,) [rad]."""
-        last = np.concatenate([[self._pitch], pitches])
-        self._variation_100hz += float(np.abs(np.diff(last)).sum())
+        """Note the pitch at a decision's 10 ms samples, the one before included, (S + 1,) [rad]."""
+        self._variation_100hz += float(np.abs(np.diff(pitches)).sum())
         self._max_pitch = max(self._max_pitch, float(np.abs(pitches).max()))
-        self._pitch = float(pitches[-1])
 
     def decision(self, state: RobotState, parts: dict[str, float]) -> None:
         """Note the state after one decision and the reward's parts."""

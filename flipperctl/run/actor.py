@@ -45,7 +45,7 @@ class Actor:
         """
         self._load(weights)
         rng = exploration(self._seed, order.episode)
-        observation, _ = self._env.reset(seed=order.seed)
+        observation, _ = self._env.reset(seed=order.seed, options={"difficulty": order.difficulty})
         observations, actions, rewards = [observation], [], []
         over = False
         info: dict[str, Any] = {}
@@ -60,6 +60,7 @@ class Actor:
             actions.append(action)
             rewards.append(reward)
         ending = {"seed": order.seed, "outcome": str(info["outcome"]), **info["metrics"]}
+        ending["difficulty"] = order.difficulty
         return Played(np.array(observations), np.array(actions), np.array(rewards), ending)
 
     def _load(self, weights: Weights) -> None:

@@ -24,7 +24,7 @@ def audit(
 
     For each: ``mean``, ``lowest`` and ``highest`` weighted value of a decision; ``share``, its
     part of the sum of all terms' absolute values; ``saturated``, the fraction of decisions at
-    its declared lower bound (None if it declares none).
+    its declared lower bound (None if it declares none, or weighs nothing).
     """
     env = FlipperEnv(config=config)
     controller = source.make(config.perception)
@@ -42,14 +42,15 @@ def audit(
     terms: dict[str, Any] = {}
     for name, column in values.items():
         term = config.rewards[name]
-        floor = term.bounds[0] * term.weight
+        floor, sign = term.bounds[0] * term.weight, np.sign(term.weight)
+        floored = math.isfinite(floor) and sign != 0
         terms[name] = {
             "weight": term.weight,
             "mean": float(column.mean()),
             "lowest": float(column.min()),
             "highest": float(column.max()),
             "share": float(np.abs(column).sum()) / whole if whole else 0.0,
-            "saturated": float((column <= floor).mean()) if math.isfinite(floor) else None,
+            "saturated": float((sign * column <= sign * floor).mean()) if floored else None,
         }
     return {
         "controller": source.label(),

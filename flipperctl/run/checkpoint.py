@@ -17,7 +17,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from flipperctl import __version__
+from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
@@ -70,7 +70,8 @@ def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
     import numpy as np
     import pymunk
 
-    used: list[Plugin] = [config.terrain, config.network, *config.rewards.values()]
+    chosen: list[Plugin] = [config.terrain, config.network, *config.rewards.values()]
+    used = [part for plugin in chosen for part in plugins.nested(plugin)]
     return {
         "format": FORMAT,
         "kind": kind,

@@ -52,6 +52,8 @@ class Order:
     version: int
     """Updates that the weights had seen; orders of one version share them."""
     weights: Weights
+    difficulty: float = 1.0
+    """Of the terrain, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -123,19 +125,22 @@ class InProcess:
         env: FlipperEnv,
         act: Callable[[NDArray[np.float32]], int],
         next_seed: Callable[[], int],
+        difficulty: Callable[[], float],
     ) -> None:
-        self._env, self._act, self._next_seed = env, act, next_seed
+        self._env, self._act = env, act
+        self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
         """Each decision is made when it is asked for."""
-        seed = self._next_seed()
-        observation, _ = self._env.reset(seed=seed)
+        seed, difficulty = self._next_seed(), self._difficulty()
+        observation, _ = self._env.reset(seed=seed, options={"difficulty": difficulty})
         ending: Row | None = None
         while ending is None:
             action = self._act(observation)
             following, reward, terminated, truncated, info = self._env.step(action)
             if terminated or truncated:
                 ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
+                ending["difficulty"] = difficulty
             yield Step(observation, action, reward, following, ending)
             observation = following
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from flipperctl import plugins
@@ -27,15 +27,23 @@ _log = logging.getLogger(__name__)
 class Player:
     """An environment and a controller, ready to play any episode of an evaluation."""
 
-    def __init__(self, config: EnvConfig, source: ControllerSource, seed: int) -> None:
+    def __init__(
+        self,
+        config: EnvConfig,
+        source: ControllerSource,
+        seed: int,
+        tell: Callable[[float], None] = lambda share: None,
+    ) -> None:
+        """``tell`` hears what share of an episode's search is done."""
         self._env = FlipperEnv(config=config)
+        self._tell = tell
         self._controller = source.make(config.perception)
         self._seed = seed
 
     def episode(self, index: int) -> dict[str, Any]:
         """The row of one episode."""
-        row = play(self._env, self._controller, episode_seed("evaluation", self._seed, index))
-        return {"episode": index, **row}
+        seed = episode_seed("evaluation", self._seed, index)
+        return {"episode": index, **play(self._env, self._controller, seed, tell=self._tell)}
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
         """The states at every decision of one episode, and the ground it went over."""
@@ -46,11 +54,20 @@ class Player:
 
 
 def evaluate(
-    config: EnvConfig, source: ControllerSource, *, episodes: int, seed: int, jobs: int = 1
+    config: EnvConfig,
+    source: ControllerSource,
+    *,
+    episodes: int,
+    seed: int,
+    jobs: int = 1,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of episodes 0 … ``episodes`` - 1, in order, as they are done."""
+    """Yield the rows of episodes 0 … ``episodes`` - 1, in order, as they are done.
+
+    ``tell`` hears what share of an episode's search is done, where one process plays them all.
+    """
     if jobs == 1:
-        player = Player(config, source, seed)
+        player = Player(config, source, seed, tell)
         yield from map(player.episode, range(episodes))
         return
     arguments = (container(config.environment()), source, seed, plugins.given())

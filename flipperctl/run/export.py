@@ -109,16 +109,16 @@ def observation_layout(layout: ObservationLayout) -> list[dict[str, str]]:
     ]
 
 
-class _Recorder:
+class _Recorder(QPolicy):
     """Acts like the policy and notes what it sees."""
 
-    def __init__(self, policy: QPolicy) -> None:
-        self.policy = policy
+    def __init__(self, module: torch.nn.Module) -> None:
+        super().__init__(module)
         self.seen: list[NDArray[np.float32]] = []
 
     def act(self, p: Perception) -> int:
         self.seen.append(p.observation)
-        return self.policy.act(p)
+        return super().act(p)
 
 
 def rollout_observations(
@@ -126,7 +126,7 @@ def rollout_observations(
 ) -> NDArray[np.float32]:
     """At least ``count`` observations of the policy's own episodes, (M, N + 3)."""
     env = FlipperEnv(config=config.environment())
-    recorder = _Recorder(QPolicy(module))
+    recorder = _Recorder(module)
     episode = 0
     while len(recorder.seen) < count:
         play(env, recorder, episode_seed("evaluation", config.seed, episode))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flipperctl.api import Perception
+from flipperctl.api import Perception, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.errors import ConfigError, PolicyError
 from flipperctl.runtime import OnnxPolicy
@@ -19,6 +19,9 @@ class ExportedPolicy:
     def __init__(self, file: Path) -> None:
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
+
+    def begin(self, simulator: Simulator) -> None:
+        """Nothing: a policy knows only what it perceives."""
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""

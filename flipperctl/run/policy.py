@@ -10,7 +10,7 @@ import torch
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import build_network, greedy
-from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception
+from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Simulator
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
 from flipperctl.run.exported import ExportedPolicy, is_exported
@@ -18,6 +18,9 @@ from flipperctl.run.exported import ExportedPolicy, is_exported
 
 class Acts(Protocol):
     """Anything that maps what the robot perceives to an action."""
+
+    def begin(self, simulator: Simulator, /) -> None:
+        """An episode begins."""
 
     def act(self, p: Perception, /) -> int:
         """Index into ``ACTIONS``."""
@@ -30,6 +33,9 @@ class QPolicy:
         self.module = module
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
+
+    def begin(self, simulator: Simulator) -> None:
+        """Nothing: a network knows only what it perceives."""
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""

@@ -35,6 +35,8 @@ COLUMNS = (
     "decision",
     "episode",
     "seed",
+    "terrain",
+    "difficulty",
     "outcome",
     "success_rate",
     "decisions",
@@ -44,6 +46,9 @@ COLUMNS = (
     "pitch_variation_100hz",
     "max_pitch",
     "flipper_travel",
+    "start_shift",
+    "start_front",
+    "start_rear",
     "epsilon",
     "loss",
     "lag",
@@ -54,9 +59,18 @@ COLUMNS = (
 class MetricsCsv:
     """One row an episode and one a validation (``kind`` tells them apart)."""
 
-    def __init__(self, path: Path, terms: Sequence[str], resume_at: int | None = None) -> None:
-        """``resume_at``: rows behind this decision are dropped; None begins a new file."""
-        self._columns = [*COLUMNS, *(f"reward_{term}" for term in terms)]
+    def __init__(
+        self,
+        path: Path,
+        terms: Sequence[str],
+        draws: Sequence[str] = (),
+        resume_at: int | None = None,
+    ) -> None:
+        """``draws``: settings that are randomised.
+
+        ``resume_at``: rows behind this decision are dropped; None begins a new file.
+        """
+        self._columns = [*COLUMNS, *draws, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
             with path.open(newline="") as old:

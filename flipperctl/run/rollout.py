@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from flipperctl.api import ACTIONS, RobotState
@@ -11,13 +12,19 @@ from flipperctl.run.policy import Acts
 
 
 def play(
-    env: FlipperEnv, controller: Acts, seed: int, trace: list[RobotState] | None = None
+    env: FlipperEnv,
+    controller: Acts,
+    seed: int,
+    trace: list[RobotState] | None = None,
+    tell: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Any]:
     """Play one episode to its end; returns seed, outcome and the metrics of the episode.
 
-    The states at every decision, start and end included, are appended to ``trace``.
+    The states at every decision, start and end included, are appended to ``trace``; ``tell``
+    hears what share of its search is done, of a controller that plans ahead.
     """
     env.reset(seed=seed)
+    controller.begin(env.simulator(tell))
     while True:
         if trace is not None:
             trace.append(env.state)

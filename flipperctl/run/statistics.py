@@ -40,7 +40,19 @@ def reached(rows: Rows) -> list[Mapping[str, Any]]:
 
 
 def scene_summary(terrain: str, rows: Rows) -> dict[str, Any]:
-    """One entry of ``scenes`` in ``eval --json``; times [s], angles [rad]."""
+    """One entry of ``scenes`` in ``eval --json``; times [s], angles [rad].
+
+    Where more than one kind of terrain was drawn, ``parts`` has the summary of each by its label.
+    """
+    labels = sorted({str(row["terrain"]) for row in rows})
+    summary = _summary(terrain, rows)
+    if len(labels) > 1:
+        of = {label: [row for row in rows if row["terrain"] == label] for label in labels}
+        summary["parts"] = {label: _summary(label, part) for label, part in of.items()}
+    return summary
+
+
+def _summary(terrain: str, rows: Rows) -> dict[str, Any]:
     good = reached(rows)
     success = interval([float(row["outcome"] == Outcome.REACHED) for row in rows])
     summary: dict[str, Any] = {

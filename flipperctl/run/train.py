@@ -77,6 +77,8 @@ class Trainer:
         """Episodes begun or ordered; each has a seed of its own."""
         self.lost = 0
         """Episodes whose worker died."""
+        self.difficulty = config.terrain.first_difficulty
+        """Of the terrain in the next episode that begins or is ordered."""
         self.updates = 0
         self.loss = 0.0
         self._lag = 0
@@ -134,7 +136,8 @@ class Trainer:
     def _collector(self) -> Collector:
         config = self.config
         if config.train.mode == "exact":
-            return InProcess(FlipperEnv(config=config.environment()), self._act, self._next_seed)
+            env = FlipperEnv(config=config.environment())
+            return InProcess(env, self._act, self._next_seed, lambda: self.difficulty)
         document, paths = container(config), plugins.given()
         crew: Crew
         if config.collector.name == "ray":
@@ -159,7 +162,8 @@ class Trainer:
             self._weights = (self.updates, arrays(self.agent.online))
         episode = self.started
         seed = self._next_seed()
-        return Order(episode, seed, self.epsilon, self.decision, *self._weights)
+        version, weights = self._weights
+        return Order(episode, seed, self.epsilon, self.decision, version, weights, self.difficulty)
 
     def _worker_died(self, order: Order) -> None:
         self.lost += 1
@@ -198,7 +202,9 @@ class Trainer:
             replay.drop_pending()
             return
         self.episode += 1
-        self.recent.append(ending["outcome"] == Outcome.REACHED)
+        success = ending["outcome"] == Outcome.REACHED
+        self.recent.append(success)
+        self.difficulty = config.terrain.next_difficulty(self.difficulty, success)
         self._tell("episode", {"lag": self._lag, **ending})
 
     def _validate(self, collector: Collector) -> None:
@@ -275,7 +281,10 @@ class Trainer:
             "started": self.started,
             "lost": self.lost,
             "updates": self.updates,
-            "orders": [[o.episode, o.seed, o.epsilon, o.decision, o.version] for o in orders],
+            "difficulty": self.difficulty,
+            "orders": [
+                [o.episode, o.seed, o.epsilon, o.decision, o.version, o.difficulty] for o in orders
+            ],
             "replay_added": self.replay.added,
             "generators": {n: g.bit_generator.state for n, g in self._generators.items()},
         }
@@ -304,11 +313,13 @@ class Trainer:
         self.decision, self.episode = state["decision"], state["episode"]
         self.started, self.lost = state["started"], state["lost"]
         self.updates = state["updates"]
+        self.difficulty = state.get("difficulty", self.difficulty)
         self.loss, self.seconds = state["loss"], state["seconds"]
         self._resumed = []
-        for episode, seed, epsilon, decision, version in state["orders"]:
+        for episode, seed, epsilon, decision, version, *rest in state["orders"]:
             weights = {n: t.numpy() for n, t in saved.part(f"weights{version}").items()}
-            self._resumed.append(Order(episode, seed, epsilon, decision, version, weights))
+            order = Order(episode, seed, epsilon, decision, version, weights, *rest)
+            self._resumed.append(order)
         self.recent.extend(state["recent"])
         self.validations = state["validations"]
 

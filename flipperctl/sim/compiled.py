@@ -64,24 +64,24 @@ def _run(
     request: int,
     filled: NDArray[np.int32],
     pose: FloatArray,
-    angles: FloatArray,
+    poses: FloatArray,
     angle_limit: float,
     x_limit: float,
     top: float,
     half: float,
 ) -> int:
-    for sample in range(len(angles)):
+    for sample in range(len(poses)):
         for _ in range(substeps):
             _step(space, substep)
         filled[0] = 0
         _read(body, request)
         x, z, angle = pose[0], pose[1], pose[2]
-        angles[sample] = angle
+        poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
         if abs(angle) >= angle_limit:
             return sample + 1
         if x >= x_limit and z + half * abs(math.sin(angle)) <= top:
             return sample + 1
-    return len(angles)
+    return len(poses)
 
 
 class CompiledLoop:
@@ -106,9 +106,9 @@ class CompiledLoop:
             *(_address(body._body), _address(request), filled, np.frombuffer(ffi.buffer(pose))),
         )
 
-    def run(self, angles: FloatArray, limits: Limits) -> int:
+    def run(self, poses: FloatArray, limits: Limits) -> int:
         """As ``PlainLoop.run``."""
-        return int(_run(*self._arguments, angles, *limits))
+        return int(_run(*self._arguments, poses, *limits))
 
 
 @njit(cache=True)

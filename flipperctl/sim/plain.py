@@ -33,7 +33,7 @@ class Limits(NamedTuple):
 
 
 class PlainLoop:
-    """Steps a space and samples the angle of one of its bodies."""
+    """Steps a space and samples the pose of one of its bodies."""
 
     def __init__(
         self, space: pymunk.Space, body: pymunk.Body, speed: float, substep: float, substeps: int
@@ -54,20 +54,21 @@ class PlainLoop:
 
         self._space.on_collision(TRACK, GROUND, pre_solve=belt)
 
-    def run(self, angles: FloatArray, limits: Limits) -> int:
-        """Run for one sample after the other, at most as many as ``angles`` has room for.
+    def run(self, poses: FloatArray, limits: Limits) -> int:
+        """Run for one sample after the other, at most as many as ``poses`` has rows for.
 
         Stops behind the sample at which a limit is reached, and returns how many samples there
-        were; ``angles`` holds them [rad].
+        were; ``poses`` (S, 3) holds them: x [m], z [m], angle [rad].
         """
         step, dt, body = self._space.step, self._substep, self._body
-        for sample in range(len(angles)):
+        for sample in range(len(poses)):
             for _ in range(self._substeps):
                 step(dt)
-            angles[sample] = angle = body.angle
+            x, z = body.position
+            angle = body.angle
+            poses[sample] = x, z, angle
             if abs(angle) >= limits.angle:
                 return sample + 1
-            x, z = body.position
             if x >= limits.x and z + limits.half * abs(math.sin(angle)) <= limits.top:
                 return sample + 1
-        return len(angles)
+        return len(poses)

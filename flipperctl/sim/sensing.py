@@ -27,6 +27,8 @@ class TerrainSensor:
             self._x, (position[0] - s.reach, position[0] + min(s.reach, s.horizon))
         )
         points = self._cloud[low:high] - position
+        if s.bias:
+            points[:, 1] += s.bias
         if s.noise > 0:
             points[:, 1] += rng.normal(0.0, s.noise, len(points))
         if s.dropout > 0:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pymunk
@@ -125,14 +125,15 @@ class World:
         self._rear_gear.phase = -rear
 
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Run for up to ``samples`` samples; returns the pitch at each, (S,) [rad].
+        """Run for up to ``samples`` samples; returns the chassis' pose at each.
 
-        Stops behind the sample at which the chassis reaches a limit.
+        (S, 3): x [m], z [m], pitch [rad]. Stops behind the sample at which the chassis reaches a
+        limit.
         """
-        pitches = np.empty(samples)
-        done = self._loop.run(pitches, limits)
+        poses = np.empty((samples, 3))
+        done = self._loop.run(poses, limits)
         self._time += done * SAMPLE
-        return pitches[:done]
+        return poses[:done]
 
     @property
     def position(self) -> tuple[float, float]:
@@ -172,3 +173,21 @@ class World:
             pitch_rate=chassis.angular_velocity,
             time=self._time,
         )
+
+    def save(self) -> tuple[Any, ...]:
+        """Poses, speeds and flipper targets, for ``load``.
+
+        The engine's contact impulses are not in it: what follows differs from an uninterrupted
+        run by less than its solver's tolerance at each load.
+        """
+        bodies = [
+            (b.position, b.angle, b.velocity, b.angular_velocity)
+            for b in (self._chassis, self._front, self._rear)
+        ]
+        return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Go back to what ``save`` gave."""
+        bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
+        for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
+            body.position, body.angle, body.velocity, body.angular_velocity = pose

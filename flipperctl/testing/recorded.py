@@ -105,6 +105,11 @@ SCENES = (
 )
 """Up and down a step, a bump seen badly, a ledge, a smooth wall, and it again with little time."""
 
+SHORT = Scene(
+    ((0.0, 0.0), (0.1, 0.0)), hold, Outcome.REACHED, {"episode": {"run_up": 0.2, "run_out": 0.2}}
+)
+"""Half a metre of level ground, for controllers that search the scene first."""
+
 
 @cache
 def transitions() -> tuple[Transition, ...]:

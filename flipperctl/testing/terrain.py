@@ -54,6 +54,18 @@ def leaves_global_randomness(terrain: Terrain) -> None:
     )
 
 
+def graded(terrain: Terrain) -> None:
+    """A training may ask for any difficulty from 0 to 1, and is told one in between."""
+    for difficulty in (0.0, terrain.first_difficulty, 1.0):
+        for reached in (False, True):
+            following = terrain.next_difficulty(difficulty, reached)
+            require(
+                0 <= difficulty <= 1 and 0 <= following <= 1,
+                f"difficulty {difficulty:g} leads to {following:g}; 0 to 1 is allowed",
+            )
+        _draw(terrain.at(difficulty), 0)
+
+
 def extent(terrain: Terrain) -> None:
     """Not longer and not higher than a robot could ever cross."""
     for seed in SEEDS:
@@ -85,7 +97,7 @@ def starts(terrain: Terrain) -> None:
                 "the observation space, ± 100 m",
             )
             x, z = env.state.position.tolist()
-            depth = max(env.world.penetration(), env.profile.height(x) - z)
+            depth = max(env.drive.world.penetration(), env.profile.height(x) - z)
             require(depth <= DEEP, f"the robot is {depth:.3f} m in the ground at x = {x:.2f} m")
         driven = env.state.position[0] - start
         require(

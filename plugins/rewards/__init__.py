@@ -1,5 +1,27 @@
-"""Built-in reward terms: the paper's three."""
+"""Built-in reward terms: the paper's three, and a library to compose others from."""
 
-from flipperctl_plugins.rewards import end, flipper, pitch
+from flipperctl_plugins.rewards import (
+    clearance,
+    end,
+    flipper,
+    impact,
+    pitch,
+    progress,
+    shaped_progress,
+    smoothness,
+    stability,
+    travel,
+)
 
-__all__ = ["end", "flipper", "pitch"]
+__all__ = [
+    "clearance",
+    "end",
+    "flipper",
+    "impact",
+    "pitch",
+    "progress",
+    "shaped_progress",
+    "smoothness",
+    "stability",
+    "travel",
+]

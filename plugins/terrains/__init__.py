@@ -1,5 +1,49 @@
 """Built-in terrains."""
 
-from flipperctl_plugins.terrains import flat, paper_stair, paper_step, stair, step
+from flipperctl_plugins.terrains import (
+    building_stair,
+    curb_and_ramp,
+    curriculum,
+    flat,
+    gap,
+    mirror,
+    mix,
+    noisy,
+    pallet,
+    paper_stair,
+    paper_step,
+    plum,
+    profile_file,
+    rail,
+    ramp,
+    rubble,
+    sequence,
+    stair,
+    step,
+    uplift,
+    wave,
+)
 
-__all__ = ["flat", "paper_stair", "paper_step", "stair", "step"]
+__all__ = [
+    "building_stair",
+    "curb_and_ramp",
+    "curriculum",
+    "flat",
+    "gap",
+    "mirror",
+    "mix",
+    "noisy",
+    "pallet",
+    "paper_stair",
+    "paper_step",
+    "plum",
+    "profile_file",
+    "rail",
+    "ramp",
+    "rubble",
+    "sequence",
+    "stair",
+    "step",
+    "uplift",
+    "wave",
+]

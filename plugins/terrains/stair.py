@@ -3,6 +3,7 @@
 from typing import Literal, Self
 
 import numpy as np
+from flipperctl_plugins.terrains.flight import flight
 from pydantic import Field, model_validator
 
 from flipperctl.api import Profile, Terrain, terrain
@@ -51,12 +52,12 @@ class Stair(Terrain):
         steps = int(rng.integers(self.fewest, self.most + 1))
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = self.rise if up else -self.rise
-        points = _flight(0.0, 0.0, steps, self._tread(rise, rng), rise)
+        points = flight(0.0, 0.0, steps, self._tread(rise, rng), rise)
         x, z = points[-1]
         if self.platform:
             points.append((x + self.platform, z))
         if self.back:
-            points += _flight(x + self.platform, z, steps, self._tread(-rise, rng), -rise)[1:]
+            points += flight(x + self.platform, z, steps, self._tread(-rise, rng), -rise)[1:]
         return Profile(points)
 
     def _tread(self, rise: float, rng: np.random.Generator) -> float:
@@ -64,12 +65,3 @@ class Stair(Terrain):
         if self.tread_spread == 0:
             return middle
         return rng.uniform(middle - self.tread_spread, middle + self.tread_spread)
-
-
-def _flight(x: float, z: float, steps: int, tread: float, rise: float) -> list[tuple[float, float]]:
-    """The outline of a flight that begins at (x, z) with a vertical face."""
-    points = [(x, z)]
-    for step in range(steps):
-        points.append((x + step * tread, z + step * rise))
-        points.append((x + step * tread, z + (step + 1) * rise))
-    return points[1:] if steps else points

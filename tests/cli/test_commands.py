@@ -127,7 +127,7 @@ def test_inspect_plugins_shows_origin_unit_bounds_and_default(tmp_path: Path) ->
     done = call("inspect", "plugins", "--json", cwd=tmp_path)
     plugins = {(p["kind"], p["name"]): p for p in json.loads(done.out)}
     stair = plugins["terrain", "stair"]
-    assert stair["source"].endswith("stair.py:11")
+    assert stair["source"].endswith("stair.py:12")
     rise = next(field for field in stair["fields"] if field["name"] == "rise")
     assert (rise["default"], rise["bounds"], rise["unit"]) == (0.2, "> 0, ≤ 0.5", "m")
     assert "rise" in call("inspect", "plugins", "stair", cwd=tmp_path).out
@@ -144,9 +144,12 @@ def test_inspect_terrain_draws_and_measures(tmp_path: Path) -> None:
 
 
 def test_inspect_reward_audits_every_term(tmp_path: Path) -> None:
-    done = call("inspect", "reward", "terrain=step", "--episodes", "2", "--json", cwd=tmp_path)
+    sought = ["+reward@rewards.hit=impact", "rewards.hit.weight=-2"]  # as if blows were wanted
+    options = ["--episodes", "2", "--json"]
+    done = call("inspect", "reward", "terrain=step", *sought, *options, cwd=tmp_path)
     terms = json.loads(done.out)["terms"]
-    assert set(terms) == {"flipper", "pitch", "end"}
+    assert set(terms) == {"flipper", "pitch", "end", "hit"}
+    assert 0 <= terms["hit"]["saturated"] < 0.5
     assert sum(term["share"] for term in terms.values()) == pytest.approx(1.0)
     assert 0 <= terms["pitch"]["saturated"] <= 1
     assert terms["end"]["saturated"] is None

@@ -2,8 +2,9 @@
 
 import pytest
 
+from flipperctl.api import Shaping
 from flipperctl.cli import compose
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import EnvConfig, TrainConfig, merged, parse
 
 
 @pytest.fixture(autouse=True)
@@ -44,3 +45,47 @@ def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
     terrain = config.terrain.model_dump()
     assert terrain["most"] == 6
     assert terrain["tread_down"] - terrain["tread_spread"] == pytest.approx(0.2)
+
+
+# Presets of rewards
+
+
+def test_the_default_is_the_papers_rewards_everywhere() -> None:
+    paper = EnvConfig(terrain="stair").rewards
+    (named,) = compose.compose_train(["rewards=paper"])
+    (train,) = compose.compose_train([])
+    assert named.rewards == train.rewards == compose.compose_environment([]).rewards == paper
+
+
+def test_the_tuned_rewards_are_the_papers_and_more() -> None:
+    paper, tuned = compose.compose_train(["rewards=paper,tuned"])
+    assert paper.rewards.items() < tuned.rewards.items()
+    assert compose.compose_environment(["rewards=tuned"]).rewards == tuned.rewards
+
+
+@pytest.mark.parametrize("preset", ["paper", "tuned"])
+def test_a_presets_terms_are_changed_added_and_dropped(preset: str) -> None:
+    changes = ["rewards.pitch.lambda_2=5", "~rewards.flipper", "+reward@rewards.hit=impact"]
+    other = "reward@rewards.end=progress"
+    (plain,) = compose.compose_train([f"rewards={preset}"])
+    (config,) = compose.compose_train([f"rewards={preset}", *changes, other])
+    assert set(config.rewards) == set(plain.rewards) - {"flipper"} | {"hit"}
+    assert config.rewards["pitch"].model_dump()["lambda_2"] == 5
+    assert config.rewards["end"].plugin_name == "progress"
+
+
+def test_the_tuned_shaping_follows_the_agents_discount() -> None:
+    for config in compose.compose_train(["rewards=tuned", "agent.gamma=0.9,0.95"]):
+        (shaping,) = (term for term in config.rewards.values() if isinstance(term, Shaping))
+        assert shaping.gamma == config.agent.gamma
+
+
+def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
+    (trained,) = compose.compose_train(["rewards=tuned", "rewards.pitch.lambda_2=5"])
+    primary = compose.offer_trained(trained)
+    ((own, _),) = compose.compose_eval([], primary)
+    assert own.rewards == trained.rewards
+    ((changed, _),) = compose.compose_eval(["rewards.pitch.window=4"], primary)
+    assert changed.rewards["pitch"].model_dump() == {"weight": 1, "lambda_2": 5, "window": 4}
+    ((preset, _),) = compose.compose_eval(["rewards=paper"], primary)
+    assert preset.rewards == EnvConfig(terrain="stair").rewards

@@ -41,6 +41,14 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["train", "agent.gama=0.9"], ["agent.gama", "'gamma'"]),
         (["train", "rewards.pitch.lamda_2=3"], ["rewards.pitch.lamda_2", "'lambda_2'"]),
         (["train", "~rewards.pich"], ["rewards.pich", "'pitch'"]),
+        (["train", "rewards=tunde"], ["rewards", "'tunde'", "'tuned'", "paper, tuned"]),
+        (["train", "rewards.pich.weight=2"], ["rewards.pich.weight", "'pitch'", "in rewards"]),
+        (["train", "rewards=tuned", "rewards.travle.weight=2"], ["rewards.travle", "'travel'"]),
+        (
+            ["train", "+reward@rewards.way=shaped_progress", "agent.gamma=0.95"],
+            ["rewards.way.gamma: 0.99", "agent.gamma (0.95)", "set rewards.way.gamma=0.95"],
+        ),
+        (["train", "terrain=step", "terrain.hihg=0.2"], ["terrain.hihg", "'high'"]),
         (["train", "+agent.gama=0.9"], ["agent.gama", "'gamma'"]),
         (["train", "agent.gamma=1.5"], ["agent.gamma", "< 1", "1.5"]),
         (["train", "terrain.fewest=many"], ["terrain.fewest", "integer", "'many'"]),
@@ -104,6 +112,7 @@ def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path
     for command in (
         ["inspect", "terrain", "odd"],
         ["eval", "--controller", "level", "terrain=odd"],
+        ["train", "terrain=odd"],
     ):
         error = refused(*command, "--plugins", "odd.py", cwd=tmp_path)
         assert [word for word in ["odd", *words] if word not in error] == [], error

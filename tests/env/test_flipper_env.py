@@ -113,12 +113,12 @@ def test_a_lowered_front_pair_lifts_the_nose_and_a_lowered_rear_pair_the_tail(
 
 @pytest.mark.parametrize("slope", [0.25, -0.25])
 def test_the_pitch_is_positive_uphill(slope: float, registry: dict) -> None:
-    @terrain("ramp")
+    @terrain("slope")
     class Ramp(Terrain):
         def generate(self, rng: np.random.Generator) -> Profile:
             return Profile([(0.0, 0.0), (3.0, 3.0 * math.tan(slope))])
 
-    env = FlipperEnv("ramp", episode=EXACT)
+    env = FlipperEnv("slope", episode=EXACT)
     env.reset(seed=0)
     for _ in range(20):  # 20 · 0.12 m = 2.4 m: half way along the ramp
         observation, *_ = env.step(HOLD)
@@ -314,8 +314,8 @@ def test_a_reward_that_is_not_finite_is_named(value: float, registry: dict) -> N
 def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     env = FlipperEnv("flat")
     env.reset(seed=0)
-    lost = dataclasses.replace(env.world.state(), pitch=math.nan)
-    monkeypatch.setattr(env.world, "state", lambda: lost)
+    lost = dataclasses.replace(env.drive.world.state(), pitch=math.nan)
+    monkeypatch.setattr(env.drive.world, "state", lambda: lost)
     with pytest.raises(NonFiniteError, match=r"state is not finite.*'flat'"):
         env.step(HOLD)
 

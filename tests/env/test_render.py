@@ -74,7 +74,7 @@ def test_a_picture_outlives_the_next_one(env: FlipperEnv, renderer: Renderer) ->
 def test_the_chassis_is_where_and_as_the_state_says(
     env: FlipperEnv, renderer: Renderer, pitch: float
 ) -> None:
-    env.state = at(-0.6, 0.9, pitch)
+    env.drive.state = at(-0.6, 0.9, pitch)
     pixels = coloured(renderer(env.scene), CHASSIS)
     assert np.abs(pixels.mean(axis=0)).max() < 1.5
     _, axes = np.linalg.eigh(np.cov(pixels.T))
@@ -86,7 +86,7 @@ def test_the_chassis_is_where_and_as_the_state_says(
 
 def test_the_ground_is_to_scale(env: FlipperEnv, renderer: Renderer) -> None:
     for x in (-0.8, -0.7):
-        env.state = at(x, 0.1)
+        env.drive.state = at(x, 0.1)
         earth = coloured(renderer(env.scene), EARTH)
         above_level = earth[earth[:, 1] > 0.1 * SCALE]  # 0.2 m up, only the step is left
         assert above_level[:, 0].min() == pytest.approx(-x * SCALE, abs=4)

@@ -67,10 +67,10 @@ def test_the_streams_of_seeds_never_meet() -> None:
     assert len(set(seeds)) == len(seeds)
 
 
-def row(seed: int, outcome: str, variation: float) -> dict[str, object]:
+def row(seed: int, outcome: str, variation: float, terrain: str = "step") -> dict[str, object]:
     measures = dict.fromkeys(("t_cost", "flipper_travel", "max_pitch", "return"), 1.0)
     both = {"pitch_variation": variation, "pitch_variation_100hz": variation}
-    return {"seed": seed, "outcome": outcome, **measures, **both}
+    return {"seed": seed, "terrain": terrain, "outcome": outcome, **measures, **both}
 
 
 def test_interval_of_equal_values_is_a_point_and_of_none_is_none() -> None:
@@ -95,6 +95,22 @@ def test_scene_summary_counts_outcomes_and_averages_what_reached_the_finish() ->
     assert scene["pitch_variation"]["range"] == 2.0
     nobody = scene_summary("step", [row(0, "stuck", 1.0)])
     assert nobody["t_cost"] is None
+
+
+def test_scene_summary_takes_a_mix_apart() -> None:
+    rows = [
+        row(0, "reached", 1.0, "gap"),
+        row(1, "reached", 3.0, "gap"),
+        row(2, "stuck", 9.0, "wave"),
+    ]
+    scene = scene_summary("mix", rows)
+    assert scene["success_rate"] == pytest.approx(2 / 3)
+    assert list(scene["parts"]) == ["gap", "wave"]
+    gap, wave = scene["parts"].values()
+    assert (gap["episodes"], gap["success_rate"]) == (2, 1.0)
+    assert gap["pitch_variation"]["mean"] == pytest.approx(2.0)
+    assert (wave["episodes"], wave["success_rate"]) == (1, 0.0)
+    assert "parts" not in scene_summary("gap", rows[:2])
 
 
 def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:

@@ -54,7 +54,14 @@ def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
 def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
     tmp_path: Path, workers: int
 ) -> None:
-    config = short_config(**{"train.mode": "fast", "train.workers": workers})
+    config = short_config(
+        **{
+            "train.mode": "fast",
+            "train.workers": workers,
+            # An order carries its episode's difficulty.
+            "terrain": {"name": "curriculum", "start": 0.5, "up": 0.2, "down": 0.1},
+        }
+    )
     trainer(config, tmp_path / "whole").run()
     whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
 
@@ -70,7 +77,8 @@ def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
     assert resumed.tensors.keys() == whole.tensors.keys()
     for name, tensor in whole.tensors.items():
         assert torch.equal(resumed.tensors[name], tensor), name
-    assert resumed.document["state"]["validations"] == whole.document["state"]["validations"]
+    for key in ("validations", "difficulty"):
+        assert resumed.document["state"][key] == whole.document["state"][key]
 
 
 def test_equal_seeds_give_equal_runs_and_others_do_not(tmp_path: Path, short_run: Path) -> None:

@@ -159,6 +159,7 @@ def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
     )
     assert episode(plain)["metrics"] == episode(compiled)["metrics"]
     assert plain.state.time == compiled.state.time > 10.0
+    assert np.array_equal(plain.transition.path, compiled.transition.path)
     assert np.array_equal(plain.state.position, compiled.state.position)
 
 
@@ -166,11 +167,12 @@ def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
 @pytest.mark.parametrize("limits", [Limits(x=-4.9), Limits(angle=1e-9)], ids=["x", "pitch"])
 def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limits: Limits) -> None:
     world, other = (World(FLAT, Robot(), Sim(engine=engine), -5.0) for _ in range(2))
-    pitches = world.advance(100, limits)
-    every = [other.advance()[0] for _ in pitches]
-    assert 0 < len(pitches) < 100
-    assert world.time == pytest.approx(0.01 * len(pitches))
-    assert pitches.tolist() == every
+    poses = world.advance(100, limits)
+    every = [other.advance()[0].tolist() for _ in poses]
+    assert 0 < len(poses) < 100
+    assert world.time == pytest.approx(0.01 * len(poses))
+    assert poses.tolist() == every
+    assert poses[-1].tolist() == [*world.position, world.pitch]
     assert other.position == world.position
     assert abs(world.pitch) >= limits.angle or world.position[0] >= limits.x
 
@@ -226,7 +228,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    loop(space, track, 0.2, 0.005, 2).run(np.empty(100), Limits())
+    loop(space, track, 0.2, 0.005, 2).run(np.empty((100, 3)), Limits())
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 

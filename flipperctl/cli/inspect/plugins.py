@@ -77,16 +77,15 @@ def describe(kind: str, name: str) -> dict[str, Any]:
     from flipperctl.messages import bounds
 
     cls = registry[kind, name]
-    properties = cls.model_json_schema().get("properties", {})
+    defaults = loader.container(cls(), brief=True)
     fields = []
     for field, info in cls.model_fields.items():
         text, _, unit = (info.description or "").rpartition(" [")
-        default = properties.get(field, {}).get("default", info.default)
         fields.append(
             {
                 "name": field,
                 "type": str(getattr(info.annotation, "__name__", info.annotation)),
-                "default": default,
+                "default": defaults[field],
                 "bounds": bounds(cls, field),
                 "unit": unit.rstrip("]"),
                 "description": text or info.description,

@@ -1,0 +1,1 @@
+"""Named sets of reward terms: ``rewards=<name>``."""

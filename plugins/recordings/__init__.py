@@ -1,0 +1,1 @@
+"""Readers for ground that was recorded; they speak of no terrain and draw nothing."""

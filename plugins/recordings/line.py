@@ -1,0 +1,61 @@
+"""A straight line over the ground, and heights along it.
+
+The frame: x and y level, z up. A line runs from ``start`` to ``end`` in (x, y) [m]; distances are
+measured along it from ``start`` on.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+
+
+@dataclass(frozen=True)
+class Line:
+    """Where the profile is taken."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    spacing: float
+    """Distance between two heights [m]; the last one may be shorter."""
+
+    @property
+    def length(self) -> float:
+        """From start to end [m]."""
+        return float(np.hypot(*np.subtract(self.end, self.start)))
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector from start to end, (2,)."""
+        return np.subtract(self.end, self.start) / self.length
+
+    @property
+    def distances(self) -> FloatArray:
+        """Of the heights, both ends included, (D,) [m]."""
+        inner = np.arange(0.0, self.length - 1e-9, self.spacing)
+        return np.append(inner, self.length)
+
+    @property
+    def points(self) -> FloatArray:
+        """Of the heights, (D, 2) in (x, y) [m]."""
+        return np.asarray(self.start) + self.distances[:, None] * self.direction
+
+    def profile(self, heights: FloatArray, largest_gap: float) -> FloatArray:
+        """(V, 2) of distance and height [m] from (D,) heights, NaN where unknown.
+
+        Raises:
+            ValueError: heights are unknown over more than ``largest_gap``, or at an end.
+        """
+        distances = self.distances
+        known = np.isfinite(heights)
+        if not known.any():
+            raise ValueError(f"no height is known along the line from {self.start} to {self.end}")
+        at = distances[known]
+        for low, high in zip(np.append(0.0, at), np.append(at, self.length), strict=True):
+            if high - low > max(largest_gap, self.spacing + 1e-9):
+                raise ValueError(
+                    f"no height is known from {low:.2f} to {high:.2f} m along the line; "
+                    f"the largest gap that is bridged is {largest_gap:g} m"
+                )
+        return np.column_stack([distances, np.interp(distances, at, heights[known])])

@@ -1,0 +1,40 @@
+"""Clearance under the chassis."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from flipperctl.api import RewardTerm, Transition, reward
+
+
+@reward("clearance")
+class Clearance(RewardTerm):
+    """The gap between the chassis' underside and what stands up between the hinges.
+
+    A tracked chassis may lie flat on level ground; it is an edge under its middle that it hangs on
+    and tips over. So, as for a vehicle's breakover angle, only ground that rises above the straight
+    line between the ground below the two hinges counts. That takes in the noses of a stair, which
+    the tracks climb: there the term asks the flippers to carry the chassis.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    enough: float = Field(0.05, gt=0, le=1, description="gap from which nothing is paid [m]")
+    bump: float = Field(
+        0.02, ge=0, le=1, description="rise above the line between the hinges that is free [m]"
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """In [-1, 0]; -1 where the underside touches a bump, 0 without one."""
+        cos, sin = math.cos(t.after.pitch), math.sin(t.after.pitch)
+        (x, z), half = t.after.position, t.robot.hinge_offset * cos
+        ground = t.profile.around(float(x), half)  # (P, 2) [m]
+        ends = (x - half, x + half)
+        chord = np.interp(ground[:, 0], ends, [t.profile.height(float(e)) for e in ends])
+        bumps = ground[ground[:, 1] - chord > self.bump]
+        if len(bumps) == 0:
+            return 0.0
+        up = cos * (bumps[:, 1] - z) - sin * (bumps[:, 0] - x)  # in frame R [m]
+        gap = -float(up.max()) - t.robot.track_radius
+        return -max(0.0, min(1.0, 1.0 - gap / self.enough))

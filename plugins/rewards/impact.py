@@ -1,0 +1,34 @@
+"""Impacts."""
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from flipperctl.api import RewardTerm, Transition, reward
+
+_PERIOD = 0.01  # [s] between two poses of a path
+
+
+@reward("impact")
+class Impact(RewardTerm):
+    """The largest vertical acceleration of the chassis' centre within the decision.
+
+    Differences at 100 Hz of the vertical velocity: before the decision, its mean over each sample,
+    and behind it, so that no blow falls between two decisions.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    tolerance: float = Field(5.0, ge=0, le=1000, description="acceleration that is free [m/s²]")
+    worst: float = Field(
+        30.0, gt=0, le=10_000, description="acceleration beyond the free one that costs 1 [m/s²]"
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """In [-1, 0]; 0 without a path."""
+        if len(t.path) < 2:
+            return 0.0
+        rise = np.diff(t.path[:, 1]) / _PERIOD  # (S,) [m/s]
+        velocity = np.concatenate([t.before.velocity[1:], rise, t.after.velocity[1:]])
+        peak = float(np.abs(np.diff(velocity)).max()) / _PERIOD
+        return -min(1.0, max(0.0, peak - self.tolerance) / self.worst)

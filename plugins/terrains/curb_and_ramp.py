@@ -1,0 +1,29 @@
+"""A pavement with a curb on one side and a ramp on the other."""
+
+import math
+
+import numpy as np
+from flipperctl_plugins.terrains.drawn import Drawn
+from pydantic import Field
+
+from flipperctl.api import Profile, terrain
+
+
+@terrain("curb_and_ramp")
+class CurbAndRamp(Drawn):
+    """Up a curb, along the pavement, down a ramp; or the other way, drawn each episode."""
+
+    height_low: float = Field(0.1, gt=0, le=0.8, description="lowest curb [m]")
+    height_high: float = Field(0.4, gt=0, le=0.8, description="highest curb [m]")
+    slope_low: float = Field(10.0, gt=0, le=60, description="smallest slope of the ramp [°]")
+    slope_high: float = Field(35.0, gt=0, le=60, description="largest slope of the ramp [°]")
+    width_low: float = Field(0.5, gt=0, le=20, description="narrowest pavement [m]")
+    width_high: float = Field(1.5, gt=0, le=20, description="widest pavement [m]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """Four points."""
+        height, width = self.draw(rng, "height"), self.draw(rng, "width")
+        run = height / math.tan(math.radians(self.draw(rng, "slope")))
+        if rng.integers(2):
+            return Profile([(0.0, 0.0), (0.0, height), (width, height), (width + run, 0.0)])
+        return Profile([(0.0, 0.0), (run, height), (run + width, height), (run + width, 0.0)])

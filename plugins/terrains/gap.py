@@ -1,0 +1,22 @@
+"""A trench across the way."""
+
+import numpy as np
+from flipperctl_plugins.terrains.drawn import Drawn
+from pydantic import Field
+
+from flipperctl.api import Profile, terrain
+
+
+@terrain("gap")
+class Gap(Drawn):
+    """A trench with vertical walls, narrower than the robot with its flippers laid out."""
+
+    width_low: float = Field(0.2, gt=0, le=3, description="narrowest trench [m]")
+    width_high: float = Field(0.6, gt=0, le=3, description="widest trench [m]")
+    depth_low: float = Field(0.2, gt=0, le=3, description="shallowest trench [m]")
+    depth_high: float = Field(0.5, gt=0, le=3, description="deepest trench [m]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """Down and up again."""
+        width, depth = self.draw(rng, "width"), self.draw(rng, "depth")
+        return Profile([(0.0, 0.0), (0.0, -depth), (width, -depth), (width, 0.0)])

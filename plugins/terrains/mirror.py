@@ -1,0 +1,29 @@
+"""A terrain the other way round."""
+
+import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
+from flipperctl_plugins.terrains.curb_and_ramp import CurbAndRamp
+from pydantic import Field
+
+from flipperctl.api import AnyTerrain, Profile, terrain
+
+
+@terrain("mirror")
+class Mirror(Combinator):
+    """Another terrain, driven from its end to its start."""
+
+    terrain: AnyTerrain = Field(
+        CurbAndRamp(),
+        description="the terrain: a name, or a mapping with a name and fields [-]",
+    )
+    probability: float = Field(
+        1.0, ge=0, le=1, description="share of the episodes that are turned round [-]"
+    )
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """The points in reverse, from x and z of 0 on; the label stays."""
+        profile = self.terrain.labelled(rng)
+        if rng.random() >= self.probability:
+            return profile
+        last = profile.points[-1]
+        return Profile((profile.points[::-1] - last) * (-1.0, 1.0), profile.label)

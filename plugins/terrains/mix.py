@@ -1,0 +1,41 @@
+"""One of several terrains."""
+
+from typing import Self
+
+import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
+from flipperctl_plugins.terrains.stair import Stair
+from flipperctl_plugins.terrains.step import Step
+from pydantic import Field, model_validator
+
+from flipperctl.api import AnyTerrain, Profile, terrain
+
+
+@terrain("mix")
+class Mix(Combinator):
+    """Draws one of several terrains each episode; the episode's row says which."""
+
+    parts: tuple[AnyTerrain, ...] = Field(
+        (Step(), Stair()),
+        min_length=1,
+        description="the terrains: names, or mappings with a name and fields [-]",
+    )
+    weights: tuple[float, ...] = Field(
+        (), description="relative frequency of each part; none: all alike [-]"
+    )
+
+    @model_validator(mode="after")
+    def _weighed(self) -> Self:
+        if self.weights and len(self.weights) != len(self.parts):
+            raise ValueError(
+                f"weights are {len(self.weights)} for {len(self.parts)} parts; one each, or none"
+            )
+        if self.weights and (min(self.weights) < 0 or sum(self.weights) <= 0):
+            raise ValueError(f"weights {self.weights} must not be negative, nor all 0")
+        return self
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """The part's profile, labelled with what was drawn."""
+        weights = np.array(self.weights or [1.0] * len(self.parts))
+        part = self.parts[int(rng.choice(len(self.parts), p=weights / weights.sum()))]
+        return part.labelled(rng)

@@ -1,0 +1,49 @@
+"""A terrain with a rough surface."""
+
+from itertools import pairwise
+
+import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
+from flipperctl_plugins.terrains.stair import Stair
+from pydantic import Field
+
+from flipperctl.api import AnyTerrain, FloatArray, Profile, terrain
+
+
+@terrain("noisy")
+class Noisy(Combinator):
+    """Another terrain with a rough surface; vertical faces stay vertical and as high."""
+
+    terrain: AnyTerrain = Field(
+        Stair(),
+        description="the terrain: a name, or a mapping with a name and fields [-]",
+    )
+    deviation: float = Field(
+        0.01, ge=0, le=0.1, description="standard deviation of the surface's height [m]"
+    )
+    correlation: float = Field(
+        0.1, ge=0.02, le=5, description="distance between independent heights of the surface [m]"
+    )
+    margin: float = Field(
+        0.5, ge=0, le=5, description="rough ground before and behind the terrain [m]"
+    )
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """The surface, and straight lines between random heights one correlation apart."""
+        profile = self.terrain.labelled(rng)
+        line = profile.extended(self.margin, self.margin)
+        knots = np.arange(line[0, 0], line[-1, 0] + self.correlation, self.correlation)
+        noise = rng.normal(0.0, self.deviation, len(knots))
+        points = _with_knots(line, knots)
+        rough = np.interp(points[:, 0], knots, noise)
+        return Profile(points + np.column_stack([np.zeros(len(points)), rough]), profile.label)
+
+
+def _with_knots(line: FloatArray, knots: FloatArray) -> FloatArray:
+    """The polyline with further points at those x that lie within its segments, (V', 2) [m]."""
+    pieces = []
+    for (x0, z0), (x1, z1) in pairwise(line):
+        inner = knots[(knots > x0) & (knots < x1)]
+        heights = np.interp(inner, (x0, x1), (z0, z1))
+        pieces += [np.array([[x0, z0]]), np.column_stack([inner, heights])]
+    return np.vstack([*pieces, line[-1:]])

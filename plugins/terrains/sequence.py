@@ -1,0 +1,35 @@
+"""Several terrains, one after another."""
+
+import numpy as np
+from flipperctl_plugins.terrains.combinator import Combinator
+from flipperctl_plugins.terrains.drawn import Drawn
+from flipperctl_plugins.terrains.ramp import Ramp
+from flipperctl_plugins.terrains.step import Step
+from pydantic import Field
+
+from flipperctl.api import AnyTerrain, Profile, terrain
+
+
+@terrain("sequence")
+class Sequence(Drawn, Combinator):
+    """Terrains one after another; each begins at the height at which the last one ended."""
+
+    parts: tuple[AnyTerrain, ...] = Field(
+        (Ramp(), Step()),
+        min_length=1,
+        description="the terrains, in this order: names, or mappings with a name and fields [-]",
+    )
+    spacing_low: float = Field(0.5, ge=0, le=20, description="least level ground between two [m]")
+    spacing_high: float = Field(1.5, ge=0, le=20, description="most level ground between two [m]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """All parts' points, labelled with the parts' labels."""
+        end, points, labels = np.zeros(2), [], []
+        for index, part in enumerate(self.parts):
+            if index:
+                end = end + np.array([self.draw(rng, "spacing"), 0.0])
+            profile = part.labelled(rng)
+            points.append(profile.points - profile.points[0] + end)
+            labels.append(profile.label)
+            end = points[-1][-1]
+        return Profile(np.vstack(points), "+".join(labels))

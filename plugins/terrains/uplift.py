@@ -1,0 +1,22 @@
+"""A single block across the way."""
+
+import numpy as np
+from flipperctl_plugins.terrains.drawn import Drawn
+from pydantic import Field
+
+from flipperctl.api import Profile, terrain
+
+
+@terrain("uplift")
+class Uplift(Drawn):
+    """A block with vertical faces, shorter than the robot (sizes: FTR-Bench's uplifts)."""
+
+    height_low: float = Field(0.2, gt=0, le=0.8, description="lowest block [m]")
+    height_high: float = Field(0.4, gt=0, le=0.8, description="highest block [m]")
+    width_low: float = Field(0.2, gt=0, le=5, description="shortest block, along the way [m]")
+    width_high: float = Field(0.5, gt=0, le=5, description="longest block, along the way [m]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """Up and down again."""
+        height, width = self.draw(rng, "height"), self.draw(rng, "width")
+        return Profile([(0.0, 0.0), (0.0, height), (width, height), (width, 0.0)])

@@ -1,0 +1,149 @@
+"""Randomisation: what is drawn, what it does, and that it is written down."""
+
+import math
+
+import numpy as np
+import pytest
+
+from flipperctl import plugins
+from flipperctl.config import EnvConfig, PerceptionSettings, Robot, Sim, merged, parse
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.randomise import Randomise
+from flipperctl.run.rollout import play
+
+HOLD, RAISE = 4, 8
+RANGES = {
+    "friction": [0.6, 1.2],
+    "chassis_mass": [30, 40],
+    "flipper_mass": [4, 6],
+    "track_speed": [0.15, 0.25],
+    "flipper_speed": [0.4, 0.5],
+    "actuator_delay": [0.0, 0.1],
+    "noise": [0.0, 0.02],
+    "dropout": [0.0, 0.2],
+    "bias": [-0.02, 0.02],
+    "horizon": [0.5, 1.0],
+    "angle_noise": [0.0, 0.02],
+    "pitch_bias": [-0.03, 0.03],
+    "flipper_bias": [-0.03, 0.03],
+    "delay": [0.0, 0.2],
+}
+
+
+def config(**overrides: object) -> EnvConfig:
+    plugins.load()
+    return parse(EnvConfig, merged(EnvConfig(terrain="step"), overrides))
+
+
+def episode(seed: int, **overrides: object) -> dict[str, object]:
+    return play(
+        FlipperEnv(config=config(**overrides)),
+        plugins.create("controller", "okada", "controller"),
+        seed,
+    )
+
+
+def test_every_range_names_a_setting_and_is_drawn_within() -> None:
+    assert set(RANGES) == set(Randomise.model_fields)
+    for seed in range(5):
+        row = episode(seed, randomise=RANGES)
+        for name, (low, high) in RANGES.items():
+            value = row[name]
+            assert isinstance(value, float)
+            assert low <= value <= high
+    assert episode(0, randomise=RANGES) == episode(0, randomise=RANGES)
+    assert episode(0, randomise=RANGES)["friction"] != episode(1, randomise=RANGES)["friction"]
+
+
+def test_a_draw_acts_as_the_setting_itself() -> None:
+    fixed = {
+        "sim.friction": 0.7,
+        "robot.chassis_mass": 50.0,
+        "robot.track_speed": 0.15,
+        "robot.actuator_delay": 0.12,
+        "perception.noise": 0.01,
+        "perception.bias": 0.02,
+        "perception.delay": 0.2,
+        "perception.pitch_bias": 0.05,
+    }
+    drawn = {f"randomise.{key.partition('.')[2]}": [value, value] for key, value in fixed.items()}
+    one, other = episode(3, **fixed), episode(3, **drawn)
+    assert {name: other[name] for name in one} == one
+    assert one["pitch_variation"] != episode(3)["pitch_variation"]
+
+
+def test_drawing_leaves_terrain_and_start_alone() -> None:
+    plain, drawn = FlipperEnv(config=config()), FlipperEnv(config=config(randomise=RANGES))
+    for env in (plain, drawn):
+        env.reset(seed=11)
+    assert np.array_equal(plain.profile.points, drawn.profile.points)
+    assert plain.state.position[0] == drawn.state.position[0]
+
+
+def test_a_slower_flipper_does_not_change_the_decisions_period() -> None:
+    env = FlipperEnv(config=config(**{"randomise.flipper_speed": [0.2, 0.2]}))
+    env.reset(seed=0)
+    env.step(RAISE)
+    assert env.state.time == pytest.approx(Robot().decision_period)
+    assert env.state.front == pytest.approx(0.2 * 0.6, abs=0.01)
+
+
+def test_a_delayed_flipper_begins_to_turn_later() -> None:
+    env = FlipperEnv(config=config(**{"robot.actuator_delay": 0.3}))
+    env.reset(seed=0)
+    env.step(RAISE)
+    assert env.state.front == pytest.approx(math.radians(25) * 0.3, abs=0.02)
+
+
+def test_what_is_perceived_is_as_old_as_the_delay() -> None:
+    env = FlipperEnv(config=config(**{"perception.delay": 0.3}))
+    env.reset(seed=0)
+    env.step(RAISE)
+    seen = env.perception.front
+    assert seen == pytest.approx(math.radians(25) * 0.3, abs=0.02)
+    assert env.state.front == pytest.approx(math.radians(25) * 0.6, abs=0.02)
+
+
+def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
+    plain, biased = (
+        FlipperEnv(config=config(**more))
+        for more in (
+            {},
+            {
+                "perception.bias": 0.03,
+                "perception.pitch_bias": 0.1,
+                "perception.flipper_bias": -0.05,
+            },
+        )
+    )
+    one, other = (env.reset(seed=2)[0] for env in (plain, biased))
+    assert other[:15] - one[:15] == pytest.approx(0.03)
+    assert other[15:] - one[15:] == pytest.approx([-0.05, -0.05, 0.1])
+    assert plain.state.pitch == biased.state.pitch
+
+
+@pytest.mark.parametrize(
+    ("ranges", "words"),
+    [
+        ({"friction": [1.2, 0.6]}, r"randomise\.friction.*low ≤ high"),
+        ({"friction": [0.5, 20]}, r"randomise\.friction.*10.*20"),
+        ({"dropout": [-0.5, 0.5]}, r"randomise\.dropout.*-0\.5"),
+        ({"frictoin": [0.5, 1]}, r"randomise\.frictoin.*did you mean 'friction'"),
+        ({"friction": [0.5]}, r"randomise\.friction"),
+    ],
+)
+def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        config(randomise=ranges)
+
+
+def test_a_delay_must_fit_into_a_decision() -> None:
+    with pytest.raises(ConfigError, match=r"actuator_delay: 0\.4 s is longer than a decision"):
+        config(**{"robot.angle_step": 0.1, "randomise.actuator_delay": [0.0, 0.4]})
+
+
+def test_sections_are_as_the_episode_drew_them() -> None:
+    sim, robot, perception = config().drawn({"friction": 0.5, "delay": 0.1})
+    assert (sim, robot) == (Sim(friction=0.5), Robot())
+    assert perception == PerceptionSettings(delay=0.1)

@@ -1,0 +1,152 @@
+"""Terrains made of others: any plugin, from any place, and what becomes of labels and faces."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import Profile, Terrain, registry, terrain
+from flipperctl.config import TrainConfig
+from flipperctl.errors import ConfigError
+from flipperctl.run import checkpoint
+
+
+@pytest.fixture
+def spike() -> Iterator[type[Terrain]]:
+    """A third party's terrain."""
+
+    @terrain("spike")
+    class Spike(Terrain):
+        """A spike, first low, then high."""
+
+        tall: float = 0.2
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            label = "tall spike" if rng.random() < 0.5 else ""
+            return Profile([(2.0, 1.0), (3.0, 1.0 + self.tall)], label)
+
+    yield Spike
+    del registry["terrain", "spike"]
+
+
+def made(name: str, **fields: Any) -> Terrain:
+    found = plugins.create("terrain", {"name": name, **fields}, "terrain")
+    assert isinstance(found, Terrain)
+    return found
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+STEP = {"name": "step", "low": 0.3, "high": 0.3}
+
+
+def test_a_mix_draws_by_weight_and_says_what_it_drew(spike: type[Terrain]) -> None:
+    mix = made("mix", parts=["flat", "spike", STEP], weights=[1, 2, 0])
+    stream = rng()
+    drawn = Counter(mix.labelled(stream).label for _ in range(600))
+    assert set(drawn) == {"flat", "spike", "tall spike"}
+    assert drawn["flat"] == pytest.approx(200, abs=40)
+
+
+def test_a_sequence_goes_on_at_the_height_it_has_come_to(spike: type[Terrain]) -> None:
+    parts = [STEP, {"name": "spike", "tall": 0.5}, STEP]
+    profile = made("sequence", parts=parts, spacing_low=0.5, spacing_high=0.5).labelled(rng(1))
+    assert profile.label == "step+tall spike+step"
+    assert profile.points == pytest.approx(
+        np.array([(0, 0), (0, 0.3), (0.5, 0.3), (1.5, 0.8), (2.0, 0.8), (2.0, 1.1)])
+    )
+
+
+def test_a_mirror_turns_a_terrain_round_as_often_as_asked(spike: type[Terrain]) -> None:
+    mirror = made("mirror", terrain="spike")
+    assert mirror.labelled(rng()).points == pytest.approx(np.array([(0, 0), (1, -0.2)]))
+    never = made("mirror", terrain="spike", probability=0)
+    assert never.labelled(rng()).points.tolist() == [[2.0, 1.0], [3.0, 1.2]]
+
+
+def test_noise_keeps_vertical_faces_vertical_and_as_high() -> None:
+    stair = {"name": "stair", "fewest": 3, "most": 3, "rise": 0.2, "direction": "up"}
+    rough = made("noisy", terrain=stair, deviation=0.02).labelled(rng())
+    faces = np.diff(rough.points, axis=0)
+    assert faces[faces[:, 0] == 0, 1] == pytest.approx([0.2] * 3)
+    plain = made("stair", **{k: v for k, v in stair.items() if k != "name"}).generate(rng())
+    assert rough.start == pytest.approx(plain.start - 0.5)
+    assert rough.end == pytest.approx(plain.end + 0.5)
+    long = made("noisy", terrain={"name": "flat", "length": 50}, deviation=0.02, margin=0)
+    assert long.generate(rng()).points[:, 1].std() == pytest.approx(0.02, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ("stare", "terrain.parts.1: there is no terrain plugin 'stare'; did you mean 'stair'?"),
+        ({"name": "stair", "rise": 9}, "terrain.parts.1.rise: "),
+        ({"name": "stair", "ris": 1}, "terrain.parts.1.ris: there is no such key; did you mean 'r"),
+        (
+            {"name": "mirror", "terrain": {"name": "gap", "width_lo": 1}},
+            "terrain.parts.1.terrain.width_lo: there is no such key; did you mean 'width_low'?",
+        ),
+        ({"rise": 1}, "terrain.parts.1: a terrain's name, or a mapping"),
+    ],
+)
+def test_a_mistake_deep_within_is_found_where_it_is(part: object, said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        made("mix", parts=["step", part])
+    assert str(caught.value).startswith(said)
+
+
+def test_bounds_of_a_part_are_told() -> None:
+    with pytest.raises(ConfigError, match=r"> 0, ≤ 0\.5"):
+        made("mix", parts=["step", {"name": "stair", "rise": 9}])
+
+
+def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain]) -> None:
+    mirror = {"name": "mirror", "terrain": {"name": "spike", "tall": 0.1}}
+    config = TrainConfig(terrain=made("mix", parts=["flat", mirror]), network="mlp")
+    document = checkpoint.describe(config, "best")
+    names = [p["name"] for p in document["plugins"] if p["kind"] == "terrain"]
+    assert names == ["mix", "flat", "mirror", "spike"]
+    assert plugins.create("terrain", document["config"]["terrain"], "terrain") == config.terrain
+
+
+def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrain]) -> None:
+    easy = {"name": "mix", "parts": [{"name": "spike", "tall": 0}, {"name": "wave", "most": 2}]}
+    hard = {"name": "mix", "parts": [{"name": "spike", "tall": 1}, {"name": "wave", "most": 8}]}
+    found = made("curriculum", easy=easy, hard=hard)
+    between = {
+        "name": "mix",
+        "parts": [{"name": "spike", "tall": 0.25}, {"name": "wave", "most": 4}],
+    }
+    assert found.at(0.25) == plugins.create("terrain", between, "terrain")
+    assert found.at(0.0) == plugins.create("terrain", easy, "terrain")
+    assert found.at(1.0) == plugins.create("terrain", hard, "terrain")
+
+
+def test_a_curriculum_takes_small_steps_within_its_ends() -> None:
+    found = made("curriculum", start=0.5, up=0.3, down=0.4)
+    assert found.first_difficulty == 0.5
+    assert found.next_difficulty(0.5, True) == pytest.approx(0.8)
+    assert found.next_difficulty(0.8, True) == 1.0
+    assert found.next_difficulty(0.3, False) == 0.0
+    mix = made("mix", parts=["flat", plugins.container(found)])
+    assert mix.first_difficulty == 0.5
+    assert mix.next_difficulty(0.5, True) == pytest.approx(0.8)
+    low = made("step", low=-0.25, high=0.25)
+    assert mix.at(0.5) == made("mix", parts=["flat", plugins.container(low)])
+
+
+@pytest.mark.parametrize(
+    ("hard", "said"),
+    [
+        ({"name": "stair"}, "step and stair"),
+        ({"name": "step", "platform": 1, "back": True}, "step.back is False and True"),
+    ],
+)
+def test_what_is_no_number_must_not_differ(hard: object, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"only numbers may differ.*{said}"):
+        made("curriculum", hard=hard)

@@ -1,0 +1,65 @@
+"""The planner: what it finds is what the episode then does."""
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import Controller, Outcome
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.run.rollout import play
+
+QUICK = {"name": "planner", "width": 6, "budget": 6000}
+
+
+def planned(env: FlipperEnv, **settings: object) -> dict[str, object]:
+    return play(env, plugins.create("controller", {**QUICK, **settings}, "controller"), seed=1)
+
+
+def test_a_plan_takes_a_step_that_is_smoother_than_the_rule_s() -> None:
+    env = FlipperEnv("paper_step", **{"episode.start_noise": 0.0})
+    row = planned(env)
+    rule = play(env, plugins.create("controller", "okada", "controller"), seed=1)
+    assert row["outcome"] == rule["outcome"] == Outcome.REACHED
+    assert row["pitch_variation"] < 0.7 * rule["pitch_variation"]
+    assert planned(env) == row  # nothing is drawn at random
+
+
+def test_what_smoothness_is_worth_decides_between_time_and_smoothness() -> None:
+    env = FlipperEnv("step", **{"terrain.low": 0.25, "terrain.high": 0.25})
+    fast, smooth = (planned(env, smoothness=worth) for worth in (0.0, 20.0))
+    assert fast["outcome"] == smooth["outcome"] == Outcome.REACHED
+    assert fast["t_cost"] < smooth["t_cost"]
+    assert smooth["pitch_variation"] < 0.5 * fast["pitch_variation"]
+
+
+def test_the_budget_bounds_the_search_and_progress_is_told() -> None:
+    env = FlipperEnv("paper_stair")
+    env.reset(seed=0)
+    told: list[float] = []
+    planner = plugins.create("controller", {**QUICK, "budget": 300}, "controller")
+    assert isinstance(planner, Controller)
+    planner.begin(env.simulator(told.append))
+    assert 0 < len(told) < 20
+    assert told == sorted(told)
+    assert told[-1] <= 1
+
+
+def test_the_simulator_repeats_the_episode_and_leaves_it_alone() -> None:
+    env, alone = FlipperEnv("stair"), FlipperEnv("stair")
+    env.reset(seed=4)
+    alone.reset(seed=4)
+    simulator = env.simulator()
+    actions = [8, 8, 1, 4, 3, 0, 5]
+    for action in actions:
+        simulator.step(action)
+        alone.step(action)
+    assert simulator.state.pitch == alone.state.pitch
+    assert env.state.time == 0.0
+    saved = simulator.save()
+    ahead = [simulator.step(4) for _ in range(3)]
+    there = simulator.state
+    simulator.load(saved)
+    assert simulator.state.time == pytest.approx(alone.state.time)
+    assert [simulator.step(4) for _ in range(3)] == ahead
+    assert simulator.state.position == pytest.approx(there.position, abs=0.02)
+    simulator.restart()
+    assert simulator.state.time == 0.0

@@ -1,0 +1,196 @@
+"""Recorded ground: every format gives the outline that was written into it."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from pypcd4.pypcd4 import PointCloud
+from rasterio.transform import Affine, from_origin
+from trimesh import PointCloud as PlyCloud
+
+from flipperctl import plugins
+from flipperctl.api import Profile
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError, TerrainError
+
+WAY = {"start": (1.0, 2.0), "end": (3.0, 2.0)}
+"""Along x."""
+
+
+def profile(path: Path | None = None, **fields: Any) -> Profile:
+    settings = {"name": "profile_file", "path": path and str(path), **fields}
+    found = plugins.create("terrain", settings, "terrain")
+    env = FlipperEnv(found)  # whose errors are what a user sees
+    env.reset(seed=0)
+    return env.profile
+
+
+def block(x: np.ndarray) -> np.ndarray:
+    """A block 0.3 m high over x from 1.5 to 2.5 m, on ground at 7 m."""
+    return np.where((x > 1.495) & (x < 2.505), 7.3, 7.0)
+
+
+def assert_block(found: Profile, step: float) -> None:
+    """The block as seen from x = 1 on; its faces are at most ``step`` long."""
+    assert found.end == pytest.approx(2.0)
+    for x, z in ((0.0, 0.0), (0.4, 0.0), (0.6, 0.3), (1.4, 0.3), (1.6, 0.0), (2.0, 0.0)):
+        assert found.height(x) == pytest.approx(z, abs=1e-6)
+    assert np.diff(found.points[:, 0]).max() <= step + 1e-9
+
+
+def test_a_csv_is_the_line_itself_in_its_unit(tmp_path: Path) -> None:
+    file = tmp_path / "curb.csv"
+    file.write_text("time, X, Z\n0, 100, 5\n1, 100, 25\n2, 180, 25\n")
+    found = profile(file, unit="cm")
+    assert found.points == pytest.approx(np.array([(0, 0), (0, 0.2), (0.8, 0.2)]))
+    assert found.label == "curb"
+
+
+def test_without_a_file_there_is_an_example() -> None:
+    assert profile().label == "example"
+    assert profile().end == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("rows", ["+y", "-y"])
+def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None:
+    file = tmp_path / "map.npy"
+    heights = np.tile(block(np.arange(81) * 0.05), (61, 1))  # 4 m × 3 m, one column every 5 cm
+    np.save(file, heights * 1000)
+    y = 2.0 if rows == "+y" else -2.0
+    line = {"start": (1.0, y), "end": (3.0, y)}
+    assert_block(profile(file, resolution=0.05, unit="mm", rows=rows, **line), 0.02)
+    other = {"start": (1.0, -y), "end": (3.0, -y)}
+    with pytest.raises(TerrainError, match=r"\(1\.0, .*\) lies outside of the map.* to 4\.00 m"):
+        profile(file, resolution=0.05, rows=rows, **other)
+
+
+def test_heights_between_cells_are_bilinear(tmp_path: Path) -> None:
+    file = tmp_path / "plane.npy"
+    y, x = np.mgrid[0:4, 0:5] * 0.5
+    np.save(file, 0.1 * x + 0.2 * y)
+    found = profile(file, resolution=0.5, start=(0.0, 0.0), end=(1.5, 1.5), spacing=0.1)
+    # Along the diagonal the plane rises by 0.3 m on √2 m.
+    assert found.points[:, 1] == pytest.approx(0.3 / np.sqrt(2) * found.points[:, 0])
+
+
+def write_tiff(file: Path, heights: np.ndarray, **how: Any) -> None:
+    with rasterio.open(
+        file, "w", driver="GTiff", height=heights.shape[0], width=heights.shape[1], count=1,
+        dtype="float32", compress="lzw", **how,
+    ) as out:  # fmt: skip
+        out.write(heights.astype("float32"), 1)
+
+
+def test_a_geotiff_brings_its_frame(tmp_path: Path) -> None:
+    heights = np.tile(block(np.arange(80) * 0.05 + 0.025), (60, 1))  # 4 m × 3 m
+    heights[:3] = -9999.0
+    file = tmp_path / "map.tif"
+    # Its upper left corner lies at (500 km, 4000 km): rows run against y.
+    write_tiff(file, heights, nodata=-9999.0, crs="EPSG:32633",
+               transform=from_origin(500_000.0, 4_000_000.0, 0.05, 0.05))  # fmt: skip
+    line = {"start": (500_001.0, 3_999_998.0), "end": (500_003.0, 3_999_998.0)}
+    assert_block(profile(file, **line), 0.02)
+    unknown = {"start": (500_001.0, 3_999_999.95), "end": (500_003.0, 3_999_999.95)}
+    with pytest.raises(TerrainError, match="no height is known along the line"):
+        profile(file, **unknown)
+    with pytest.raises(TerrainError, match="a resolution must not be stated"):
+        profile(file, resolution=0.05, **line)
+
+
+def test_degrees_and_an_unknown_frame_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "degrees.tif"
+    write_tiff(file, np.zeros((5, 5)), crs="EPSG:4326", transform=from_origin(10, 50, 0.1, 0.1))
+    with pytest.raises(TerrainError, match="degrees; project it to metres"):
+        profile(file, **WAY)
+    with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
+        write_tiff(tmp_path / "bare.tif", np.zeros((50, 50)), transform=Affine.identity())
+    with pytest.raises(TerrainError, match="state the resolution"):
+        profile(tmp_path / "bare.tif", **WAY)
+    assert profile(tmp_path / "bare.tif", resolution=0.1, **WAY).end == pytest.approx(2.0)
+
+
+def scanned() -> np.ndarray:
+    """A cloud of the block, 4 m × 3 m, with a wall beside the way."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform((0, 0), (4, 3), (40_000, 2)).T
+    ground = np.column_stack([x, y, block(x)])
+    return np.vstack([ground, [(2.0, 2.2, 12.0)], [(1.7, 2.0, np.nan)]])
+
+
+def write_cloud(file: Path, points: np.ndarray) -> None:
+    if file.suffix == ".pcd":
+        PointCloud.from_xyz_points(points).save(file)
+    elif file.suffix == ".ply":
+        file.write_bytes(PlyCloud(points).export(file_type="ply"))
+    else:
+        np.savetxt(file, points, delimiter=", ", header="x y z")
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "ply", "xyz"])
+def test_a_point_cloud_is_sliced_beside_the_line(suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"scan.{suffix}"
+    write_cloud(file, scanned())
+    assert_block(profile(file, **WAY), 0.02)
+    with pytest.raises(TerrainError, match=r"only 0 points lie within .* covers x from 0\.00 to 4"):
+        profile(file, start=(8.0, 2.0), end=(9.0, 2.0))
+    with pytest.raises(TerrainError, match=r"no height is known from 3\.\d+ to 5\.00 m"):
+        profile(file, start=(1.0, 2.0), end=(6.0, 2.0))
+
+
+def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
+    file = tmp_path / "camera.xyz"
+    x, y, z = scanned()[:-1].T
+    write_cloud(file, np.column_stack([x, -z, y]))  # right, down, ahead
+    assert_block(profile(file, up="-y", **WAY), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("none.csv", None, "there is no such file"),
+        ("bad.csv", "a,b\n1,2\n", "columns x and z is needed; it has ['a', 'b']"),
+        ("bad.csv", "x,z\n0,0\n1,up\n", "line 3: x and z must be numbers; they are ('1', 'up')"),
+        ("bad.csv", "x,z\n0,0\n1,0\n0.5,0\n", "line 4: x goes back from 1 to 0.5"),
+        ("bad.csv", "x,z\n0,0\n", "at least two points are needed"),
+        ("bad.npy", "no array", "bad.npy: "),
+        ("bad.tif", "no picture", "bad.tif: "),
+        ("bad.ply", "no cloud", "bad.ply: "),
+        ("bad.pcd", "no cloud", "bad.pcd: "),
+        ("bad.xyz", "no cloud", "bad.xyz: "),
+    ],
+)
+def test_a_bad_file_is_named_in_one_line(
+    name: str, text: str | None, said: str, tmp_path: Path
+) -> None:
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(TerrainError) as caught:
+        profile(tmp_path / name, **({} if name.endswith("csv") else WAY))
+    assert said in str(caught.value)
+    assert str(tmp_path / name) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"path": "scan.las"}, "one of .csv, .npy"),
+        ({"path": "scan.ply"}, "needs start and end"),
+        ({"path": "scan.csv", **WAY}, "belong to maps and clouds"),
+        ({"path": "scan.ply", "start": (1, 1), "end": (1, 1)}, "has no length"),
+    ],
+)
+def test_settings_must_fit_the_file(fields: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        plugins.create("terrain", {"name": "profile_file", **fields}, "terrain")
+
+
+def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "scan.ply"
+    write_cloud(file, scanned())
+    monkeypatch.setitem(sys.modules, "trimesh.exchange.ply", None)
+    with pytest.raises(TerrainError, match=r"install flipperctl\[profiles\]"):
+        profile(file, **WAY)

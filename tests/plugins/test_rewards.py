@@ -1,0 +1,204 @@
+"""The library's reward terms against numbers worked by hand; the paper's are in tests/env."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import Outcome, Profile, RewardTerm, RobotGeometry, RobotState, Transition
+
+ROBOT = RobotGeometry()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m
+FLAT = Profile([(0.0, 0.0)])
+UP = math.pi / 3
+
+
+def paid(name: str, t: Transition, **settings: Any) -> float:
+    made = plugins.create("reward", {"name": name, **settings}, f"rewards.{name}")
+    assert isinstance(made, RewardTerm)
+    return made(t)
+
+
+def state(
+    x: float = 0.0,
+    z: float = 0.1,
+    *,
+    pitch: float = 0.0,
+    front: float = 0.0,
+    rear: float = 0.0,
+    rise: float = 0.0,
+) -> RobotState:
+    return RobotState(np.array([x, z]), pitch, front, rear, np.array([0.2, rise]), 0.0, 0.0)
+
+
+def transition(after: RobotState, before: RobotState | None = None, **more: Any) -> Transition:
+    given = {"profile": FLAT, "robot": ROBOT, "action": (0, 0), "pitches": np.zeros(2), **more}
+    return Transition(before or state(), after, **given)
+
+
+# Progress
+
+
+@pytest.mark.parametrize(("way", "value"), [(0.05, 0.25), (-0.1, -0.5), (0.3, 1.0), (-0.3, -1.0)])
+def test_progress_pays_the_way_forward(way: float, value: float) -> None:
+    moved = transition(state(1.0 + way), state(1.0))
+    assert paid("progress", moved, distance=0.2) == pytest.approx(value)
+
+
+# Over 10 m, 2 m before the last edge Φ = -0.2 and 1.88 m before it -0.188: 0.9 · -0.188 + 0.2.
+@pytest.mark.parametrize(
+    ("begin", "end", "outcome", "value"),
+    [
+        (-2.0, -1.88, None, 0.0308),
+        (-1.88, -2.0, None, 0.9 * -0.2 + 0.188),
+        (-2.0, -1.88, Outcome.STUCK, 0.2),  # Φ = 0 behind every outcome, good or bad
+        (-12.0, -11.0, None, 0.1),  # both farther away than counts: -0.9 + 1
+        (0.5, 0.6, None, 0.0),  # all edges lie behind
+    ],
+)
+def test_shaped_progress_is_the_gain_in_nearness(
+    begin: float, end: float, outcome: Outcome | None, value: float
+) -> None:
+    moved = transition(state(end), state(begin), outcome=outcome)
+    assert paid("shaped_progress", moved, gamma=0.9, distance=10.0) == pytest.approx(value)
+
+
+# Flippers
+
+
+@pytest.mark.parametrize(
+    ("front", "rear", "value"),
+    [
+        (0.0, 0.0, 0.0),
+        (math.pi / 12, -math.pi / 24, -0.75),  # one step and half a step, of two
+        (-math.pi / 12, 0.0, -0.5),
+        (math.pi / 6, math.pi / 12, -1.0),
+    ],
+)
+def test_travel_is_what_both_pairs_turned(front: float, rear: float, value: float) -> None:
+    turned = transition(state(front=0.1 + front, rear=rear - 0.2), state(front=0.1, rear=-0.2))
+    assert paid("travel", turned) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "value"),
+    [
+        ((0, 0), (0, 0), 0.0),
+        ((1, -1), (1, -1), 0.0),  # turning on costs nothing
+        ((0, 0), (1, 0), -0.25),
+        ((1, 1), (0, 0), -0.5),
+        ((1, -1), (-1, 1), -1.0),
+    ],
+)
+def test_smoothness_is_how_much_the_action_differs(
+    before: tuple[int, int], now: tuple[int, int], value: float
+) -> None:
+    assert paid("smoothness", transition(state(), action=now, previous_action=before)) == value
+
+
+# Impact: 5 m/s² are free, 30 m/s² more cost 1.
+
+
+def path(*heights: float) -> np.ndarray:
+    return np.array([[0.0, z, 0.0] for z in heights])
+
+
+@pytest.mark.parametrize(
+    ("begin", "heights", "end", "value"),
+    [
+        (0.0, (0.1, 0.1, 0.1, 0.1), 0.0, 0.0),
+        (-0.1, (0.103, 0.102, 0.101, 0.1, 0.1), 0.0, -5 / 30),  # 0.1 m/s lost in 0.01 s
+        (-0.1, (0.103, 0.102, 0.101, 0.1), 0.0, -5 / 30),  # and at the decision's very end
+        (0.2, (0.1, 0.101, 0.102), 0.1, -5 / 30),  # and at its very beginning
+        (-0.3, (0.106, 0.103, 0.1, 0.1), 0.0, -25 / 30),
+        (-0.5, (0.105, 0.1, 0.1), 0.0, -1.0),
+        (0.0, (0.1, 0.1002, 0.1008), 0.08, 0.0),  # 0.02, 0.06 and 0.08 m/s: 4 m/s²
+    ],
+)
+def test_impact_is_the_largest_vertical_acceleration(
+    begin: float, heights: tuple[float, ...], end: float, value: float
+) -> None:
+    hit = transition(state(rise=end), state(rise=begin), path=path(*heights))
+    assert paid("impact", hit, tolerance=5.0, worst=30.0) == pytest.approx(value, abs=1e-9)
+
+
+def test_without_a_path_there_is_no_impact() -> None:
+    assert paid("impact", transition(state(rise=-1.0))) == 0.0
+
+
+# Stability, with contacts exactly at the ground
+
+
+@pytest.mark.parametrize(
+    ("flippers", "value"),
+    [
+        # Both pairs up: the support is the chassis' ±0.28 m, the centre of mass in its middle.
+        ({"front": UP, "rear": UP}, -(1 - 0.28 / 0.4)),
+        # The front pair level: its mass is at 0.28 + 0.168, the rear's at -(0.28 + 0.084), so the
+        # centre at 0.111 · 0.084 = 0.00932, and the rear end of the support is the nearer.
+        ({"front": 0.0, "rear": UP}, -(1 - 0.28932 / 0.4)),
+        ({"front": 0.0, "rear": 0.0}, 0.0),
+    ],
+)
+def test_stability_is_the_distance_to_the_nearer_end_of_the_support(
+    flippers: dict[str, float], value: float
+) -> None:
+    t = transition(state(**flippers))
+    assert paid("stability", t, enough=0.4, touch=1e-6) == pytest.approx(value, abs=1e-5)
+
+
+@pytest.mark.parametrize(("x", "value"), [(-0.1, -0.5), (-0.02, -0.9), (0.1, -1.0), (-1.0, 0.0)])
+def test_there_is_no_support_beyond_a_brink(x: float, value: float) -> None:
+    brink = Profile([(-5.0, 1.0), (0.0, 1.0), (0.0, 0.0)])
+    t = transition(state(x, 1.1, front=UP, rear=UP), profile=brink)
+    assert paid("stability", t, enough=0.2, touch=1e-6) == pytest.approx(value, abs=1e-6)
+
+
+def test_who_flies_has_no_margin() -> None:
+    assert paid("stability", transition(state(z=1.0))) == -1.0
+
+
+# Nose up by 0.3 with the front pair straight ahead and the rear pair level: the chassis' rear end
+# carries and the rear tip, 0.336 m further back; the centre of mass is in front of both.
+def test_a_lifted_nose_rests_on_rear_end_and_rear_flippers() -> None:
+    pitch = 0.3
+    lifted = state(0.0, 0.1 + 0.28 * math.sin(pitch), pitch=pitch, rear=pitch)
+    assert paid("stability", transition(lifted), touch=1e-3) == -1.0
+
+
+# Clearance: a block 0.1 m high and 0.2 m wide under the chassis' middle
+
+
+@pytest.mark.parametrize(
+    ("height", "value"),
+    [(0.3, 0.0), (0.22, -0.6), (0.2, -1.0)],  # gaps of 0.1, 0.02 and 0 m; 0.05 m is enough
+)
+def test_clearance_is_the_gap_over_a_bump(height: float, value: float) -> None:
+    block = Profile([(-0.1, 0.0), (-0.1, 0.1), (0.1, 0.1), (0.1, 0.0)])
+    t = transition(state(z=height), profile=block)
+    assert paid("clearance", t, enough=0.05) == pytest.approx(value)
+    assert paid("clearance", t, bump=0.15) == 0.0
+
+
+# Nose up by 0.1 over the same block, the lowest point of the underside is over its rear corner:
+# in frame R it lies at 0.1 cos 0.1 - 0.3 cos 0.1 + 0.1 sin 0.1 ... = -(0.2 cos 0.1 - 0.1 sin 0.1).
+def test_the_gap_is_measured_across_the_pitched_chassis() -> None:
+    block = Profile([(-0.1, 0.0), (-0.1, 0.1), (0.1, 0.1), (0.1, 0.0)])
+    gap = 0.2 * math.cos(0.1) - 0.1 * math.sin(0.1) - 0.1  # 0.089 m
+    t = transition(state(z=0.3, pitch=0.1), profile=block)
+    assert paid("clearance", t, enough=0.2) == pytest.approx(-(1 - gap / 0.2), abs=2e-3)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4])
+def test_flat_ground_is_clear_at_any_slope(slope: float) -> None:
+    ramp = Profile([(0.0, 0.0), (4.0, 4.0 * math.tan(slope))])
+    lying = state(2.0, 2.0 * math.tan(slope) + 0.1 / math.cos(slope), pitch=slope)
+    assert paid("clearance", transition(lying, profile=ramp)) == 0.0
+
+
+def test_terms_look_at_the_end_of_the_decision() -> None:
+    t = transition(state(z=0.1, front=UP, rear=UP), state(z=1.0))
+    assert paid("stability", t) == 0.0
+    assert paid("stability", replace(t, before=t.after, after=t.before)) == -1.0
