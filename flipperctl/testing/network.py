@@ -98,7 +98,12 @@ def exportable(network: Network) -> None:
 
 def _built(network: Network) -> torch.nn.Module:
     _seed()
-    return network.build(LAYOUTS[-1], len(ACTIONS))
+    module = network.build(LAYOUTS[-1], len(ACTIONS))
+    for part in module.modules():
+        draw: Any = getattr(part, "draw_noise", None)
+        if draw is not None:  # without noise the weights of the noise have no gradient
+            draw(np.random.default_rng(0))
+    return module
 
 
 def _seed() -> None:

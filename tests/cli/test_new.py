@@ -112,7 +112,7 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
         (["terian", "mine"], ["'terian'", "'terrain'"]),
         (["terrain", "My Own"], ["'My Own'", "lower-case letters"]),
         (["terrain", "class"], ["'class'", "word of Python"]),
-        (["terrain", "stair"], ["'stair'", "already", "stair.py:11"]),
+        (["terrain", "stair"], ["'stair'", "already", "stair.py:"]),
         (["terrain", "mine", "--output", "file"], ["file", "cannot be written"]),
         (["terrain", "mine", "--package", "--output", "file"], ["file", "cannot be written"]),
     ],

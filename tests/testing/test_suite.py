@@ -74,6 +74,17 @@ def test_a_terrain_that_fails_says_how(check: str, draw: Draw, words: list[str])
     assert [word for word in words if word not in text] == [], text
 
 
+@pytest.mark.usefixtures("registry")
+def test_a_difficulty_stays_between_0_and_1() -> None:
+    class Harder(terrain(lambda h, rng: box(h))):
+        """Twice as hard each time."""
+
+        def next_difficulty(self, difficulty: float, reached: bool) -> float:
+            return 2 * difficulty
+
+    assert "difficulty 1 leads to 2; 0 to 1 is allowed" in failure(Harder, "difficulty")
+
+
 def rewarding(pay: Callable[[api.Transition], object]) -> type[RewardTerm]:
     class Mine(RewardTerm):
         """A term without fields."""
