@@ -22,6 +22,8 @@ class ExportedPolicy:
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""
+        if len(p.recent) == 1:
+            self._policy.reset()
         return self._policy.act(p.observation)
 
 

@@ -64,14 +64,14 @@ def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
     return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
 
 
-def fixed_batch(size: int = 64) -> Batch:
+def fixed_batch(size: int = 64, frames: int = 1) -> Batch:
     generator = torch.Generator().manual_seed(0)
     draw = {"generator": generator}
     return Batch(
-        observation=torch.randn(size, LAYOUT.size, **draw),
+        observation=torch.randn(size, frames * LAYOUT.size, **draw),
         action=torch.arange(size) % ACTIONS,
         reward=torch.randn(size, **draw),
-        next_observation=torch.randn(size, LAYOUT.size, **draw),
+        next_observation=torch.randn(size, frames * LAYOUT.size, **draw),
         discount=torch.full((size,), 0.5),
     )
 
@@ -118,7 +118,9 @@ def test_the_loss_of_one_decision_by_hand() -> None:
 def test_an_update_moves_every_parameter(network: str) -> None:
     agent = learner(network)
     before = weights(agent)
-    agent.update(fixed_batch(), 0.0)
+    made = plugins.create("network", network, "network")
+    assert isinstance(made, Network)
+    agent.update(fixed_batch(frames=made.frames), 0.0)
     still = [name for name, now in weights(agent).items() if torch.equal(now, before[name])]
     assert still == []
 
