@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.adam import Adam
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.heads import head
+from flipperctl.agent.heads import Distributional, head
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -56,6 +56,13 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
             f"{name}: the Q-values must be finite float32 numbers; "
             f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
         )
+    if isinstance(module, Distributional):
+        shape = tuple(module.quantiles(probe).shape)
+        if len(shape) != 3 or shape[:2] != (2, n_actions) or not shape[2]:
+            raise ConfigError(
+                f"{name}: observations {tuple(probe.shape)} must give quantiles "
+                f"(2, {n_actions}, K); they are {shape}"
+            )
     return module
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 import torch
 
@@ -13,6 +13,14 @@ from flipperctl.agent.losses import (
     quantile_huber,
 )
 from flipperctl.agent.replay import Batch
+
+
+@runtime_checkable
+class Distributional(Protocol):
+    """A network that gives quantiles of each action's return."""
+
+    def quantiles(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """K equally likely values an action, (B, A, K)."""
 
 
 class Head(Protocol):
@@ -55,11 +63,6 @@ class Scalar:
         return huber(taken, targets)
 
 
-class _Distributional(Protocol):
-    def quantiles(self, observation: torch.Tensor, /) -> torch.Tensor:
-        """(B, A, K)."""
-
-
 class Quantile:
     """K quantiles an action, by quantile regression (Dabney et al. 2018)."""
 
@@ -68,7 +71,7 @@ class Quantile:
     ) -> torch.Tensor:
         """K equally likely numbers each, (B, K)."""
         values = online(batch.next_observation)
-        quantiles = cast("_Distributional", target).quantiles(batch.next_observation)
+        quantiles = cast("Distributional", target).quantiles(batch.next_observation)
         return double_quantile_target(reward, batch.discount, values, quantiles)
 
     def loss(
@@ -79,11 +82,11 @@ class Quantile:
         targets: torch.Tensor,
     ) -> torch.Tensor:
         """Of the quantiles."""
-        quantiles = cast("_Distributional", online).quantiles(observation)
+        quantiles = cast("Distributional", online).quantiles(observation)
         rows = torch.arange(len(action), device=action.device)
         return quantile_huber(quantiles[rows, action], targets)
 
 
 def head(module: torch.nn.Module) -> Head:
     """The one that fits what the module offers."""
-    return Quantile() if callable(getattr(module, "quantiles", None)) else Scalar()
+    return Quantile() if isinstance(module, Distributional) else Scalar()

@@ -150,6 +150,6 @@ class Motion(nn.Module):
 
     def forward(self, stacked: torch.Tensor) -> torch.Tensor:
         """(B, F·n) → (B, F·n)."""
-        frames = stacked.view(len(stacked), self.frames, -1)
+        frames = stacked.view(-1, self.frames, stacked.shape[1] // self.frames)
         changes = frames[:, 1:] - frames[:, :-1]
         return torch.cat([frames[:, -1], changes.flatten(1)], dim=1)
