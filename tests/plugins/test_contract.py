@@ -162,7 +162,7 @@ def test_a_network_gives_finite_values_and_gradients_everywhere(
 ) -> None:
     torch.manual_seed(0)
     module = network.build(layout, len(ACTIONS))
-    q = module(torch.randn(7, layout.size))
+    q = module(torch.randn(7, network.frames * layout.size))
     assert q.shape == (7, len(ACTIONS))
     assert q.dtype == torch.float32
     assert q.isfinite().all()
@@ -179,7 +179,7 @@ def test_a_network_uses_every_number_of_the_observation(name: str) -> None:
     layout = ObservationLayout()
     network = plugins.create("network", name, "network")
     assert isinstance(network, Network)
-    observation = torch.randn(4, layout.size, requires_grad=True)
+    observation = torch.randn(4, network.frames * layout.size, requires_grad=True)
     network.build(layout, len(ACTIONS))(observation).square().sum().backward()
     assert observation.grad is not None
     assert (observation.grad != 0).any(dim=0).all()

@@ -123,7 +123,8 @@ def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:
 
 def test_every_controller_has_a_source() -> None:
     for name in plugins.names("controller"):
-        source = ControllerSource(settings={"name": name})
+        little = {"budget": 50} if name == "planner" else {}
+        source = ControllerSource(settings={"name": name, **little})
         assert source.label() == name
         rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
         assert len(rows) == 1
