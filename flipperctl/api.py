@@ -525,9 +525,17 @@ NetworkT = TypeVar("NetworkT", bound=Network)
 ControllerT = TypeVar("ControllerT", bound=Controller)
 
 
+NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
+
+
+def is_plugin_name(name: str) -> bool:
+    """Whether a plugin may be called so."""
+    return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None
+
+
 def _register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise ValueError(f"plugin name {name!r}: lower-case letters, digits and _ are allowed")
+    if not is_plugin_name(name):
+        raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
 
     def decorate(cls: type[PluginT]) -> type[PluginT]:
         if not issubclass(cls, family):

@@ -51,6 +51,10 @@ class NonFiniteError(FlipperctlError):
     """A state, reward or loss is not a finite number; the text says where it came from."""
 
 
+class ConformanceError(FlipperctlError, AssertionError):
+    """A plugin does not keep to the contract; an assertion too, for those who test theirs."""
+
+
 class ExportError(FlipperctlError):
     """An exported policy does not agree with the trained one."""
 

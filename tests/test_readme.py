@@ -13,10 +13,12 @@ import pytest
 from flipperctl.api import ACTIONS
 from flipperctl.env import flipper_env
 from flipperctl.run import checkpoint
+from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 SHOWN = "runs/stair/2026-01-31_12-00-00"
+RIDGE = "runs/ridge/first"
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 
@@ -32,7 +34,7 @@ def commands() -> list[list[str]]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as the README's reader has it: a stair run, its export, and the ridge plugin."""
+    """A folder as the README's reader has it: runs on stair and ridge, an export, and ridge.py."""
     folder = tmp_path_factory.mktemp("readme")
     done = call("train", "terrain=stair", f"hydra.run.dir={SHOWN}", *QUICK, cwd=folder)
     assert done.code == 0, done.err
@@ -40,6 +42,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     (ridge,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
     (folder / "ridge.py").write_text(ridge)
+    learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
+    done = call("train", *learn, *QUICK, cwd=folder)
+    assert done.code == 0, done.err
     return folder
 
 
@@ -85,6 +90,18 @@ def test_the_robots_example_runs(folder: Path, capsys: pytest.CaptureFixture[str
     assert [names["front"], names["rear"]] == pytest.approx(turned)
     assert names["period"] == pytest.approx(0.6)
     assert "theta_R rad L pitch, nose up positive" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("registry")
+def test_the_conformance_example_keeps_the_contract(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (example,) = [b for b in blocks("python") if "Conformance" in b]
+    monkeypatch.syspath_prepend(folder)
+    names: dict[str, object] = {"__name__": "test_ridge"}
+    exec(example, names)
+    done = {check.name for check in checks(names["TestRidge"].plugin) if check() is None}
+    assert {"extent", "start", "picture"} <= done
 
 
 def test_the_example_plugin_is_the_readmes(tmp_path: Path) -> None:

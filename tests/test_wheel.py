@@ -43,6 +43,8 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
         f"flipperctl/configs/{path.relative_to(ROOT / 'configs')}"
         for path in (ROOT / "configs").rglob("*.yaml")
     }
+    templates = (ROOT / "flipperctl" / "cli" / "new" / "templates").iterdir()
+    wanted |= {str(path.relative_to(ROOT)) for path in templates}
     assert wanted - held == set()
     assert not any(name.startswith(("tests", "examples")) for name in held)
 

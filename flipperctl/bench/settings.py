@@ -25,6 +25,7 @@ SMALL: Mapping[str, Any] = {
     "calls": 200,
     "decisions": 150,
     "commands": 1,
+    "modules": 3,
 }
 """In place of the defaults under ``--small``: shows in seconds that everything works."""
 
@@ -60,6 +61,7 @@ class BenchSettings(Settings):
     commands: int = Field(
         100, ge=1, le=100, description="startup: commands measured at most, in the help's order [-]"
     )
+    modules: int = Field(50, ge=1, le=1000, description="discovery: installed plugin modules [-]")
 
 
 @dataclass(frozen=True)

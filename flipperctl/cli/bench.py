@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings
     from flipperctl.config import TrainConfig
 
-MEASURES = ("physics", "accuracy", "learner", "solve", "latency", "startup", "scaling")
+MEASURES = ("physics", "accuracy", "learner", "solve", "latency", "startup", "discovery", "scaling")
 SECTION = "bench."
 
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
@@ -27,11 +27,12 @@ HELP = """Measure how fast flipperctl is on this machine, against its limits and
 [bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen draws
 succeed, against it too;
 [bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
+[bold]discovery[/] of installed plugins;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train, and bench.<key>=…: repeats, seed, controller, episodes, starts,
 updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
-in_a_row, calls, decisions, commands.
+in_a_row, calls, decisions, commands, modules.
 
 [bold]Examples[/]
 

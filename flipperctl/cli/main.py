@@ -13,6 +13,7 @@ from flipperctl.cli import bench as bench_command
 from flipperctl.cli import eval as eval_command
 from flipperctl.cli import export as export_command
 from flipperctl.cli import inspect as inspect_command
+from flipperctl.cli import new as new_command
 from flipperctl.cli import train as train_command
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 
@@ -42,6 +43,7 @@ train_command.add_to(app)
 eval_command.add_to(app)
 export_command.add_to(app)
 inspect_command.add_to(app)
+new_command.add_to(app)
 bench_command.add_to(app)
 
 

@@ -18,21 +18,27 @@ from flipperctl.env.render import FAINT, INK, RobotArtist
 from flipperctl.report.figure import WIDTH, draw_ground, frame, tidy
 
 _HEADROOM = 0.35  # [m] from the highest point to the dimension of the length
-_SMALL = 12  # further profiles that are drawn
+SMALL = 12  # further profiles that are drawn
 _COLUMNS = 4  # of small pictures
 
 
-def terrain_figure(profiles: Sequence[Profile], title: str, robot: RobotGeometry) -> Figure:
+def terrain_figure(
+    profiles: Sequence[Profile],
+    title: str,
+    robot: RobotGeometry,
+    labels: Sequence[str] | None = None,
+) -> Figure:
     """The first profile large with the robot before it, the next ones small; equal scales.
 
     The small pictures share one scale; when there are more than twelve the figure says so.
+    ``labels`` name the profiles in place of their numbers.
 
     Raises:
         ValueError: without profiles.
     """
     if not profiles:
         raise ValueError("a terrain figure needs at least one profile")
-    others = profiles[1 : _SMALL + 1]
+    others = profiles[1 : SMALL + 1]
     large = _window(profiles[0], robot)
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
@@ -44,7 +50,8 @@ def terrain_figure(profiles: Sequence[Profile], title: str, robot: RobotGeometry
     _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title)
     for i, profile in enumerate(others):
         axes = figure.add_subplot(grid[1 + i // _COLUMNS, i % _COLUMNS])
-        _draw_small(axes, profile, extent, f"draw {i + 2}")
+        name = labels[i + 1] if labels else f"draw {i + 2}"
+        _draw_small(axes, profile, extent, name)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
         figure.supxlabel(f"{left_out} more draws are not shown", fontsize=8, color=FAINT)

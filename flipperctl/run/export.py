@@ -25,7 +25,7 @@ from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ExportError, MissingExtraError
+from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
 from flipperctl.run.checkpoint import Checkpoint
 from flipperctl.run.files import write_bytes
 from flipperctl.run.policy import QPolicy, policy_module
@@ -165,6 +165,28 @@ def compare(module: torch.nn.Module, run: Run, observations: NDArray[np.float32]
         "largest_difference": difference,
         "action_agreement": agreement,
     }
+
+
+def compare_onnx(
+    module: torch.nn.Module, config: TrainConfig, observations: NDArray[np.float32]
+) -> dict[str, Any]:
+    """Like ``compare``, with the network as ONNX; no file is written.
+
+    Raises:
+        MissingExtraError: ``flipperctl[onnx]`` is not installed.
+        ExportError: torch cannot export the network, or the exported one disagrees.
+    """
+    try:
+        _, run = _onnx(module, config, {})
+    except FlipperctlError:
+        raise
+    except Exception as error:
+        raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
+    return compare(module, run, observations)
+
+
+def _first_line(error: Exception) -> str:
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), repr(error))
 
 
 def _onnx(

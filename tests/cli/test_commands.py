@@ -221,6 +221,7 @@ class Ridge(Terrain):
         ["eval"],
         ["export"],
         ["bench"],
+        ["new"],
         ["inspect"],
         *(["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")),
     ],
@@ -234,12 +235,13 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     "command",
-    [["train"], ["eval"], ["export"], ["bench"]]
+    [["train"], ["eval"], ["export"], ["bench"], ["new"]]
     + [["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")],
 )
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
     needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
-    needed |= {"eval": ["--controller", "level"], "checkpoint": ["x"], "run": ["x"]}
+    needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
+    needed |= {"checkpoint": ["x"], "run": ["x"]}
     arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
     done = call(*arguments, cwd=tmp_path)
     assert done.code == 2

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from flipperctl.bench.discovery import install
 from tests.cli.call import call
 
 HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
 HEAVY |= {"omegaconf", "scipy", "safetensors", "tensorboard"}
 VALUES = {"numpy", "pydantic", "importlib.metadata"}
-SUBCOMMANDS = [["train"], ["eval"], ["export"], ["inspect"]] + [
+SUBCOMMANDS = [["train"], ["eval"], ["export"], ["new"], ["inspect"]] + [
     ["inspect", name] for name in ("plugins", "terrain", "reward", "checkpoint", "run", "config")
 ]
 
@@ -41,6 +42,23 @@ def test_the_version_imports_only_the_metadata() -> None:
 @pytest.mark.parametrize("form", [[], ["--json"]], ids=["table", "json"])
 def test_listing_the_plugins_runs_none_of_their_libraries(form: list[str]) -> None:
     assert not run("inspect", "plugins", *form) & HEAVY
+
+
+@pytest.mark.parametrize("command", [[], ["inspect", "plugins"]], ids=" ".join)
+def test_help_imports_no_plugin(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (module,) = install(tmp_path, 1)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert not run(*command, "--help") & {module, "flipperctl_plugins"}
+    assert run("inspect", "plugins", "--json") >= {module, "flipperctl_plugins"}
+
+
+def test_a_draft_is_written_without_any_library_of_a_plugin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert not run("new", "network", "mine") & HEAVY
 
 
 def test_importing_the_package_imports_nothing_heavy() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -11,6 +12,9 @@ from flipperctl.cli.options import AsJson, PluginPaths
 
 HELP = """List every registered plugin: from where, and each field with default, bounds and unit.
 
+With [bold]--check[/], run the conformance suite on them instead: terrains at every bound, rewards
+on recorded episodes of every outcome, networks out to ONNX, controllers against the clock.
+
 [bold]Examples[/]
 
   flipperctl inspect plugins
@@ -18,6 +22,8 @@ HELP = """List every registered plugin: from where, and each field with default,
   flipperctl inspect plugins stair --json
 
   flipperctl inspect plugins --plugins my_terrain.py
+
+  flipperctl inspect plugins mine --check --plugins mine.py --output pictures
 """
 
 
@@ -28,20 +34,36 @@ def add_to(app: typer.Typer) -> None:
 
 def show(
     name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Run the conformance suite; fails if a check does.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="With --check: a folder for the terrains' pictures."),
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import plugins as loader
     from flipperctl.api import registry
-    from flipperctl.errors import PluginError
+    from flipperctl.errors import PluginError, RequestError
     from flipperctl.messages import close_match
+
+    if output is not None and not check:
+        raise RequestError("--output is for the pictures of --check; inspect terrain draws one")
 
     loader.load(plugins or ())
     known = {plugin for _, plugin in registry}
     if name is not None and name not in known:
         raise PluginError(f"there is no plugin {name!r}{close_match(name, known)}")
-    found = [describe(k, n) for k, n in sorted(registry) if name in (None, n)]
+    chosen = [(k, n) for k, n in sorted(registry) if name in (None, n)]
+    if check:
+        from flipperctl.cli.inspect import conformance
+
+        conformance.check([registry[key] for key in chosen], output, as_json=as_json)
+        return
+    found = [describe(*key) for key in chosen]
     if as_json:
         print(json.dumps(found, indent=2))
         return

@@ -1,0 +1,86 @@
+"""``flipperctl inspect plugins --check``: the conformance suite over what is registered."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from flipperctl.api import Plugin
+from flipperctl.errors import ConformanceError
+from flipperctl.testing import Check, NotChecked, checks
+
+
+def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
+    """Run every check and show what came of it.
+
+    Raises:
+        ConformanceError: a check failed; the text names plugins and checks.
+    """
+    from flipperctl.cli.measured import Bar, Lines
+
+    todo = checks(*plugins, pictures=pictures)
+    shown = Bar("check") if sys.stderr.isatty() else Lines("check")
+    try:
+        rows = []
+        for index, one in enumerate(todo):
+            shown(str(one), index / len(todo))
+            rows.append(run(one))
+    finally:
+        shown.close()
+    if as_json:
+        print(json.dumps(rows, indent=2))
+    else:
+        _print(rows)
+    if failed := [f"{row['kind']} {row['name']} ({row['check']})" for row in rows if not row["ok"]]:
+        raise ConformanceError(
+            f"{len(failed)} of {len(rows)} checks failed: {', '.join(failed[:10])}"
+            + (" …" if len(failed) > 10 else "")
+        )
+
+
+def run(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
+    """What came of one check: ``ok``, ``skipped`` and why, and the time that it took [s]."""
+    begun, text, ok, skipped = clock(), "", True, False
+    try:
+        one()
+    except ConformanceError as error:
+        text, ok = str(error), False
+    except NotChecked as error:
+        text, skipped = str(error), True
+    return {
+        "kind": one.plugin.kind,
+        "name": getattr(one.plugin, "plugin_name", one.plugin.__name__),
+        "check": one.name,
+        "ok": ok,
+        "skipped": skipped,
+        "message": text,
+        "seconds": clock() - begun,
+    }
+
+
+def _print(rows: Sequence[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    table = Table(box=None, padding=(0, 2), header_style="dim")
+    for heading in ("plugin", "check", "ok"):
+        table.add_column(heading)
+    table.add_column(escape("time [s]"), justify="right")
+    last = ""
+    for row in rows:
+        plugin = f"{row['kind']} {row['name']}"
+        state = "skipped" if row["skipped"] else "yes" if row["ok"] else "[bold red]no[/]"
+        table.add_row(
+            "" if plugin == last else plugin, row["check"], state, f"{row['seconds']:.2f}"
+        )
+        last = plugin
+    console.print(table)
+    for row in rows:
+        if row["message"]:
+            console.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)

@@ -1,0 +1,63 @@
+"""``flipperctl new``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli.options import PluginPaths
+
+KINDS = ("terrain", "reward", "network", "controller")
+
+HELP = """Write a plugin to start from: one file, or with --package a project to install.
+
+KIND is terrain, reward, network or controller. What is written works as it is and passes the
+conformance suite; nothing is ever overwritten.
+
+[bold]Examples[/]
+
+  flipperctl new terrain mine
+
+  flipperctl new reward calm --output plugins
+
+  flipperctl new controller brave --package
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("new", help=HELP)(new)
+
+
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=", ".join(KINDS) + ".")],
+    name: Annotated[
+        str, typer.Argument(help="Its name: lower-case letters, digits and _.", show_default=False)
+    ],
+    package: Annotated[
+        bool, typer.Option("--package", help="A project with pyproject, source, test and README.")
+    ] = False,
+    output: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder to write to.", show_default=False)
+    ] = Path(),
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+    from flipperctl.cli.new.draft import Draft, next_commands
+    from flipperctl.errors import RequestError
+    from flipperctl.messages import close_match
+
+    if kind not in KINDS:
+        raise RequestError(
+            f"there is no kind {kind!r} of plugin{close_match(kind, KINDS)}; "
+            f"{', '.join(KINDS)} are allowed"
+        )
+    loader.load(plugins or ())
+    draft = Draft(kind, name)
+    made = draft.write_package(output) if package else draft.write_file(output)
+    print(f"wrote {made}; next:")
+    for command in next_commands(draft, made, package=package):
+        print(f"  {command}")

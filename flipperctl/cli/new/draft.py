@@ -1,0 +1,147 @@
+"""The files of a new plugin, from the templates beside this module."""
+
+from __future__ import annotations
+
+import keyword
+import shlex
+import shutil
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from tempfile import mkdtemp
+
+from flipperctl import api
+from flipperctl.errors import OutputError, PluginError
+from flipperctl.plugins import source
+from flipperctl.run.files import failure, make_folder
+
+_USES = {
+    "terrain": (
+        "flipperctl inspect terrain {name}{plugins} --output {name}.png",
+        "flipperctl train terrain={name} hydra.run.dir=runs/{name}/first{plugins}",
+        "flipperctl eval --checkpoint runs/{name}/first{plugins}",
+    ),
+    "reward": (
+        "flipperctl inspect reward +reward@rewards.{name}={name}{plugins}",
+        "flipperctl train +reward@rewards.{name}={name}{plugins}",
+    ),
+    "network": ("flipperctl train network={name}{plugins}",),
+    "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
+}
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A plugin to be written.
+
+    Raises:
+        PluginError: the name is not allowed, or taken.
+    """
+
+    kind: str
+    name: str
+
+    def __post_init__(self) -> None:
+        if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
+            raise PluginError(
+                f"plugin name {self.name!r}: {api.NAME_RULE}, and no word of Python itself"
+            )
+        taken = api.registry.get((self.kind, self.name))
+        if taken is not None:
+            raise PluginError(
+                f"there is a {self.kind} plugin {self.name!r} already: {source(taken)}"
+            )
+
+    @property
+    def cls(self) -> str:
+        """The name of its class."""
+        joined = "".join(word.capitalize() for word in self.name.split("_"))
+        clashes = joined in (*api.__all__, "ClassVar", "Field", "Self") or keyword.iskeyword(joined)
+        return joined + self.kind.capitalize() if clashes else joined
+
+    @property
+    def package(self) -> str:
+        """The import name of its package."""
+        return f"flipperctl_{self.name}"
+
+    def write_file(self, folder: Path) -> Path:
+        """``NAME.py``, whole or not at all.
+
+        Raises:
+            OutputError: the file is there already, or cannot be written.
+        """
+        path = make_folder(folder) / f"{self.name}.py"
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(self._text(f"{self.kind}.py"))
+        except FileExistsError as error:
+            raise _there(path) from error
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise failure(path, error) from error
+        return path
+
+    def write_package(self, folder: Path) -> Path:
+        """A folder with pyproject, source, test and README, whole or not at all.
+
+        Raises:
+            OutputError: the folder is there already, or cannot be written.
+        """
+        path = folder / self.package
+        if path.exists():
+            raise _there(path)
+        part = Path(mkdtemp(prefix=f".{self.package}.", dir=make_folder(folder)))
+        try:
+            for name, text in self.package_files().items():
+                (part / name).parent.mkdir(parents=True, exist_ok=True)
+                (part / name).write_text(text, encoding="utf-8")
+            part.chmod(0o755)
+            part.rename(path)
+        except OSError as error:
+            raise failure(path, error) from error
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+        return path
+
+    def package_files(self) -> dict[str, str]:
+        """Path in the package's folder → text."""
+        source = f"src/{self.package}"
+        return {
+            "pyproject.toml": self._text("pyproject.toml"),
+            "README.md": self._text("README.md"),
+            f"{source}/__init__.py": self._text("init.py"),
+            f"{source}/{self.name}.py": self._text(f"{self.kind}.py"),
+            f"{source}/py.typed": "",
+            f"tests/test_{self.name}.py": self._text("test.py"),
+        }
+
+    def _text(self, template: str) -> str:
+        text = files(__package__).joinpath("templates", f"{template}.txt").read_text("utf-8")
+        return Template(text).substitute(
+            kind=self.kind,
+            name=self.name,
+            cls=self.cls,
+            package=self.package,
+            project=self.package.replace("_", "-"),
+            commands="\n".join(uses(self)),
+        )
+
+
+def uses(draft: Draft, plugins: str = "") -> list[str]:
+    """What to do with it once ``flipperctl`` finds it; ``plugins``: an option to help it."""
+    check = "flipperctl inspect plugins {name} --check{plugins}"
+    given = {"name": draft.name, "plugins": plugins}
+    return [command.format(**given) for command in (check, *_USES[draft.kind])]
+
+
+def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
+    """What to type next."""
+    where = shlex.quote(str(made))
+    if package:
+        return [f"pip install -e {where}", *uses(draft), f"python -m pytest {where}"]
+    return uses(draft, f" --plugins {where}")
+
+
+def _there(path: Path) -> OutputError:
+    return OutputError(f"{path} is there already; nothing was written")

@@ -1,0 +1,17 @@
+"""The conformance suite: what every plugin must keep to, for authors to test theirs with.
+
+Two lines of a test file are enough:
+
+    class TestRidge(Conformance):
+        plugin = Ridge
+
+or, for several plugins at once, ``@pytest.mark.parametrize("check", checks(Ridge, Gap), ids=str)``
+over ``def test_mine(check): check()``. ``flipperctl inspect plugins --check`` runs the same checks
+on whatever is installed.
+"""
+
+from flipperctl.errors import ConformanceError
+from flipperctl.testing.check import Check, NotChecked
+from flipperctl.testing.suite import Conformance, checks
+
+__all__ = ["Check", "Conformance", "ConformanceError", "NotChecked", "checks"]

@@ -1,0 +1,50 @@
+"""What holds for plugins of every kind: registered, documented, and the same after a checkpoint."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+
+from flipperctl import plugins
+from flipperctl.api import Plugin, registry
+from flipperctl.testing.check import require
+from flipperctl.testing.variants import numbers
+
+_LOWER, _UPPER = ("ge", "gt"), ("le", "lt")
+
+
+def registered(cls: type[Plugin]) -> None:
+    """The registry leads from its name to it."""
+    name = cls.__dict__.get("plugin_name")
+    require(name is not None, f"has no name; decorate {cls.__name__} with @{cls.kind}(<name>)")
+    found = registry.get((cls.kind, str(name)))
+    require(found is cls, f"is not what is registered under its name, which is {found}")
+
+
+def documented(cls: type[Plugin]) -> None:
+    """A docstring of its own; every field says what it is, in which unit and within what."""
+    own = cls.__dict__.get("__doc__")
+    require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; say what it is")
+    for field, info in cls.model_fields.items():
+        text = info.description or ""
+        require(
+            re.search(r"\S \[[^\[\]]+\]$", text) is not None,
+            f"has a field {field!r} without a unit: the description is {text!r}; "
+            "end it in one, such as [m], or [-] without a dimension",
+        )
+        if not numbers(info.annotation):
+            continue
+        for names, side in ((_LOWER, "ge= or gt="), (_UPPER, "le= or lt=")):
+            bounded = any(getattr(m, n, None) is not None for m in info.metadata for n in names)
+            require(bounded, f"has a field {field!r} without a bound on one side: give it {side}")
+
+
+def survives_a_checkpoint(plugin: Plugin) -> None:
+    """Written as JSON and read again, it is equal."""
+    written = plugins.container(plugin)
+    again = plugins.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
+    require(
+        again == plugin and type(again) is type(plugin),
+        f"it is not the same after a checkpoint: {written} becomes {plugins.container(again)}",
+    )

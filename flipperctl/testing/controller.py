@@ -1,0 +1,74 @@
+"""What a controller must keep to while it drives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+from time import perf_counter
+
+from flipperctl.api import ACTIONS, Controller, Plugin
+from flipperctl.testing.check import require
+from flipperctl.testing.recorded import SCENES, SHORT, Scene
+
+DECISIONS = 20
+"""On each scene, or fewer where the episode ends before."""
+
+
+def actions(controller: Controller) -> None:
+    """Every answer is an index into ``ACTIONS``."""
+    for index in range(len(_scenes(controller))):
+        _drive(controller, index)
+
+
+def repeats(controller: Controller) -> None:
+    """Equal episodes give equal actions; what is drawn at random is drawn from ``p.rng``."""
+    for index in range(len(_scenes(controller))):
+        (one, _), (other, _) = (_drive(controller, index) for _ in range(2))
+        require(
+            one == other,
+            f"two equal episodes on scene {index} get unequal actions; "
+            "it may depend on nothing but what it perceives, and draw only from p.rng",
+        )
+
+
+def in_time(controller: Controller) -> None:
+    """A decision is made before the next one is due, at the median; a search before it is free."""
+    period = SCENES[0].environment().robot.decision_period
+    taken = [t for index in range(len(_scenes(controller))) for t in _drive(controller, index)[1]]
+    require(
+        median(taken) <= period,
+        f"a decision takes it {median(taken):.2f} s at the median; "
+        f"the next one is due after {period:g} s",
+    )
+
+
+def looks_ahead(cls: type[Plugin]) -> bool:
+    """Whether it searches the scene before an episode, which may take it long."""
+    return issubclass(cls, Controller) and cls.begin is not Controller.begin
+
+
+def _scenes(controller: Controller) -> Sequence[Scene]:
+    return (SHORT,) if looks_ahead(type(controller)) else SCENES
+
+
+def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
+    """What it answers, and the time that each answer took [s]."""
+    env = _scenes(controller)[scene].environment()
+    env.reset(seed=scene)
+    controller.begin(env.simulator())
+    answers: list[int] = []
+    taken: list[float] = []
+    over = False
+    while not over and len(answers) < DECISIONS:
+        begun = perf_counter()
+        action = controller.act(env.perception)
+        taken.append(perf_counter() - begun)
+        require(
+            isinstance(action, int) and action in range(len(ACTIONS)),
+            f"act returned {action!r} at {env.state.time:.1f} s of scene {scene}; "
+            f"an int from 0 to {len(ACTIONS) - 1} is allowed",
+        )
+        answers.append(action)
+        _, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    return answers, taken

@@ -1,0 +1,138 @@
+"""What a network must keep to: shapes, gradients, and that it can leave for the robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flipperctl.api import ACTIONS, Network, ObservationLayout
+from flipperctl.errors import (
+    ConformanceError,
+    ExportError,
+    FlipperctlError,
+    MissingExtraError,
+)
+from flipperctl.testing.check import NotChecked, require
+from flipperctl.testing.recorded import SCENES, Ground, Recorder, follow
+
+if TYPE_CHECKING:
+    import torch
+
+LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
+_BATCH = 64  # so many that no working unit rests on all of them
+
+
+def shape(network: Network) -> None:
+    """Observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
+    from flipperctl.agent.d3qn import build_network
+
+    for layout in LAYOUTS:
+        _seed()
+        try:
+            module = build_network(network, layout, len(ACTIONS))
+        except FlipperctlError as error:
+            raise ConformanceError(f"with perception.bins={layout.bins}: {error}") from error
+        q = module(_observations(network, layout))
+        require(bool(q.isfinite().all()), f"with perception.bins={layout.bins}: Q is not finite")
+        require(
+            tuple(q.shape) == (_BATCH, len(ACTIONS)), f"Q of a batch has shape {tuple(q.shape)}"
+        )
+
+
+def gradient(network: Network) -> None:
+    """Every parameter learns, and every number of the observation has an effect."""
+    module = _built(network)
+    observations = _observations(network, LAYOUTS[-1]).requires_grad_()
+    module(observations).square().sum().backward()
+    for name, parameter in module.named_parameters():
+        slope = parameter.grad
+        require(
+            slope is not None and bool(slope.isfinite().all()) and bool(slope.any()),
+            f"the gradient of parameter {name!r} is {_told(slope)}; it must be finite and not 0",
+        )
+    slope = observations.grad
+    used = slope.any(dim=0).tolist() if slope is not None else [False]
+    unused = [i for i, effect in enumerate(used) if not effect]
+    require(
+        not unused,
+        f"the Q-values ignore these numbers of the observation, counted from 0: {unused}; "
+        "each must have an effect",
+    )
+
+
+def repeats(network: Network) -> None:
+    """Equal seeds build equal networks, and an evaluated one answers alike each time."""
+    import torch
+
+    observations = _observations(network, LAYOUTS[-1])
+    one, other = (_built(network).eval() for _ in range(2))
+    with torch.inference_mode():
+        first, again, second = one(observations), one(observations), other(observations)
+    require(bool((first == again).all()), "in eval mode, equal observations give unequal Q-values")
+    require(
+        bool((first == second).all()),
+        "two networks built after torch.manual_seed(0) differ; "
+        "draw the weights from torch's own generator",
+    )
+
+
+def exportable(network: Network) -> None:
+    """It leaves as ONNX and gives the same Q-values there.
+
+    Raises:
+        NotChecked: the extra is not installed.
+    """
+    from flipperctl.config import TrainConfig
+    from flipperctl.run.export import compare_onnx
+
+    config = TrainConfig(terrain=Ground(), rewards={"none": Recorder()}, network=network)
+    module = _built(network).eval().requires_grad_(False)
+    try:
+        compare_onnx(module, config, _recorded(network))
+    except MissingExtraError as error:
+        raise NotChecked(str(error)) from error
+    except ExportError as error:
+        raise ConformanceError(str(error)) from error
+
+
+def _built(network: Network) -> torch.nn.Module:
+    _seed()
+    return network.build(LAYOUTS[-1], len(ACTIONS))
+
+
+def _seed() -> None:
+    import torch
+
+    torch.manual_seed(0)
+
+
+def _frames(network: Network) -> int:
+    """How many observations, one after the other, the network is fed with."""
+    return int(getattr(network, "frames", 1))
+
+
+def _observations(network: Network, layout: ObservationLayout) -> torch.Tensor:
+    """Numbers of the magnitude that observations have, (B, frames · (N + 3))."""
+    import torch
+
+    scale = torch.tensor(np.tile(layout.scale, _frames(network)), dtype=torch.float32)
+    generator = torch.Generator().manual_seed(0)
+    return torch.randn(_BATCH, len(scale), generator=generator) * scale
+
+
+def _recorded(network: Network) -> Any:
+    """Observations of the first scene, (M, frames · (N + 3))."""
+    env = SCENES[0].environment()
+    seen, over = [env.reset(seed=0)[0]], False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(follow(env.perception))
+        seen.append(observation)
+        over = terminated or truncated
+    return np.tile(np.stack(seen), (1, _frames(network)))
+
+
+def _told(slope: torch.Tensor | None) -> str:
+    if slope is None:
+        return "missing"
+    return "0 everywhere" if bool(slope.isfinite().all()) else "not finite"

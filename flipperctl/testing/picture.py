@@ -1,0 +1,69 @@
+"""That a terrain can be drawn: the picture of an episode's start, and small ones at the bounds."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+
+from flipperctl.api import Terrain
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.render import CHASSIS, EARTH, Renderer, RobotArtist
+from flipperctl.testing.check import require
+from flipperctl.testing.terrain import environment
+
+_SHARE = 1e-3  # of the picture that ground and chassis fill at least [-]
+
+
+def pictured(terrain: Terrain, whole: bool) -> None:
+    """Ground and robot are seen in the picture; ``whole``: as a video's first frame shows it."""
+    env = environment(terrain)
+    env.reset(seed=0)
+    picture = _renderer()(env.scene) if whole else _sketch()(env)
+    for what, colour in (("ground", EARTH), ("robot", CHASSIS)):
+        near = np.abs(picture.astype(int) - _bytes(colour)).max(axis=2) <= 8
+        require(float(near.mean()) >= _SHARE, f"its picture shows no {what} (in {colour})")
+
+
+def _bytes(colour: str) -> NDArray[np.int_]:
+    return np.array([round(255 * part) for part in to_rgb(colour)])
+
+
+class _Sketch:
+    """The ground within 2.5 m of the robot, without words, which take most of a picture's time."""
+
+    def __init__(self) -> None:
+        self._figure = Figure((2.5, 1.25), 60)
+        self._canvas: Any = FigureCanvasAgg(self._figure)
+        axes = self._axes = self._figure.add_axes((0, 0, 1, 1), frame_on=False)
+        axes.set_axis_off()
+        self._earth = Polygon(np.zeros((3, 2)), facecolor=EARTH)
+        axes.add_patch(self._earth)
+        self._robot = RobotArtist(axes)
+
+    def __call__(self, env: FlipperEnv) -> NDArray[np.uint8]:
+        line = env.profile.extended(10.0, 10.0)
+        deep = line[:, 1].min() - 10.0
+        self._earth.set_xy(np.vstack([line, [line[-1, 0], deep], [line[0, 0], deep]]))
+        self._robot.show(env.state, env.robot)
+        x, z = env.state.position.tolist()
+        self._axes.set_xlim(x - 2.5, x + 2.5)
+        self._axes.set_ylim(z - 1.25, z + 1.25)
+        self._canvas.draw()
+        return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
+
+
+@cache
+def _sketch() -> _Sketch:
+    return _Sketch()
+
+
+@cache
+def _renderer() -> Renderer:
+    return Renderer()

@@ -1,0 +1,51 @@
+"""What a reward term must keep to on recorded episodes of every outcome."""
+
+from __future__ import annotations
+
+import math
+
+from flipperctl.api import RewardTerm, Transition
+from flipperctl.testing.check import require
+from flipperctl.testing.recorded import transitions
+
+_ROUNDING = 1e-9
+
+
+def finite(reward: RewardTerm) -> None:
+    """Every decision is paid a finite float."""
+    for t in transitions():
+        value = reward(t)
+        require(
+            isinstance(value, float) and math.isfinite(value),
+            f"{_at(t)} it returns {value!r}; a finite float is what it must return",
+        )
+
+
+def bounded(reward: RewardTerm) -> None:
+    """Every value lies within ``bounds``."""
+    low, high = reward.bounds
+    require(low <= high, f"bounds are {reward.bounds}; the lower one comes first")
+    for t in transitions():
+        value = reward(t)
+        require(
+            low - _ROUNDING <= value <= high + _ROUNDING,
+            f"{_at(t)} it returns {value:g}; its bounds say {low:g} to {high:g}",
+        )
+
+
+def pure(reward: RewardTerm) -> None:
+    """The value follows from the transition alone and leaves it as it was."""
+    pitches = [t.pitches.tobytes() for t in transitions()]
+    first = [reward(t) for t in transitions()]
+    again = [reward(t) for t in reversed(transitions())][::-1]
+    for t, one, other, before in zip(transitions(), first, again, pitches, strict=True):
+        require(
+            one == other,
+            f"{_at(t)} it returns {one!r} and, called again, {other!r}; "
+            "it may depend on nothing but the transition",
+        )
+        require(t.pitches.tobytes() == before, f"{_at(t)} it changes the transition's pitches")
+
+
+def _at(t: Transition) -> str:
+    return f"at {t.after.time:.1f} s of an episode ({t.outcome or 'running'})"

@@ -1,0 +1,106 @@
+"""Which checks a plugin goes through, and the class that hands them to pytest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+from flipperctl import plugins as loader
+from flipperctl.api import Plugin
+from flipperctl.testing import common
+from flipperctl.testing.check import Check, over
+from flipperctl.testing.variants import Variant, variants
+
+Test = Callable[[Any], None]
+
+
+def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
+    """Every check of every plugin; ``pictures``: a folder for pictures of the terrains."""
+    loader.load()  # a plugin may be made of others
+    return [check for cls in plugins for check in _checks(cls, pictures)]
+
+
+class Conformance:
+    """To be inherited by a test class that says which ``plugin`` it is about."""
+
+    plugin: ClassVar[type[Plugin]]
+    pictures: ClassVar[Path | None] = None
+    """A folder for pictures of the terrain at its defaults and at each bound."""
+
+    def pytest_generate_tests(self, metafunc: Any) -> None:
+        """One test a check."""
+        if "check" in metafunc.fixturenames:
+            found = checks(self.plugin, pictures=self.pictures)
+            metafunc.parametrize("check", found, ids=str)
+
+    def test_keeps_the_contract(self, check: Check) -> None:
+        """Fails with plugin, value and what is allowed."""
+        check()
+
+
+class _Cases:
+    """The variants of a plugin, made when the first check asks for them."""
+
+    def __init__(self, cls: type[Plugin]) -> None:
+        self._cls = cls
+
+    @cached_property
+    def all(self) -> list[Variant]:
+        return variants(self._cls)
+
+
+def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
+    cases = _Cases(cls)
+
+    def at_all(name: str, test: Test) -> Check:
+        return Check(cls, name, lambda: over(cases.all, test))
+
+    def at_defaults(name: str, test: Test) -> Check:
+        return Check(cls, name, lambda: over(cases.all[:1], test))
+
+    yield Check(cls, "registered", lambda: common.registered(cls))
+    yield Check(cls, "documented", lambda: common.documented(cls))
+    yield at_all("checkpoint", common.survives_a_checkpoint)
+    match cls.kind:
+        case "terrain":
+            from flipperctl.testing import terrain
+
+            yield at_all("draws", terrain.draws)
+            yield at_all("repeats", terrain.repeats)
+            yield at_all("global randomness", terrain.leaves_global_randomness)
+            yield at_all("extent", terrain.extent)
+            yield at_all("difficulty", terrain.graded)
+            yield at_all("start", terrain.starts)
+            yield Check(cls, "picture", lambda: _pictured(cases.all, pictures))
+        case "reward":
+            from flipperctl.testing import reward
+
+            yield at_all("finite", reward.finite)
+            yield at_all("bounded", reward.bounded)
+            yield at_all("pure", reward.pure)
+        case "network":
+            from flipperctl.testing import network
+
+            yield at_all("shape", network.shape)
+            yield at_all("gradient", network.gradient)
+            yield at_defaults("repeats", network.repeats)
+            yield at_defaults("onnx", network.exportable)
+        case "controller":
+            from flipperctl.testing import controller
+
+            # A search at the largest of its settings may take hours.
+            at_some = at_defaults if controller.looks_ahead(cls) else at_all
+            yield at_some("actions", controller.actions)
+            yield at_defaults("repeats", controller.repeats)
+            yield at_defaults("in time", controller.in_time)
+
+
+def _pictured(cases: list[Variant], folder: Path | None) -> None:
+    from flipperctl.testing import picture, terrain
+
+    over(cases[:1], lambda made: picture.pictured(made, whole=True))
+    over(cases[1:], lambda made: picture.pictured(made, whole=False))
+    if folder is not None:
+        terrain.write_pictures(cases, folder)

@@ -1,0 +1,151 @@
+"""What a terrain must keep to, at its defaults and at each field's bounds."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from flipperctl.api import Profile, Terrain
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConformanceError, TerrainError
+from flipperctl.testing.check import require
+from flipperctl.testing.recorded import HOLD, Recorder
+from flipperctl.testing.variants import Variant
+
+SEEDS = range(5)
+LENGTH, HEIGHT = 100.0, 20.0
+"""The longest profile, and the largest height above or below its first edge [m]."""
+DECISIONS = 5
+"""Made with the flippers held: 0.6 m, the last third with the front flippers on the terrain."""
+DRIVEN, DEEP = 0.15, 0.02
+"""Least way in them, and the deepest overlap with the ground that contact explains [m]."""
+
+
+def draws(terrain: Terrain) -> None:
+    """Every draw is a profile."""
+    for seed in SEEDS:
+        _draw(terrain, seed)
+
+
+def repeats(terrain: Terrain) -> None:
+    """Equal generators give equal ground, whatever was drawn before."""
+    first = [_draw(terrain, seed).points.tobytes() for seed in SEEDS]
+    again = type(terrain)(**dict(terrain))
+    for seed in reversed(SEEDS):
+        for instance in (terrain, again):
+            require(
+                _draw(instance, seed).points.tobytes() == first[seed],
+                f"two draws from generators of seed {seed} differ; "
+                "every random choice must come from rng",
+            )
+
+
+def leaves_global_randomness(terrain: Terrain) -> None:
+    """``random`` and ``numpy.random`` are as they were."""
+    before = _global_state()
+    _draw(terrain, 0)
+    require(
+        _global_state() == before,
+        "generate draws from random or numpy.random; only rng is allowed",
+    )
+
+
+def graded(terrain: Terrain) -> None:
+    """A training may ask for any difficulty from 0 to 1, and is told one in between."""
+    for difficulty in (0.0, terrain.first_difficulty, 1.0):
+        for reached in (False, True):
+            following = terrain.next_difficulty(difficulty, reached)
+            require(
+                0 <= difficulty <= 1 and 0 <= following <= 1,
+                f"difficulty {difficulty:g} leads to {following:g}; 0 to 1 is allowed",
+            )
+        _draw(terrain.at(difficulty), 0)
+
+
+def extent(terrain: Terrain) -> None:
+    """Not longer and not higher than a robot could ever cross."""
+    for seed in SEEDS:
+        profile = _draw(terrain, seed)
+        length = profile.end - profile.start
+        require(length <= LENGTH, f"it is {length:g} m long; at most {LENGTH:g} m is allowed")
+        heights = profile.points[:, 1] - profile.points[0, 1]
+        highest = float(np.abs(heights).max())
+        require(
+            highest <= HEIGHT,
+            f"it leads {highest:g} m above or below its first edge; {HEIGHT:g} m is allowed",
+        )
+
+
+def starts(terrain: Terrain) -> None:
+    """The robot stands before it and drives off, on the ground and not in it."""
+    env = environment(terrain)
+    for seed in SEEDS[:2]:
+        try:
+            env.reset(seed=seed)
+        except TerrainError as error:
+            raise ConformanceError(str(error)) from error
+        start = env.state.position[0]
+        for decision in range(DECISIONS):
+            observation, *_ = env.step(HOLD)
+            require(
+                env.observation_space.contains(observation),
+                f"the heights perceived {decision + 1} decisions after the start lie outside of "
+                "the observation space, ± 100 m",
+            )
+            x, z = env.state.position.tolist()
+            depth = max(env.drive.world.penetration(), env.profile.height(x) - z)
+            require(depth <= DEEP, f"the robot is {depth:.3f} m in the ground at x = {x:.2f} m")
+        driven = env.state.position[0] - start
+        require(
+            driven >= DRIVEN,
+            f"the robot drove {driven:.2f} m in its first {DECISIONS} decisions; "
+            f"on a start that it can cross it drives {DRIVEN:g} m or more",
+        )
+
+
+def environment(terrain: Terrain) -> FlipperEnv:
+    """The default environment on this terrain."""
+    # A term of our own, so that no reward plugin is needed.
+    return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": Recorder()}))
+
+
+def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
+    """A draw at the defaults large, one at each bound small, thirteen a file.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    from flipperctl.config import Robot
+    from flipperctl.report.figure import save
+    from flipperctl.report.terrain import SMALL, terrain_figure
+    from flipperctl.run.files import make_folder
+
+    name = variants[0].plugin.plugin_name
+    for page, first in enumerate(range(0, len(variants), SMALL + 1)):
+        shown = variants[first : first + SMALL + 1]
+        profiles = [_draw(v.plugin, 0) for v in shown if isinstance(v.plugin, Terrain)]
+        labels = [v.label for v in shown]
+        figure = terrain_figure(profiles, f"{name}: {labels[0]}", Robot(), labels=labels)
+        save(figure, make_folder(folder) / f"{name}{f'_{page + 1}' if page else ''}.png")
+
+
+def _draw(terrain: Terrain, seed: int) -> Profile:
+    try:
+        profile = terrain.generate(np.random.default_rng(seed))
+    except ValueError as error:
+        raise ConformanceError(f"generate raises with seed {seed}: {error}") from error
+    require(
+        isinstance(profile, Profile),
+        f"generate returns a {type(profile).__name__}; a Profile is what it must return",
+    )
+    return profile
+
+
+def _global_state() -> tuple[object, ...]:
+    state = np.random.get_state(legacy=False)  # noqa: NPY002  # it is only looked at
+    words = state["state"]
+    return random.getstate(), words["key"].tobytes(), words["pos"], state["gauss"]

@@ -1,0 +1,86 @@
+"""The example packages, installed in a fresh virtual environment as their authors would do it."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from flipperctl.api import registry
+from flipperctl.testing import checks
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+PACKAGES = {
+    "trunk": "terrain",
+    "stretcher": "reward",
+    "near_far": "network",
+    "postures": "controller",
+}
+
+INSTALLED = ("trunk", "postures")
+
+Flipperctl = Callable[..., str]
+
+
+def package(name: str) -> Path:
+    return EXAMPLES / f"flipperctl_{name}"
+
+
+@pytest.fixture(scope="module")
+def flipperctl(tmp_path_factory: pytest.TempPathFactory) -> Flipperctl:
+    """The command line of an environment with two packages, over what is installed here."""
+    folder = tmp_path_factory.mktemp("fresh")
+    venv.create(folder / "venv", with_pip=False)
+    python = str(folder / "venv" / "bin" / "python")
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
+
+    def run(*command: str) -> str:
+        done = subprocess.run(command, cwd=folder, env=clean, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    # Dependencies, flipperctl among them, are those that are installed here: no network is needed.
+    here = sysconfig.get_path("purelib")
+    where = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
+    (Path(where) / "here.pth").write_text(f"import site; site.addsitedir({here!r})\n")
+    copies = [str(shutil.copytree(package(name), folder / name)) for name in INSTALLED]
+    offline = ["--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
+    run(sys.executable, "-m", "pip", f"--python={python}", "install", *offline, *copies)
+    return lambda *arguments: run(python, "-m", "flipperctl", *arguments)
+
+
+def test_an_installed_package_passes_the_conformance_suite(flipperctl: Flipperctl) -> None:
+    rows = json.loads(flipperctl("inspect", "plugins", "trunk", "--check", "--json"))
+    assert {(row["kind"], row["name"]) for row in rows} == {("terrain", "trunk")}
+    assert all(row["ok"] and not row["skipped"] for row in rows)
+
+
+def test_one_packages_controller_is_judged_on_anothers_terrain(flipperctl: Flipperctl) -> None:
+    judge = ["eval", "--controller", "postures", "terrain=trunk", "--episodes", "2", "--json"]
+    (scene,) = json.loads(flipperctl(*judge))["scenes"]
+    assert (scene["terrain"], scene["success_rate"]) == ("trunk", 1.0)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+@pytest.mark.usefixtures("registry")
+def test_each_package_passes_its_own_test(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(package(name) / "src")
+    import_module(f"flipperctl_{name}")
+    for check in checks(registry[PACKAGES[name], name]):
+        check()
+
+
+def test_the_packages_are_what_new_writes() -> None:
+    for name in PACKAGES:
+        folder = package(name)
+        project = (folder / "pyproject.toml").read_text()
+        assert f'{name} = "flipperctl_{name}"' in project
+        for file in ("README.md", f"tests/test_{name}.py", f"src/flipperctl_{name}/py.typed"):
+            assert (folder / file).is_file()

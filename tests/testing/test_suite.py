@@ -1,0 +1,236 @@
+"""What the conformance suite finds, and what an author reads then."""
+
+import random
+import unittest
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import torch
+from pydantic import Field
+
+from flipperctl import api
+from flipperctl.api import Controller, Network, Outcome, Profile, RewardTerm, Terrain
+from flipperctl.errors import ConformanceError, MissingExtraError
+from flipperctl.run import export
+from flipperctl.testing import Conformance, NotChecked, checks, controller
+from flipperctl.testing.recorded import transitions
+from flipperctl.testing.variants import variants
+
+
+class TestInherited(Conformance):
+    """The two lines of the tutorial."""
+
+    plugin = api.registry["terrain", "flat"]
+
+
+def failure(cls: type[api.Plugin], name: str) -> str:
+    """What the check of this name says of a plugin that is registered for this test only."""
+    cls.plugin_name = "mine"
+    api.registry[cls.kind, "mine"] = cls
+    (one,) = [c for c in checks(cls) if c.name == name]
+    with pytest.raises(ConformanceError) as error:
+        one()
+    return str(error.value)
+
+
+Draw = Callable[[float, np.random.Generator], object]
+
+
+def terrain(draw: Draw) -> type[Terrain]:
+    class Mine(Terrain):
+        """A terrain with one field."""
+
+        height: float = Field(0.2, ge=0, le=0.4, description="height [m]")
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return draw(self.height, rng)
+
+    return Mine
+
+
+def box(height: float, length: float = 1.0) -> Profile:
+    return Profile([(0, 0), (0, height), (length, height)])
+
+
+@pytest.mark.parametrize(
+    ("check", "draw", "words"),
+    [
+        ("draws", lambda h, rng: [(0, 0)], ["with its defaults", "returns a list", "Profile"]),
+        ("draws", lambda h, rng: Profile([(0, 0), (-h, 0)]), ["seed 0", "x decreases"]),
+        ("draws", lambda h, rng: box(1 / (0.4 - h)), ["with height=0.4", "ZeroDivisionError"]),
+        ("repeats", lambda h, rng: box(np.random.default_rng().random()), ["must come from rng"]),
+        ("global randomness", lambda h, rng: box(random.random()), ["only rng is allowed"]),
+        ("extent", lambda h, rng: box(h, 500 * h + 1), ["101 m long", "at most 100 m", "=0.4"]),
+        ("extent", lambda h, rng: box(-99 * h), ["39.6 m", "20 m is allowed"]),
+        ("start", lambda h, rng: box(400.0), ["observation space"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_terrain_that_fails_says_how(check: str, draw: Draw, words: list[str]) -> None:
+    text = failure(terrain(draw), check)
+    assert text.startswith("terrain 'mine' with ")
+    assert [word for word in words if word not in text] == [], text
+
+
+def rewarding(pay: Callable[[api.Transition], object]) -> type[RewardTerm]:
+    class Mine(RewardTerm):
+        """A term without fields."""
+
+        bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+
+        def __call__(self, t: api.Transition) -> float:
+            return pay(t)
+
+    return Mine
+
+
+calls: list[int] = []
+
+
+@pytest.mark.parametrize(
+    ("check", "pay", "words"),
+    [
+        ("finite", lambda t: np.nan if t.outcome is Outcome.STUCK else 0.0, ["(stuck)", "nan"]),
+        ("finite", lambda t: 0, ["(running)", "returns 0", "finite float"]),
+        ("bounded", lambda t: -2.0 if t.outcome is Outcome.OVERTURNED else 0.0, ["-2", "-1 to 0"]),
+        ("pure", lambda t: calls.append(1) or -float(len(calls)), ["called again"]),
+        ("pure", lambda t: t.pitches.fill(7.0) or 0.0, ["changes the transition's pitches"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_reward_that_fails_says_at_which_outcome(
+    check: str, pay: Callable[[api.Transition], object], words: list[str]
+) -> None:
+    transitions.cache_clear()
+    text = failure(rewarding(pay), check)
+    transitions.cache_clear()
+    assert [word for word in words if word not in text] == [], text
+
+
+def test_every_outcome_is_recorded() -> None:
+    assert {t.outcome for t in transitions()} == {None, *Outcome}
+
+
+class Linear(torch.nn.Linear):
+    """Observations of 18 numbers to 9 Q-values."""
+
+    def __init__(self, change: Callable[["Linear", torch.Tensor], torch.Tensor]) -> None:
+        super().__init__(18, 9)
+        self.change = change
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        return self.change(self, observation)
+
+
+def network(change: Callable[[Linear, torch.Tensor], torch.Tensor]) -> type[Network]:
+    class Mine(Network):
+        """A network without fields."""
+
+        def build(self, layout: api.ObservationLayout, n_actions: int) -> torch.nn.Module:
+            return Linear(change)
+
+    return Mine
+
+
+def plain(module: torch.nn.Linear, x: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.linear(x, module.weight, module.bias)
+
+
+@pytest.mark.parametrize(
+    ("check", "change", "words"),
+    [
+        ("shape", plain, ["bins=3", "(2, 6)"]),
+        ("gradient", lambda m, x: plain(m, x) - m.bias, ["'bias'", "0 everywhere"]),
+        ("gradient", lambda m, x: plain(m, x * (torch.arange(18) > 1)), ["'", "[0, 1]"]),
+        ("repeats", lambda m, x: plain(m, x) + torch.rand(9), ["in eval mode"]),
+        ("onnx", lambda m, x: plain(m, x) if x.sum() > 0 else x[:, :9], ["cannot export"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_network_that_fails_says_where(
+    check: str, change: Callable[[Linear, torch.Tensor], torch.Tensor], words: list[str]
+) -> None:
+    text = failure(network(change), check)
+    assert [word for word in words if word not in text] == [], text
+
+
+def driving(act: Callable[[api.Perception], object]) -> type[Controller]:
+    class Mine(Controller):
+        """A rule without fields."""
+
+        def act(self, p: api.Perception) -> int:
+            return act(p)
+
+    return Mine
+
+
+@pytest.mark.parametrize(
+    ("check", "act", "words"),
+    [
+        ("actions", lambda p: 9 if p.pitch > 0.2 else 4, ["returned 9", "0 to 8"]),
+        ("actions", lambda p: np.float64(4), ["4.0"]),
+        ("repeats", lambda p: int(np.random.default_rng().integers(9)), ["only from p.rng"]),
+        ("in time", lambda p: 4, ["1.00 s", "after 0.6 s"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_controller_that_fails_says_when(
+    check: str,
+    act: Callable[[api.Perception], object],
+    words: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seconds = iter(range(10_000))
+    monkeypatch.setattr(controller, "perf_counter", lambda: float(next(seconds)))
+    text = failure(driving(act), check)
+    assert [word for word in words if word not in text] == [], text
+
+
+def described(**field: object) -> type[Terrain]:
+    class Mine(Terrain):
+        """A terrain."""
+
+        height: float = Field(0.2, **field)
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return box(self.height)
+
+    return Mine
+
+
+@pytest.mark.parametrize(
+    ("check", "field", "words"),
+    [
+        ("documented", {"ge": 0, "le": 1, "description": "height"}, ["'height'", "unit", "[m]"]),
+        ("documented", {"ge": 0, "description": "height [m]"}, ["'height'", "le= or lt="]),
+        ("checkpoint", {"ge": 0, "le": 1, "exclude": True}, ["height=0", "not the same"]),
+        ("checkpoint", {"gt": 0.2, "le": 1}, ["with its defaults: height", "greater than 0.2"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_fields_are_documented_and_kept(
+    check: str, field: dict[str, object], words: list[str]
+) -> None:
+    text = failure(described(**field), check)
+    assert [word for word in words if word not in text] == [], text
+
+
+def test_a_plugin_is_tried_at_each_bound_and_choice_that_its_validators_allow() -> None:
+    labels = [v.label for v in variants(api.registry["terrain", "stair"])]
+    assert labels[0] == "its defaults"
+    assert {"rise=0.5", "rise=5e-324", "tread=2", "most=50", "direction=up"} <= set(labels)
+    # More steps at least than at most, and a way back without a platform, are refused.
+    assert not {"fewest=50", "back=True"} & set(labels)
+
+
+def test_without_the_extra_the_export_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise MissingExtraError(f"export onnx needs the package {name}; install flipperctl[onnx]")
+
+    monkeypatch.setattr(export, "_extra", missing)
+    (onnx,) = [c for c in checks(api.registry["network", "mlp"]) if c.name == "onnx"]
+    assert issubclass(NotChecked, unittest.SkipTest)  # which pytest shows as skipped
+    with pytest.raises(NotChecked, match=r"install flipperctl\[onnx\]"):
+        onnx()
