@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ACTIONS",
+    "MEMORY",
     "AnyTerrain",
     "Controller",
     "Network",
@@ -63,6 +64,9 @@ FloatArray = NDArray[np.float64]
 
 ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 """Action index → (front, rear); +1 raises the pair by one angle step (paper Eq. 3)."""
+
+MEMORY = 32
+"""Observations that ``Perception.recent`` holds at most."""
 
 
 def action_index(front: int, rear: int) -> int:
@@ -268,6 +272,8 @@ class Perception:
     layout: ObservationLayout
     rng: np.random.Generator
     """For controllers that draw at random; seeded by the episode."""
+    recent: tuple[NDArray[np.float32], ...]
+    """The observations of the episode so far, ``observation`` last; at most ``MEMORY``."""
 
 
 @dataclass(frozen=True)
@@ -429,13 +435,31 @@ class Shaping(RewardTerm):
 
 
 class Network(Plugin, ABC):
-    """Builds the Q-network."""
+    """Builds the Q-network.
+
+    The module may offer more than ``forward``, and is then trained accordingly:
+
+    - ``quantiles(observation)`` → (B, n_actions, K): K equally likely values of each action's
+      return, of which ``forward`` gives the mean. They are learnt by quantile regression.
+    - ``draw_noise(rng: np.random.Generator)``, of the module or any part of it: takes new noise,
+      before each decision of training and each update. The noise acts in ``train()`` mode only; a
+      policy is judged and exported in ``eval()`` mode. It lies in buffers that are not persistent.
+    """
 
     kind: ClassVar[str] = "network"
 
+    @property
+    def frames(self) -> int:
+        """How many of the newest observations the module takes in at once, at most ``MEMORY``.
+
+        Above 1, a row is their N + 3 numbers one after the other, oldest first; at the start of an
+        episode the first observation stands in for those that there are not.
+        """
+        return 1
+
     @abstractmethod
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """A module from observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
+        """A module from (B, frames · (N + 3)) in SI units to Q-values (B, n_actions)."""
 
 
 class Simulator(Protocol):

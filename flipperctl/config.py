@@ -174,7 +174,13 @@ class Agent(Settings):
     target_rate: float = Field(
         0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
     )
-    epsilon_start: float = Field(1.0, ge=0, le=1, description="random actions at the start [-]")
+    epsilon_start: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="random actions at the start; 0, with epsilon_end, suits networks that explore "
+        "by noise of their own [-]",
+    )
     epsilon_end: float = Field(0.05, ge=0, le=1, description="random actions at the end [-]")
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.adam import Adam
-from flipperctl.agent.losses import double_q_target, huber
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.heads import Distributional, head
+from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
-from flipperctl.api import Network, ObservationLayout
+from flipperctl.api import MEMORY, Network, ObservationLayout
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
 
@@ -24,13 +28,15 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
     """The network, after a check of its output's shape.
 
     Raises:
-        ConfigError: it does not map (B, N + 3) to (B, n_actions) finite float32 numbers.
+        ConfigError: it does not map (B, frames · (N + 3)) to (B, n_actions) finite float32 numbers.
     """
-    module = network.build(layout, n_actions)
     name = f"network {network.plugin_name!r}"
+    if not 1 <= network.frames <= MEMORY:
+        raise ConfigError(f"{name}: frames is {network.frames}; 1 to {MEMORY} is allowed")
+    module = network.build(layout, n_actions)
     if not isinstance(module, torch.nn.Module):
         raise ConfigError(f"{name}: build must return a torch module; got {type(module).__name__}")
-    probe = torch.zeros(2, layout.size)
+    probe = torch.zeros(2, input_size(network, layout))
     try:
         with torch.no_grad():
             output = module(probe)
@@ -42,7 +48,7 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
     shape = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
     if shape != (2, n_actions):
         raise ConfigError(
-            f"{name}: observations (2, {layout.size}) must give Q-values (2, {n_actions}); "
+            f"{name}: observations {tuple(probe.shape)} must give Q-values (2, {n_actions}); "
             f"the output is {shape}"
         )
     if output.dtype != torch.float32 or not bool(output.isfinite().all()):
@@ -50,13 +56,23 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
             f"{name}: the Q-values must be finite float32 numbers; "
             f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
         )
+    if isinstance(module, Distributional):
+        shape = tuple(module.quantiles(probe).shape)
+        if len(shape) != 3 or shape[:2] != (2, n_actions) or not shape[2]:
+            raise ConfigError(
+                f"{name}: observations {tuple(probe.shape)} must give quantiles "
+                f"(2, {n_actions}, K); they are {shape}"
+            )
     return module
 
 
 def greedy(
     module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
 ) -> int:
-    """The action of the largest Q-value of a network on ``device``; ``observation``: (N + 3,)."""
+    """The action of the largest Q-value of a network on ``device``.
+
+    ``observation``: what the network sees, (frames · (N + 3),).
+    """
     with torch.inference_mode():
         return int(module(torch.from_numpy(observation).to(device).unsqueeze(0)).argmax())
 
@@ -102,11 +118,23 @@ class D3qn:
         self._online, self._target = _joined(self.online), _joined(self.target)
         self._parameters = list(self.online.parameters())
         self.optimiser = Adam(self._online)
+        self._head = head(self.online)
+        self._noise, self._target_noise = Noise(self.online), Noise(self.target)
+        self.noise_rng = np.random.default_rng(seed)
+        """What the noise of the networks is drawn from, if they have any."""
 
     @property
     def policy(self) -> torch.nn.Module:
         """The network that is validated and exported."""
         return self.target if self.settings.act_with == "target" else self.online
+
+    @contextmanager
+    def judged(self) -> Iterator[torch.nn.Module]:
+        """The policy in ``eval()`` mode, without its noise, until it is left."""
+        try:
+            yield self.policy.eval()
+        finally:
+            self.policy.train()
 
     def act(
         self, observation: NDArray[np.float32], epsilon: float, rng: np.random.Generator
@@ -114,6 +142,7 @@ class D3qn:
         """ε-greedy on the online network."""
         if rng.random() < epsilon:
             return int(rng.integers(self._n_actions))
+        self._noise.draw(self.noise_rng)
         return greedy(self.online, observation, self.device)
 
     def update(self, batch: Batch, share: float) -> float:
@@ -128,13 +157,11 @@ class D3qn:
         s = self.settings
         rate = linear(s.learning_rate, s.learning_rate_end, share)
         batch = batch.to(self.device)
+        self._noise.draw(self.noise_rng)
+        self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
-            targets = double_q_target(
-                batch.reward * s.reward_scale,
-                batch.discount,
-                self.online(batch.next_observation),
-                self.target(batch.next_observation),
-            )
+            reward = batch.reward * s.reward_scale
+            targets = self._head.targets(reward, batch, self.online, self.target)
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
@@ -149,8 +176,8 @@ class D3qn:
     def _step(
         self, observation: torch.Tensor, action: torch.Tensor, target: torch.Tensor, rate: float
     ) -> float:
-        taken = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
-        loss = huber(taken, target)
+        self._noise.draw(self.noise_rng)
+        loss = self._head.loss(self.online, observation, action, target)
         value = float(loss.detach())
         if not math.isfinite(value):
             return value  # the caller raises; the weights stay whole

@@ -1,4 +1,4 @@
-"""The mathematics of double Q-learning as pure functions."""
+"""The mathematics of double Q-learning, of values and of distributions, as pure functions."""
 
 from __future__ import annotations
 
@@ -23,3 +23,33 @@ def double_q_target(
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Mean Huber loss with threshold 1 of two (B,) tensors."""
     return torch.nn.functional.smooth_l1_loss(prediction, target)
+
+
+def double_quantile_target(
+    reward: torch.Tensor,
+    discount: torch.Tensor,
+    next_online: torch.Tensor,
+    next_target: torch.Tensor,
+) -> torch.Tensor:
+    """The distribution R + γ · Z_target(s′, argmax_a Q_online(s′, a)) as quantiles, (B, K).
+
+    As ``double_q_target``; ``next_target`` holds the quantiles of every action, (B, A, K).
+    """
+    rows = torch.arange(len(reward), device=reward.device)
+    best = next_target[rows, next_online.argmax(dim=1)]  # (B, K)
+    return reward.unsqueeze(1) + discount.unsqueeze(1) * best
+
+
+def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
+
+    ``prediction`` (B, K) holds the quantiles at τ_i = (i + ½) / K, ``target`` (B, K′) values that
+    are equally likely. Summed over the quantiles, averaged over the values and the batch.
+    """
+    count = prediction.shape[1]
+    tau = (torch.arange(count, device=prediction.device) + 0.5) / count
+    error = target.unsqueeze(1) - prediction.unsqueeze(2)  # (B, K, K′)
+    size = error.abs()
+    small = size.clamp(max=1.0)
+    weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
+    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean()

@@ -10,6 +10,7 @@ measured as it comes (``sb3``) and with torch's fused Adam (``sb3_fused``). Ours
 from __future__ import annotations
 
 import functools
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 
 from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.bench.extras import extra
@@ -26,6 +28,7 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.run.collect import InProcess
 from flipperctl.run.seeds import episode_seed
 
 ABOUT = (
@@ -77,19 +80,27 @@ def _note(result: dict[str, Any], rates: dict[str, list[float]], batch_size: int
 
 def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     """A replay of single decisions of random episodes, ``count`` of them."""
-    replay = Replay(count, config.perception.size, 1, config.agent.gamma)
-    env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(seed)
-    episode, over = 0, True
-    while replay.added < count:
-        if over:
-            observation, _ = env.reset(seed=episode_seed("training", seed, episode))
-            episode += 1
-        action = int(rng.integers(len(ACTIONS)))
-        following, reward, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-        replay.add(observation, action, reward, following, over=over, bootstrap=False)
-        observation = following
-    return replay
+    size = input_size(config.network, config.perception)
+    replay = Replay(count, size, 1, config.agent.gamma)
+    rng, numbers = np.random.default_rng(seed), itertools.count()
+    played = InProcess(
+        FlipperEnv(config=config.environment()),
+        lambda _: int(rng.integers(len(ACTIONS))),
+        lambda: episode_seed("training", seed, next(numbers)),
+        frames=config.network.frames,
+    )
+    while True:
+        for step in played.episode():
+            replay.add(
+                step.observation,
+                step.action,
+                step.reward,
+                step.following,
+                over=step.ending is not None,
+                bootstrap=False,
+            )
+            if replay.added == count:
+                return replay
 
 
 def _clock(update: Callable[[], object], together: int, count: int) -> Callable[[], float]:
@@ -126,7 +137,7 @@ def _theirs(
     sb3 = extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
     agent = D3qn(config.network, config.perception, len(ACTIONS), config.agent, seed=seed)
     wanted = sum(p.numel() for p in agent.online.parameters())
-    layers = hidden_layers(agent.online, config.perception.size)
+    layers = hidden_layers(agent.online, input_size(config.network, config.perception))
     width = equal_width(wanted, config.perception.size, len(ACTIONS), layers)
     contestants: Contestants = {}
     count = 0

@@ -161,9 +161,9 @@ def fill(model: DQN, replay: Replay) -> None:
     held, buffer = replay.filled(), model.replay_buffer
     if not isinstance(buffer, ReplayBuffer):
         raise TypeError("a model without a replay buffer cannot be filled")
-    count = len(replay)
-    buffer.observations[:count, 0] = held["observation"]
-    buffer.next_observations[:count, 0] = held["next_observation"]
+    count, size = len(replay), buffer.obs_shape[0]
+    buffer.observations[:count, 0] = held["observation"][:, -size:]  # the newest, if several
+    buffer.next_observations[:count, 0] = held["next_observation"][:, -size:]
     buffer.actions[:count, 0, 0] = held["action"]
     buffer.rewards[:count, 0] = held["reward"]
     buffer.dones[:count, 0] = held["discount"] == 0

@@ -6,6 +6,7 @@ in worker processes, through Ray) is measured by giving ``measure`` one factory 
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 import time
@@ -23,6 +24,7 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.run import collect
 from flipperctl.run.collect import Crew, Order
 from flipperctl.run.processes import ProcessCrew
 from flipperctl.run.seeds import episode_seed
@@ -56,14 +58,15 @@ class InProcess:
 
     def _play(self, config: TrainConfig) -> Iterator[None]:
         env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
-        episode = 0
+        numbers = itertools.count()
+        played = collect.InProcess(
+            env,
+            lambda observation: self._agent.act(observation, EPSILON, rng),
+            lambda: episode_seed("training", config.seed, next(numbers)),
+            frames=config.network.frames,
+        )
         while True:
-            observation, _ = env.reset(seed=episode_seed("training", config.seed, episode))
-            episode, over = episode + 1, False
-            while not over:
-                action = self._agent.act(observation, EPSILON, rng)
-                observation, _, terminated, truncated, _ = env.step(action)
-                over = terminated or truncated
+            for _ in played.episode():
                 yield
 
     def collect(self, decisions: int) -> int:

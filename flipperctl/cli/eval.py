@@ -137,7 +137,7 @@ def _judge(
     source: ControllerSource,
     baseline: ControllerSource | None,
 ) -> list[dict[str, Any]]:
-    from flipperctl.run.statistics import paired, scene_summary
+    from flipperctl.run.statistics import differences, scene_summary
 
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
@@ -145,11 +145,10 @@ def _judge(
     named = [{"scene": terrain, "controller": source.label(), **row} for row in rows]
     if baseline:
         other = _play(config, baseline, f"{terrain}, {baseline.label()}")
-        measures = ("t_cost", "pitch_variation", "pitch_variation_100hz")
         scene["baseline"] = {
             "controller": baseline.label(),
             **scene_summary(terrain, other),
-            "difference": {name: paired(rows, other, name) for name in measures},
+            "difference": differences(rows, other),
         }
         named += [{"scene": terrain, "controller": baseline.label(), **row} for row in other]
     document["scenes"].append(scene)
@@ -241,16 +240,22 @@ def _comparison(document: dict[str, Any], baseline: str) -> Table:
     for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
         table.add_column(escape(heading))
     for scene in document["scenes"]:
-        difference = scene["baseline"]["difference"]
-        pairs = (difference["pitch_variation"] or {}).get("episodes", 0)
-        table.add_row(
-            scene["terrain"],
-            str(pairs),
-            _shown(scene["baseline"]["success"], 3),
-            _shown(difference["t_cost"], 1),
-            _shown(difference["pitch_variation"]),
-        )
+        other = scene["baseline"]
+        table.add_row(*_difference_cells(scene["terrain"], other, other["difference"]))
+        for label, part in other["difference"].get("parts", {}).items():
+            cells = _difference_cells(f"  {label}", other["parts"][label], part)
+            table.add_row(*cells, style="dim")
     return table
+
+
+def _difference_cells(name: str, other: dict[str, Any], difference: dict[str, Any]) -> list[str]:
+    return [
+        name,
+        str((difference["pitch_variation"] or {}).get("episodes", 0)),
+        _shown(other["success"], 3),
+        _shown(difference["t_cost"], 1),
+        _shown(difference["pitch_variation"]),
+    ]
 
 
 def _shown(found: dict[str, float] | None, digits: int = 2) -> str:

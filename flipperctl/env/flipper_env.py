@@ -7,6 +7,7 @@ transition → reward terms.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
+    MEMORY,
     Outcome,
     Perception,
     Profile,
@@ -117,6 +119,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self.state)
+        self._recent: deque[Observation] = deque(maxlen=MEMORY)
         self.perception = self._perceive(self.drive.seen)
         return self.perception.observation, {}
 
@@ -198,9 +201,18 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         observation = np.empty(self.layout.size, dtype=np.float32)
         observation[: self.layout.bins] = self._sensor.heights(points)
         observation[self.layout.bins :] = angles
+        self._recent.append(observation)
         front, rear, pitch = angles.tolist()
         return Perception(
-            observation, points, pitch, front, rear, self.robot, self.layout, self._controller_rng
+            observation,
+            points,
+            pitch,
+            front,
+            rear,
+            self.robot,
+            self.layout,
+            self._controller_rng,
+            tuple(self._recent),
         )
 
     @property

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.agent.frames import stacked
 from flipperctl.env.flipper_env import FlipperEnv
 
 Weights = Mapping[str, NDArray[Any]]
@@ -28,7 +29,7 @@ Judged = Callable[[], list[Row] | None]
 
 @dataclass(frozen=True)
 class Step:
-    """One decision."""
+    """One decision; observations are what the network sees, (frames · (N + 3),)."""
 
     observation: NDArray[np.float32]
     action: int
@@ -61,7 +62,7 @@ class Played:
     """An episode that a worker played, T decisions long."""
 
     observations: NDArray[np.float32]
-    """(T + 1, N + 3)"""
+    """(T + 1, frames · (N + 3))"""
     actions: NDArray[np.int64]
     """(T,)"""
     rewards: NDArray[np.float64]
@@ -125,19 +126,23 @@ class InProcess:
         env: FlipperEnv,
         act: Callable[[NDArray[np.float32]], int],
         next_seed: Callable[[], int],
-        difficulty: Callable[[], float],
+        difficulty: Callable[[], float] = lambda: 1.0,
+        frames: int = 1,
     ) -> None:
-        self._env, self._act = env, act
+        """``frames``: observations that ``act`` takes in at once."""
+        self._env, self._act, self._frames = env, act, frames
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
         """Each decision is made when it is asked for."""
         seed, difficulty = self._next_seed(), self._difficulty()
-        observation, _ = self._env.reset(seed=seed, options={"difficulty": difficulty})
+        self._env.reset(seed=seed, options={"difficulty": difficulty})
+        observation = stacked(self._env.perception.recent, self._frames)
         ending: Row | None = None
         while ending is None:
             action = self._act(observation)
-            following, reward, terminated, truncated, info = self._env.step(action)
+            _, reward, terminated, truncated, info = self._env.step(action)
+            following = stacked(self._env.perception.recent, self._frames)
             if terminated or truncated:
                 ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
                 ending["difficulty"] = difficulty

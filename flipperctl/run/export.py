@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl import __version__
+from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
@@ -74,6 +75,7 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
         "observation": observation_layout(layout),
         "bins": layout.bins,
         "bin_width": layout.bin_width,
+        "frames": config.network.frames,
         "actions": table,
         "decision_period": robot.decision_period,
         "robot": geometry,
@@ -110,23 +112,23 @@ def observation_layout(layout: ObservationLayout) -> list[dict[str, str]]:
 
 
 class _Recorder(QPolicy):
-    """Acts like the policy and notes what it sees."""
+    """Acts like the policy and notes what its network sees."""
 
-    def __init__(self, module: torch.nn.Module) -> None:
-        super().__init__(module)
+    def __init__(self, module: torch.nn.Module, frames: int) -> None:
+        super().__init__(module, frames)
         self.seen: list[NDArray[np.float32]] = []
 
     def act(self, p: Perception) -> int:
-        self.seen.append(p.observation)
+        self.seen.append(stacked(p.recent, self.frames))
         return super().act(p)
 
 
 def rollout_observations(
     config: TrainConfig, module: torch.nn.Module, count: int
 ) -> NDArray[np.float32]:
-    """At least ``count`` observations of the policy's own episodes, (M, N + 3)."""
+    """What the network sees in its own episodes, ``count`` times or more: (M, F · (N + 3))."""
     env = FlipperEnv(config=config.environment())
-    recorder = _Recorder(module)
+    recorder = _Recorder(module, config.network.frames)
     episode = 0
     while len(recorder.seen) < count:
         play(env, recorder, episode_seed("evaluation", config.seed, episode))
@@ -192,7 +194,7 @@ def _onnx(
 ) -> tuple[bytes, Run]:
     onnx, runtime = (_extra(name) for name in ("onnx", "onnxruntime"))
     _extra("onnxscript")
-    example = torch.zeros(2, config.perception.size)
+    example = torch.zeros(2, input_size(config.network, config.perception))
     with _quiet():
         program = torch.onnx.export(
             module,
@@ -224,7 +226,7 @@ def _onnx(
 def _pt2(
     module: torch.nn.Module, config: TrainConfig, details: dict[str, str]
 ) -> tuple[bytes, Run]:
-    example = torch.zeros(2, config.perception.size)
+    example = torch.zeros(2, input_size(config.network, config.perception))
     program = torch.export.export(
         module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
     )

@@ -21,7 +21,8 @@ class ExportedPolicy:
         self.interface = self._policy.interface
 
     def begin(self, simulator: Simulator) -> None:
-        """Nothing: a policy knows only what it perceives."""
+        """Forget the observations of the episode before."""
+        self._policy.reset()
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""

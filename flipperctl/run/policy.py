@@ -10,6 +10,7 @@ import torch
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Simulator
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
@@ -27,10 +28,12 @@ class Acts(Protocol):
 
 
 class QPolicy:
-    """Greedy in the Q-values of a network."""
+    """Greedy in the Q-values of a network, which is in ``eval()`` mode."""
 
-    def __init__(self, module: torch.nn.Module) -> None:
+    def __init__(self, module: torch.nn.Module, frames: int = 1) -> None:
+        """``frames``: observations that the network takes in at once."""
         self.module = module
+        self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
@@ -39,7 +42,7 @@ class QPolicy:
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""
-        return greedy(self.module, p.observation, self._device)
+        return greedy(self.module, stacked(p.recent, self.frames), self._device)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
@@ -102,5 +105,6 @@ def _opened(file: Path) -> tuple[int, float, Acts]:
         exported = ExportedPolicy(file)
         return exported.interface.bins, exported.interface.bin_width, exported
     checkpoint = read(file)
-    layout = checkpoint.config().perception
-    return layout.bins, layout.bin_width, QPolicy(policy_module(checkpoint))
+    config = checkpoint.config()
+    policy = QPolicy(policy_module(checkpoint), config.network.frames)
+    return config.perception.bins, config.perception.bin_width, policy

@@ -13,6 +13,8 @@ from flipperctl.api import Outcome
 RESAMPLES = 10_000
 REACHED_ONLY = ("t_cost", "pitch_variation", "pitch_variation_100hz", "flipper_travel")
 """Measures that say something only of episodes that reached the finish."""
+PAIRED = ("t_cost", "pitch_variation", "pitch_variation_100hz")
+"""Measures that are compared draw by draw."""
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -44,12 +46,16 @@ def scene_summary(terrain: str, rows: Rows) -> dict[str, Any]:
 
     Where more than one kind of terrain was drawn, ``parts`` has the summary of each by its label.
     """
-    labels = sorted({str(row["terrain"]) for row in rows})
     summary = _summary(terrain, rows)
-    if len(labels) > 1:
-        of = {label: [row for row in rows if row["terrain"] == label] for label in labels}
-        summary["parts"] = {label: _summary(label, part) for label, part in of.items()}
+    if len(groups := _by_label(rows)) > 1:
+        summary["parts"] = {label: _summary(label, part) for label, part in groups.items()}
     return summary
+
+
+def _by_label(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
+    """The rows of each kind of terrain that was drawn."""
+    labels = sorted({str(row["terrain"]) for row in rows})
+    return {label: [row for row in rows if row["terrain"] == label] for label in labels}
 
 
 def _summary(terrain: str, rows: Rows) -> dict[str, Any]:
@@ -72,6 +78,17 @@ def _summary(terrain: str, rows: Rows) -> dict[str, Any]:
 def _measure(values: Sequence[float]) -> dict[str, float] | None:
     found = interval(values)
     return found and {**found, "range": float(max(values) - min(values))}
+
+
+def differences(rows: Rows, others: Rows) -> dict[str, Any]:
+    """``paired`` for each of the paper's measures; of a mix also ``parts``, by label."""
+    found: dict[str, Any] = {name: paired(rows, others, name) for name in PAIRED}
+    if len(groups := _by_label(rows)) > 1:
+        found["parts"] = {
+            label: {name: paired(part, others, name) for name in PAIRED}
+            for label, part in groups.items()
+        }
+    return found
 
 
 def paired(rows: Rows, others: Rows, name: str) -> dict[str, Any] | None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
@@ -66,10 +67,12 @@ class Trainer:
             seed=int(init.generate_state(1)[0]),
             device=config.device,
         )
-        self.replay = Replay(agent.replay_size, layout.size, agent.n_step, agent.gamma)
+        size = input_size(config.network, layout)
+        self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma)
         self._generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
+            "noise": self.agent.noise_rng,
         }
         self.decision = 0
         self.episode = 0
@@ -137,7 +140,8 @@ class Trainer:
         config = self.config
         if config.train.mode == "exact":
             env = FlipperEnv(config=config.environment())
-            return InProcess(env, self._act, self._next_seed, lambda: self.difficulty)
+            frames = config.network.frames
+            return InProcess(env, self._act, self._next_seed, lambda: self.difficulty, frames)
         document, paths = container(config), plugins.given()
         crew: Crew
         if config.collector.name == "ray":
@@ -213,10 +217,11 @@ class Trainer:
             episode_seed("validation", settings.validation_seed, index)
             for index in range(settings.validation_episodes)
         ]
-        policy = QPolicy(self.agent.policy)
 
         def own(seeds: Sequence[int]) -> list[Row]:
-            return [play(self._validation_env, policy, seed) for seed in seeds]
+            with self.agent.judged() as module:
+                policy = QPolicy(module, self.config.network.frames)
+                return [play(self._validation_env, policy, seed) for seed in seeds]
 
         rows = collector.judge(arrays(self.agent.policy), stream, own)
         good = reached(rows)
@@ -308,8 +313,8 @@ class Trainer:
         self.agent.restore(saved.tensors, state["updates"])
         arrays = {name: tensor.numpy() for name, tensor in saved.part("replay").items()}
         self.replay.restore(arrays, state["replay_added"])
-        for name, generator in self._generators.items():
-            generator.bit_generator.state = state["generators"][name]
+        for name, generator in state["generators"].items():
+            self._generators[name].bit_generator.state = generator
         self.decision, self.episode = state["decision"], state["episode"]
         self.started, self.lost = state["started"], state["lost"]
         self.updates = state["updates"]

@@ -46,6 +46,8 @@ class Interface:
     """N, terrain heights in an observation."""
     bin_width: float
     """Width of a bin [m]."""
+    frames: int
+    """The newest observations that the network takes in at once, oldest first."""
     actions: NDArray[np.float64]
     """(9, 2) by which each action turns the front and the rear flippers [rad]."""
     decision_period: float
@@ -61,8 +63,13 @@ class Interface:
 
     @property
     def size(self) -> int:
-        """Length of an observation."""
+        """Length of one observation."""
         return len(self.observation)
+
+    @property
+    def inputs(self) -> int:
+        """Length of what the network takes in at once: frames · (N + 3)."""
+        return self.frames * self.size
 
 
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
@@ -82,8 +89,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"this version of flipperctl reads {FORMAT_VERSION}"
         )
 
-    def entry(name: str, allowed: str, check: Callable[[Any], bool]) -> Any:
-        text = metadata.get(f"{PREFIX}{name}", "")
+    def entry(name: str, allowed: str, check: Callable[[Any], bool], absent: str = "") -> Any:
+        text = metadata.get(f"{PREFIX}{name}", absent)
         try:
             value = json.loads(text)
         except ValueError:
@@ -94,7 +101,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             )
         return value
 
-    bins = entry("bins", "a whole number above 0", lambda v: isinstance(v, int) and v > 0)
+    bins = entry("bins", "a whole number above 0", _is_count)
     size = bins + ANGLES
     keys = set(Quantity.__dataclass_fields__)
     observation = entry(
@@ -118,6 +125,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
         bin_width=entry("bin_width", "a length above 0", _is_positive),
+        frames=entry("frames", "a whole number above 0", _is_count, absent="1"),
         actions=actions,
         decision_period=entry("decision_period", "a time above 0", _is_positive),
         robot=MappingProxyType(robot),
@@ -125,6 +133,10 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         seed=entry("seed", "a whole number", lambda v: isinstance(v, int)),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
     )
+
+
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and value > 0
 
 
 def _is_number(value: object) -> bool:

@@ -24,6 +24,9 @@ INPUT, OUTPUT = "observation", "q_values"
 class OnnxPolicy:
     """An exported policy, ready to decide; for one thread at a time.
 
+    A policy that sees several observations at once (``interface.frames``) keeps those before the
+    newest itself: ``reset`` begins an episode.
+
     Raises:
         MissingExtraError: onnxruntime is not installed.
         PolicyError: the file is missing, no ONNX model, or not one that flipperctl exported.
@@ -35,18 +38,25 @@ class OnnxPolicy:
         self._session = _open(self.path)
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.interface = read_interface(metadata, str(self.path))
-        size = self.interface.size
+        size = self.interface.inputs
         _check_shapes(self._session, size, str(self.path))
         # Bound once: a decision then takes 10.5 µs inside onnxruntime, by session.run 12.9 µs,
         # with OrtValues 46 µs (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
         self._output = np.zeros((1, ACTIONS), np.float32)
-        self._row, self._q = self._input[0], self._output[0]
+        self._frames = self._input.reshape(self.interface.frames, -1)
+        self._row, self._q = self._frames[-1], self._output[0]
+        self._stacks, self._begins = len(self._frames) > 1, True
         self._bound = self._session.io_binding()
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, ACTIONS), pointers[1])
-        self.act(np.zeros(size))  # the first run allocates
+        self.act(np.zeros(self.interface.size))  # the first run allocates
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode: the next observation stands in for those before it."""
+        self._begins = True
 
     def act(self, observation: ArrayLike) -> int:
         """The index of the largest Q-value: a row of ``interface.actions``.
@@ -60,6 +70,9 @@ class OnnxPolicy:
         array = self._numbers(observation)
         if array.shape != self._row.shape:
             raise self._refused(array, f"({self.interface.size},)")
+        if self._stacks:
+            self._frames[:-1] = array if self._begins else self._frames[1:]
+            self._begins = False
         self._row[...] = array
         self._session.run_with_iobinding(self._bound)
         action = int(self._q.argmax())
@@ -68,14 +81,17 @@ class OnnxPolicy:
         return action
 
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Q-values, (9,) of one observation (N + 3,) or (B, 9) of a batch (B, N + 3).
+        """Q-values, (9,) of one input (frames · (N + 3),) or (B, 9) of a batch of B.
+
+        An input is one observation or, above one frame, several, oldest first; what ``act`` has
+        seen plays no part.
 
         Raises:
             PolicyError: the observation has another shape, or is not numbers.
             NonFiniteError: the observation or a Q-value is NaN or infinite.
         """
         array = self._numbers(observation)
-        size = self.interface.size
+        size = self.interface.inputs
         if array.ndim not in (1, 2) or array.shape[-1] != size:
             raise self._refused(array, f"({size},) or (B, {size})")
         batch = np.ascontiguousarray(array.reshape(-1, size))
@@ -91,8 +107,9 @@ class OnnxPolicy:
             raise PolicyError(f"{self.path}: the observation is not numbers: {error}") from error
         if not np.isfinite(array).all():
             index = np.argwhere(~np.isfinite(array))[0]
-            known = array.ndim and array.shape[-1] == self.interface.size
-            name = self.interface.observation[index[-1]].name if known else "?"
+            size = self.interface.size
+            known = array.ndim and array.shape[-1] in (size, self.interface.inputs)
+            name = self.interface.observation[index[-1] % size].name if known else "?"
             raise NonFiniteError(
                 f"{self.path}: observation{index.tolist()} ({name}) is {array[tuple(index)]}; "
                 "finite numbers are allowed"
@@ -103,6 +120,7 @@ class OnnxPolicy:
         return PolicyError(
             f"{self.path}: the observation has shape {array.shape}; {allowed} is allowed: "
             f"{self.interface.bins} terrain heights and {ANGLES} angles"
+            f"{', of each frame' if self._stacks else ''}"
         )
 
     def _not_finite(self, values: NDArray[np.float32]) -> NonFiniteError:

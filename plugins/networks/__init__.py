@@ -1,5 +1,13 @@
 """Built-in Q-networks; torch is imported only when one is built."""
 
-from flipperctl_plugins.networks import at_d3qn, dueling_mlp, mlp
+from flipperctl_plugins.networks import (
+    at_d3qn,
+    conv,
+    dueling_mlp,
+    mlp,
+    noisy,
+    quantile,
+    stacked,
+)
 
-__all__ = ["at_d3qn", "dueling_mlp", "mlp"]
+__all__ = ["at_d3qn", "conv", "dueling_mlp", "mlp", "noisy", "quantile", "stacked"]

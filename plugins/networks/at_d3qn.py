@@ -24,11 +24,12 @@ class AtD3qn(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import Dueling, Fusion, Normalise
+        from flipperctl_plugins.networks.modules import Dueling, Fusion, Normalise, perceptron
         from torch import nn
 
+        terrain = perceptron((layout.bins, *self.terrain))
         return nn.Sequential(
             Normalise(layout),
-            Fusion(layout, self.terrain, self.fused),
+            Fusion(layout, terrain, self.terrain[-1], self.fused),
             Dueling(self.fused, self.head, n_actions),
         )

@@ -1,8 +1,10 @@
 """torch modules that the built-in networks are made of; imported only inside ``build``."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -11,36 +13,44 @@ from flipperctl.api import ObservationLayout
 SLOPE = 0.01
 """Of the Leaky ReLU on the negative side."""
 
+Linear = Callable[[int, int], nn.Module]
+"""Makes a linear layer of so many inputs and outputs."""
+
 
 class Normalise(nn.Module):
-    """Divides each number by its typical magnitude, (B, N + 3) SI → (B, N + 3) of order one."""
+    """Divides each number by its typical magnitude, (B, F·(N + 3)) SI → the same of order one."""
 
     scale: torch.Tensor
 
-    def __init__(self, layout: ObservationLayout) -> None:
+    def __init__(self, layout: ObservationLayout, frames: int = 1) -> None:
         super().__init__()
-        self.register_buffer("scale", torch.tensor(layout.scale, dtype=torch.float32))
+        scale = torch.tensor(np.tile(layout.scale, frames), dtype=torch.float32)
+        self.register_buffer("scale", scale)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, N + 3) → (B, N + 3)."""
+        """(B, F·(N + 3)) → (B, F·(N + 3))."""
         return observation / self.scale
 
 
-def perceptron(sizes: Sequence[int]) -> nn.Sequential:
+def perceptron(sizes: Sequence[int], linear: Linear = nn.Linear) -> nn.Sequential:
     """Linear layers of the given widths, each followed by a Leaky ReLU."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
+        layers += [linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
     return nn.Sequential(*layers)
 
 
 class Dueling(nn.Module):
     """Value and advantage heads: Q = V + A - mean A (Wang et al. 2016, Eq. 9)."""
 
-    def __init__(self, features: int, hidden: int, n_actions: int) -> None:
+    def __init__(
+        self, features: int, hidden: int, n_actions: int, linear: Linear = nn.Linear
+    ) -> None:
         super().__init__()
-        self.value = nn.Sequential(perceptron((features, hidden)), nn.Linear(hidden, 1))
-        self.advantage = nn.Sequential(perceptron((features, hidden)), nn.Linear(hidden, n_actions))
+        self.value = nn.Sequential(perceptron((features, hidden), linear), linear(hidden, 1))
+        self.advantage = nn.Sequential(
+            perceptron((features, hidden), linear), linear(hidden, n_actions)
+        )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """(B, features) → (B, n_actions)."""
@@ -49,17 +59,97 @@ class Dueling(nn.Module):
         return q
 
 
+class DuelingQuantiles(nn.Module):
+    """Dueling heads for K quantiles of each action's return, behind a front end."""
+
+    def __init__(
+        self, front: nn.Module, features: int, hidden: int, n_actions: int, count: int
+    ) -> None:
+        """``front``: (B, …) → (B, features); ``count``: K."""
+        super().__init__()
+        self.front = front
+        self.value = nn.Sequential(perceptron((features, hidden)), nn.Linear(hidden, count))
+        self.advantage = nn.Sequential(
+            perceptron((features, hidden)),
+            nn.Linear(hidden, n_actions * count),
+            nn.Unflatten(1, (n_actions, count)),
+        )
+
+    def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, …) → (B, n_actions, K)."""
+        features = self.front(observation)
+        advantage = self.advantage(features)
+        value = self.value(features).unsqueeze(1)  # (B, 1, K)
+        z: torch.Tensor = value + advantage - advantage.mean(dim=1, keepdim=True)
+        return z
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """(B, …) → Q (B, n_actions), the means."""
+        return self.quantiles(observation).mean(dim=2)
+
+
 class Fusion(nn.Module):
     """Terrain features joined with the robot's own angles (paper Fig. 4, left)."""
 
-    def __init__(self, layout: ObservationLayout, terrain: Sequence[int], fused: int) -> None:
+    def __init__(
+        self, layout: ObservationLayout, terrain: nn.Module, features: int, fused: int
+    ) -> None:
+        """``terrain``: (B, N) → (B, features)."""
         super().__init__()
         self.bins = layout.bins
-        self.terrain = perceptron((layout.bins, *terrain))
-        self.joined = perceptron((terrain[-1] + 3, fused))
+        self.terrain = terrain
+        self.joined = perceptron((features + 3, fused))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """(B, N + 3) → S′ (B, fused)."""
         heights, robot = observation[:, : self.bins], observation[:, self.bins :]
         features: torch.Tensor = self.joined(torch.cat([self.terrain(heights), robot], dim=1))
         return features
+
+
+class NoisyLinear(nn.Module):
+    """A linear layer whose weights carry learnt, factorised Gaussian noise in ``train()`` mode.
+
+    w = μ + σ · f(ε_out) f(ε_in)ᵀ with f(ε) = sign(ε) √|ε| (Fortunato et al. 2018, Eqs. 9 to 11).
+    """
+
+    noise_in: torch.Tensor
+    noise_out: torch.Tensor
+
+    def __init__(self, inputs: int, outputs: int, sigma: float = 0.5) -> None:
+        """``sigma``: σ₀, the noise at the start."""
+        super().__init__()
+        self.mean = nn.Linear(inputs, outputs)
+        self.sigma = nn.Linear(inputs, outputs)
+        for parameter in self.sigma.parameters():
+            nn.init.constant_(parameter, sigma / math.sqrt(inputs))
+        self.register_buffer("noise_in", torch.randn(inputs), persistent=False)
+        self.register_buffer("noise_out", torch.randn(outputs), persistent=False)
+
+    def draw_noise(self, rng: np.random.Generator) -> None:
+        """Take new noise."""
+        for noise in (self.noise_in, self.noise_out):
+            drawn = rng.standard_normal(len(noise), dtype=np.float32)
+            noise.copy_(torch.from_numpy(np.copysign(np.sqrt(np.abs(drawn)), drawn)))
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """(B, inputs) → (B, outputs)."""
+        mean: torch.Tensor = self.mean(features)
+        if not self.training:
+            return mean
+        noise: torch.Tensor = self.noise_out * self.sigma(features * self.noise_in)
+        return mean + noise
+
+
+class Motion(nn.Module):
+    """(B, F·n), oldest first → the newest n numbers and the F - 1 changes before, (B, F·n)."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__()
+        self.frames = frames
+
+    def forward(self, stacked: torch.Tensor) -> torch.Tensor:
+        """(B, F·n) → (B, F·n)."""
+        frames = stacked.view(-1, self.frames, stacked.shape[1] // self.frames)
+        changes = frames[:, 1:] - frames[:, :-1]
+        return torch.cat([frames[:, -1], changes.flatten(1)], dim=1)

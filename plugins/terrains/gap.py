@@ -11,8 +11,8 @@ from flipperctl.api import Profile, terrain
 class Gap(Drawn):
     """A trench with vertical walls, narrower than the robot with its flippers laid out."""
 
-    width_low: float = Field(0.2, gt=0, le=3, description="narrowest trench [m]")
-    width_high: float = Field(0.6, gt=0, le=3, description="widest trench [m]")
+    width_low: float = Field(0.3, gt=0, le=3, description="narrowest trench [m]")
+    width_high: float = Field(0.8, gt=0, le=3, description="widest trench [m]")
     depth_low: float = Field(0.2, gt=0, le=3, description="shallowest trench [m]")
     depth_high: float = Field(0.5, gt=0, le=3, description="deepest trench [m]")
 

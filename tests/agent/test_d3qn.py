@@ -37,6 +37,11 @@ class Foreign(Network):
 
     plugin_name: ClassVar[str] = "foreign"
     module: Any
+    window: int = 1
+
+    @property
+    def frames(self) -> int:
+        return self.window
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Anything."""
@@ -58,20 +63,27 @@ def not_a_number() -> torch.nn.Module:
     return layer
 
 
+class Odd(torch.nn.Linear):
+    """One quantile an action, but flat."""
+
+    def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
+        return self(observation)
+
+
 def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
     built = plugins.create("network", network, "network")
     assert isinstance(built, Network)
     return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
 
 
-def fixed_batch(size: int = 64) -> Batch:
+def fixed_batch(size: int = 64, frames: int = 1) -> Batch:
     generator = torch.Generator().manual_seed(0)
     draw = {"generator": generator}
     return Batch(
-        observation=torch.randn(size, LAYOUT.size, **draw),
+        observation=torch.randn(size, frames * LAYOUT.size, **draw),
         action=torch.arange(size) % ACTIONS,
         reward=torch.randn(size, **draw),
-        next_observation=torch.randn(size, LAYOUT.size, **draw),
+        next_observation=torch.randn(size, frames * LAYOUT.size, **draw),
         discount=torch.full((size,), 0.5),
     )
 
@@ -118,7 +130,9 @@ def test_the_loss_of_one_decision_by_hand() -> None:
 def test_an_update_moves_every_parameter(network: str) -> None:
     agent = learner(network)
     before = weights(agent)
-    agent.update(fixed_batch(), 0.0)
+    made = plugins.create("network", network, "network")
+    assert isinstance(made, Network)
+    agent.update(fixed_batch(frames=made.frames), 0.0)
     still = [name for name, now in weights(agent).items() if torch.equal(now, before[name])]
     assert still == []
 
@@ -208,9 +222,50 @@ def test_a_loss_that_is_not_finite_is_an_error() -> None:
         (torch.nn.LSTM(18, 9), "the output is tuple"),
         (len, "must return a torch module; got builtin_function_or_method"),
         (not_a_number(), "finite"),
+        (Odd(18, 9), r"must give quantiles \(2, 9, K\); they are \(2, 9\)"),
     ],
-    ids=["too few actions", "flat", "too few inputs", "tuple", "no module", "nan"],
+    ids=["too few actions", "flat", "too few inputs", "tuple", "no module", "nan", "quantiles"],
 )
 def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
     with pytest.raises(ConfigError, match="network 'foreign'.*" + text):
         D3qn(Foreign(module=module), LAYOUT, ACTIONS, Agent(), seed=0)
+
+
+def test_a_network_that_sees_too_much_at_once_is_named() -> None:
+    for frames in (0, 33):
+        with pytest.raises(ConfigError, match=f"frames is {frames}; 1 to 32 is allowed"):
+            D3qn(Foreign(module=None, window=frames), LAYOUT, ACTIONS, Agent(), seed=0)
+
+
+def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
+    agent, batch = learner("quantile", reward_scale=1.0, target_rate=1e-6), fixed_batch()
+    before = agent.online(batch.observation).detach()
+    batch = dataclasses.replace(batch, discount=torch.zeros(64))
+    for _ in range(150):
+        agent.update(batch, 0.0)
+    rows, after = torch.arange(64), agent.online(batch.observation).detach()
+
+    def off(values: torch.Tensor) -> float:
+        return float((values[rows, batch.action] - batch.reward).abs().mean())
+
+    assert off(after) < off(before) / 5
+
+
+def test_noise_explores_without_epsilon_and_rests_while_the_policy_is_judged() -> None:
+    agent, rng = learner("noisy", act_with="online"), np.random.default_rng(0)
+    observation = np.zeros(LAYOUT.size, np.float32)
+    assert len({agent.act(observation, 0.0, rng) for _ in range(50)}) > 1
+    row = torch.zeros(1, LAYOUT.size)
+    with agent.judged() as policy:
+        first = policy(row)
+        agent.act(observation, 0.0, rng)
+        assert torch.equal(policy(row), first)
+    assert not torch.equal(agent.online(row), first)
+
+
+def test_each_update_draws_new_noise_from_the_learner_s_seed() -> None:
+    agents = [learner("noisy", seed=4) for _ in range(2)]
+    losses = [[agent.update(fixed_batch(), 0.0) for _ in range(2)] for agent in agents]
+    assert losses[0] == losses[1]
+    agents[0].noise_rng.random()
+    assert agents[0].update(fixed_batch(), 0.0) != agents[1].update(fixed_batch(), 0.0)

@@ -3,7 +3,12 @@
 import pytest
 import torch
 
-from flipperctl.agent.losses import double_q_target, huber
+from flipperctl.agent.losses import (
+    double_q_target,
+    double_quantile_target,
+    huber,
+    quantile_huber,
+)
 from flipperctl.agent.schedules import linear
 
 
@@ -24,6 +29,38 @@ def test_the_loss_is_quadratic_near_zero_and_linear_far_out() -> None:
     # (0.5² / 2 + (3 - 1/2)) / 2 = (0.125 + 2.5) / 2
     loss = huber(torch.tensor([0.5, 3.0]), torch.zeros(2))
     assert loss.item() == pytest.approx(1.3125)
+
+
+def test_the_distribution_of_the_online_network_s_choice_is_scaled_and_shifted() -> None:
+    target = torch.tensor([[[0.0, 2.0], [4.0, 8.0]], [[1.0, 1.0], [9.0, 9.0]]])
+    found = double_quantile_target(
+        reward=torch.tensor([1.0, -2.0]),
+        discount=torch.tensor([0.5, 0.0]),
+        next_online=torch.tensor([[1.0, 3.0], [0.0, -1.0]]),
+        next_target=target,
+    )
+    # 1 + 0.5 · (4, 8); the episode ended in the other
+    assert found.tolist() == [[3.0, 5.0], [-2.0, -2.0]]
+
+
+def test_the_quantile_loss_by_hand() -> None:
+    # Quantiles 0 and 2 at τ = ¼ and ¾; values 1 and 4. Huber of the errors 1, 4 and -1, 2:
+    # ½, 3½ and ½, 1½; weights ¼, ¼ (too low) and |¾ - 1| = ¼ (too high), ¾.
+    # (¼ · ½ + ¼ · 3½) / 2 + (¼ · ½ + ¾ · 1½) / 2 = ½ + 0.625
+    loss = quantile_huber(torch.tensor([[0.0, 2.0]]), torch.tensor([[1.0, 4.0]]))
+    assert loss.item() == pytest.approx(1.125)
+
+
+def test_the_quantile_loss_is_least_at_the_quantiles() -> None:
+    values = torch.linspace(-50, 50, 1001).unsqueeze(0)  # so wide that the threshold hardly counts
+    found = torch.zeros(1, 4, requires_grad=True)
+    optimiser = torch.optim.SGD([found], lr=20.0)
+    for _ in range(300):
+        optimiser.zero_grad()
+        quantile_huber(found, values).backward()
+        optimiser.step()
+    # Quantiles of the uniform distribution at 1/8, 3/8, 5/8, 7/8
+    assert found.detach().squeeze().tolist() == pytest.approx([-37.5, -12.5, 12.5, 37.5], abs=0.5)
 
 
 @pytest.mark.parametrize(

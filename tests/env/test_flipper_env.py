@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
+    MEMORY,
     Outcome,
     Profile,
     RewardTerm,
@@ -43,6 +44,17 @@ def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, 
         steps.append(env.step(chosen.act(env.perception)))
         if steps[-1][2] or steps[-1][3]:
             return steps
+
+
+def test_a_perception_remembers_its_episode_and_no_other() -> None:
+    env = FlipperEnv("flat")
+    for seed in (0, 1):
+        seen = [env.reset(seed=seed)[0]]
+        assert len(env.perception.recent) == 1
+        seen += [env.step(HOLD)[0] for _ in range(MEMORY + 1 if seed else 5)]
+        recent = env.perception.recent
+        assert np.array_equal(recent, seen[-MEMORY:])
+        assert recent[-1] is env.perception.observation
 
 
 # Gymnasium

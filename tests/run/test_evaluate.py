@@ -14,7 +14,7 @@ from flipperctl.run.evaluate import evaluate
 from flipperctl.run.policy import ControllerSource
 from flipperctl.run.processes import Workers
 from flipperctl.run.seeds import episode_seed
-from flipperctl.run.statistics import interval, paired, scene_summary
+from flipperctl.run.statistics import differences, interval, paired, scene_summary
 
 OKADA = ControllerSource(settings={"name": "okada"})
 
@@ -123,7 +123,22 @@ def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:
 
 def test_every_controller_has_a_source() -> None:
     for name in plugins.names("controller"):
-        source = ControllerSource(settings={"name": name})
+        little = {"budget": 50} if name == "planner" else {}
+        source = ControllerSource(settings={"name": name, **little})
         assert source.label() == name
         rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
         assert len(rows) == 1
+
+
+def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
+    labels = ("gap", "gap", "wave")
+    ours, theirs = (
+        [row(i, "reached", v, t) for i, (v, t) in enumerate(zip(values, labels, strict=True))]
+        for values in ((1.0, 2.0, 3.0), (2.0, 3.0, 9.0))
+    )
+    found = differences(ours, theirs)
+    assert found["pitch_variation"]["mean"] == pytest.approx((-1 - 1 - 6) / 3)
+    gap, wave = (found["parts"][label]["pitch_variation"] for label in ("gap", "wave"))
+    assert (gap["mean"], gap["episodes"]) == (-1.0, 2)
+    assert (wave["mean"], wave["episodes"]) == (-6.0, 1)
+    assert "parts" not in differences(ours[:2], theirs[:2])

@@ -13,6 +13,7 @@ from tests.runtime.linear import METADATA, write
 def test_a_file_says_what_it_takes_and_gives(tmp_path: Path) -> None:
     says = OnnxPolicy(write(tmp_path / "p.onnx")).interface
     assert (says.size, says.bins, says.bin_width) == (18, 15, 0.15)
+    assert (says.frames, says.inputs) == (1, 18)  # where the metadata say nothing of frames
     assert [q.name for q in says.observation[14:]] == ["h_15", "theta_f1", "theta_f2", "theta_R"]
     assert says.observation[15].unit == "rad"
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
@@ -46,6 +47,8 @@ def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
         ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),
         ({"bin_width": -0.15}, r"flipperctl\.bin_width is '-0\.15'.*above 0"),
+        ({"frames": 0}, r"flipperctl\.frames is '0'.*a whole number above 0"),
+        ({"frames": 2}, r"observation tensor\(float\) \['batch', 18\].*\[batch, 36\]"),
         ({"decision_period": "soon"}, r"flipperctl\.decision_period is 'soon'"),
         ({"decision_period": math.nan}, r"flipperctl\.decision_period is 'NaN'"),
         ({"actions": [[0.0, 0.1]] * 8}, r"flipperctl\.actions is .*9 pairs of angles"),

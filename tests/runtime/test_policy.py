@@ -10,7 +10,7 @@ import pytest
 
 from flipperctl.errors import MissingExtraError, NonFiniteError, PolicyError
 from flipperctl.runtime import OnnxPolicy
-from tests.runtime.linear import write
+from tests.runtime.linear import METADATA, write
 
 
 @pytest.fixture
@@ -68,6 +68,28 @@ def test_an_observation_that_is_not_finite_is_named(policy: OnnxPolicy, bad: flo
     with pytest.raises(NonFiniteError, match=r"observation\[1, 16\] \(theta_f2\)"):
         policy.q_values([observation(4), wrong])
     assert policy.act(observation(5)) == 5  # and the next decision is as good as ever
+
+
+def test_a_policy_of_several_frames_keeps_the_observations_before(tmp_path: Path) -> None:
+    # 9 heights and angles of 3 frames; its Q-values are the first 9 numbers: the oldest frame
+    entries = METADATA["observation"][:6] + METADATA["observation"][-3:]
+    path = write(tmp_path / "p.onnx", size=27, bins=6, observation=entries, frames=3)
+    policy = OnnxPolicy(path)
+    assert (policy.interface.size, policy.interface.frames, policy.interface.inputs) == (9, 3, 27)
+
+    def seen(*highest: int) -> list[int]:
+        return [policy.act(np.eye(9)[a]) for a in highest]
+
+    assert seen(4, 5, 6, 7) == [4, 4, 4, 5]  # the first stands in for those before it
+    assert seen(8) == [6]
+    policy.reset()
+    assert seen(2, 1, 0, 3) == [2, 2, 2, 1]
+    with pytest.raises(NonFiniteError, match=r"observation\[7\] \(theta_f2\) is nan"):
+        policy.act(np.where(np.arange(9) == 7, np.nan, 0.0))
+    assert seen(8) == [0]  # what was refused was not seen
+    with pytest.raises(PolicyError, match=r"\(27,\) or \(B, 27\) is allowed: 6 .* of each frame"):
+        policy.q_values(np.zeros(9))
+    assert policy.q_values(np.arange(27.0)).tolist() == list(range(9))
 
 
 def test_what_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:

@@ -1,0 +1,28 @@
+"""Networks that explore by noise of their own (Fortunato et al. 2018)."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+
+
+@runtime_checkable
+class Noisy(Protocol):
+    """A part of a network that keeps noise, which acts in ``train()`` mode only."""
+
+    def draw_noise(self, rng: np.random.Generator, /) -> None:
+        """Take new noise."""
+
+
+class Noise:
+    """All noise of a network; there may be none."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        self._parts = [part for part in module.modules() if isinstance(part, Noisy)]
+
+    def draw(self, rng: np.random.Generator) -> None:
+        """New noise everywhere; takes nothing from ``rng`` if there is none."""
+        for part in self._parts:
+            part.draw_noise(rng)

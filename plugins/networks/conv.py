@@ -1,0 +1,47 @@
+"""Convolution over the terrain."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from flipperctl.api import Network, ObservationLayout, network
+
+if TYPE_CHECKING:
+    import torch
+
+
+@network("conv")
+class Conv(Network):
+    """AT-D3QN with 1-D convolutions for the terrain layers: an edge is an edge in any bin."""
+
+    channels: tuple[int, ...] = Field(
+        (16, 16), min_length=1, description="channels of the convolutions [-]"
+    )
+    reach: int = Field(
+        1, ge=0, le=7, description="bins to either side that a convolution takes in [-]"
+    )
+    fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
+    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Observation (B, N + 3) → Q (B, n_actions)."""
+        from flipperctl_plugins.networks.modules import SLOPE, Dueling, Fusion, Normalise
+        from torch import nn
+
+        layers: list[nn.Module] = [nn.Unflatten(1, (1, layout.bins))]
+        for before, behind in pairwise((1, *self.channels)):
+            # Beyond the outermost bins the ground goes on as it is there.
+            layers += [
+                nn.ReplicationPad1d(self.reach),
+                nn.Conv1d(before, behind, 2 * self.reach + 1),
+                nn.LeakyReLU(SLOPE),
+            ]
+        terrain = nn.Sequential(*layers, nn.Flatten())
+        return nn.Sequential(
+            Normalise(layout),
+            Fusion(layout, terrain, self.channels[-1] * layout.bins, self.fused),
+            Dueling(self.fused, self.head, n_actions),
+        )

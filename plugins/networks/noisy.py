@@ -1,0 +1,46 @@
+"""Exploration by learnt noise."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from flipperctl.api import Network, ObservationLayout, network
+
+if TYPE_CHECKING:
+    import torch
+
+
+@network("noisy")
+class Noisy(Network):
+    """AT-D3QN with noisy heads (Fortunato et al. 2018); it explores with agent.epsilon_start=0."""
+
+    terrain: tuple[int, ...] = Field(
+        (64, 64), min_length=1, description="widths of the terrain layers [-]"
+    )
+    fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
+    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+    noise: float = Field(
+        0.5, gt=0, le=10, description="σ₀, deviation of the noise at the start, over √inputs [-]"
+    )
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Observation (B, N + 3) → Q (B, n_actions)."""
+        from flipperctl_plugins.networks.modules import (
+            Dueling,
+            Fusion,
+            NoisyLinear,
+            Normalise,
+            perceptron,
+        )
+        from torch import nn
+
+        terrain = perceptron((layout.bins, *self.terrain))
+        linear = partial(NoisyLinear, sigma=self.noise)
+        return nn.Sequential(
+            Normalise(layout),
+            Fusion(layout, terrain, self.terrain[-1], self.fused),
+            Dueling(self.fused, self.head, n_actions, linear),
+        )

@@ -1,0 +1,66 @@
+"""What the parts of the built-in networks compute, by hand."""
+
+import numpy as np
+import pytest
+import torch
+from flipperctl_plugins.networks.modules import Motion, NoisyLinear
+
+from flipperctl import plugins
+from flipperctl.api import Network, ObservationLayout
+
+LAYOUT = ObservationLayout()
+
+
+def build(name: str, **fields: object) -> torch.nn.Module:
+    network = plugins.create("network", {"name": name, **fields}, "network")
+    assert isinstance(network, Network)
+    torch.manual_seed(0)
+    return network.build(LAYOUT, 9)
+
+
+def test_the_noise_is_factorised_and_rests_in_eval_mode() -> None:
+    layer = NoisyLinear(2, 1, sigma=0.5)
+    for parameter, value in zip(layer.mean.parameters(), ([[1.0, 2.0]], [3.0]), strict=True):
+        parameter.data = torch.tensor(value)
+    assert layer.sigma.weight.tolist()[0] == pytest.approx([0.5 / 2**0.5] * 2)  # σ₀ / √inputs
+    layer.sigma.weight.data = torch.tensor([[0.1, 0.2]])
+    layer.sigma.bias.data = torch.tensor([0.3])
+    layer.noise_in.copy_(torch.tensor([1.0, -1.0]))
+    layer.noise_out.copy_(torch.tensor([2.0]))
+    row = torch.tensor([[10.0, 20.0]])
+    # (1 + 0.1 · 2 · 1) · 10 + (2 + 0.2 · 2 · -1) · 20 + 3 + 0.3 · 2
+    assert layer(row).item() == pytest.approx(47.6)
+    assert layer.eval()(row).item() == pytest.approx(53.0)
+
+
+def test_noise_comes_from_the_generator_and_is_no_weight() -> None:
+    layer, other = NoisyLinear(400, 3), NoisyLinear(400, 3)
+    layer.draw_noise(np.random.default_rng(1))
+    other.draw_noise(np.random.default_rng(1))
+    assert torch.equal(layer.noise_in, other.noise_in)
+    assert set(layer.state_dict()) == set(dict(layer.named_parameters()))
+    # f(ε) = sign(ε) √|ε| of a standard normal ε: E f² = E |ε| = √(2/π) = 0.80
+    assert layer.noise_in.square().mean().item() == pytest.approx(0.80, abs=0.1)
+    assert layer.noise_in.mean().item() == pytest.approx(0.0, abs=0.15)
+
+
+def test_motion_is_the_newest_frame_and_the_changes_before_it() -> None:
+    rows = torch.tensor([[1.0, 5.0, 2.0, 4.0, 4.0, 0.0]])  # (1, 5), then (2, 4), then (4, 0)
+    assert Motion(3)(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
+
+
+def test_quantiles_differ_and_their_mean_is_the_q_value() -> None:
+    module = build("quantile", quantiles=5)
+    observation = torch.randn(3, LAYOUT.size)
+    quantiles = module.quantiles(observation)
+    assert quantiles.shape == (3, 9, 5)
+    assert quantiles.std(dim=2).min() > 0
+    assert torch.allclose(quantiles.mean(dim=2), module(observation))
+
+
+def test_the_convolution_sees_the_ground_go_on_beyond_its_ends() -> None:
+    module = build("conv", channels=(3, 2), reach=2)
+    flat = torch.zeros(1, LAYOUT.size)
+    flat[:, : LAYOUT.bins] = 0.3  # a level ground gives the same in every bin
+    features = module[1].terrain(flat[:, : LAYOUT.bins]).reshape(2, LAYOUT.bins)
+    assert torch.allclose(features, features[:, :1].expand(-1, LAYOUT.bins), atol=1e-6)
