@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +23,19 @@ if TYPE_CHECKING:
 
 LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
 _BATCH = 64  # so many that no working unit rests on all of them
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: on busy cores several only wait for each other at these sizes."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def shape(network: Network) -> None:

@@ -83,8 +83,8 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
         case "network":
             from flipperctl.testing import network
 
-            yield at_all("shape", network.shape)
-            yield at_all("gradient", network.gradient)
+            yield at_all("shape", network.one_thread()(network.shape))
+            yield at_all("gradient", network.one_thread()(network.gradient))
             yield at_defaults("repeats", network.repeats)
             yield at_defaults("onnx", network.exportable)
         case "controller":
