@@ -67,7 +67,8 @@ def _print(found: dict[str, Any]) -> None:
         f"{found['decisions']} decisions, mean return {found['return']:.2f}"
     )
     table = Table(title=title, title_justify="left")
-    for heading in ("term", "weight", "mean a decision", "lowest", "highest"):
+    table.add_column("term", no_wrap=True)
+    for heading in ("weight", "mean a decision", "lowest", "highest"):
         table.add_column(escape(heading))
     table.add_column("share of the return")
     table.add_column("saturated")
