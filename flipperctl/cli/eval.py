@@ -13,8 +13,6 @@ from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from flipperctl.config import EvalConfig
     from flipperctl.run.policy import ControllerSource
 
@@ -54,6 +52,14 @@ def evaluate(
         str | None,
         typer.Option(metavar="NAME", help="A controller to compare with, on the same draws."),
     ] = None,
+    passable: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Controllers, such as okada,level,planner, that try in turn what was not crossed: "
+            "success is then also told of the draws that any of them crosses.",
+        ),
+    ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes a scene [100].")
     ] = None,
@@ -76,12 +82,13 @@ def evaluate(
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
     given = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
     found = scenes(given, checkpoint, controller)
-    against = _baseline(baseline) if baseline else None
+    against = _plugin(baseline, "--baseline") if baseline else None
+    others = [_plugin(name, "--passable") for name in (passable or "").split(",") if name]
     folder = make_folder(output) if output else None
 
     source = found[0][1]
     document: dict[str, Any] = {"controller": source.label(), "scenes": []}
-    rows = [_judge(document, config, source, against) for config, source in found]
+    rows = [_judge(document, config, source, against, others) for config, source in found]
     if folder:
         _write(folder, document, [row for group in rows for row in group])
         for config, source in found:
@@ -91,10 +98,12 @@ def evaluate(
         return
     from rich.console import Console
 
+    from flipperctl.cli.judged import comparison, table
+
     console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(_table(document))
+    console.print(table(document))
     if baseline:
-        console.print(_comparison(document, baseline))
+        console.print(comparison(document, baseline))
 
 
 def scenes(
@@ -123,11 +132,11 @@ def scenes(
     return [(config, source) for config in configs]
 
 
-def _baseline(name: str) -> ControllerSource:
+def _plugin(name: str, option: str) -> ControllerSource:
     from flipperctl import plugins as loader
     from flipperctl.run.policy import ControllerSource
 
-    plugin = loader.create("controller", name, "--baseline")
+    plugin = loader.create("controller", name, option)
     return ControllerSource(settings=loader.container(plugin))
 
 
@@ -136,11 +145,14 @@ def _judge(
     config: EvalConfig,
     source: ControllerSource,
     baseline: ControllerSource | None,
+    others: list[ControllerSource],
 ) -> list[dict[str, Any]]:
     from flipperctl.run.statistics import differences, scene_summary
 
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
+    if others:
+        _cross(config, source, others, rows)
     scene = scene_summary(terrain, rows)
     named = [{"scene": terrain, "controller": source.label(), **row} for row in rows]
     if baseline:
@@ -155,23 +167,44 @@ def _judge(
     return named
 
 
-def _play(config: EvalConfig, source: ControllerSource, label: str) -> list[dict[str, Any]]:
+def _cross(
+    config: EvalConfig,
+    source: ControllerSource,
+    others: list[ControllerSource],
+    rows: list[dict[str, Any]],
+) -> None:
+    """Note in each row who crossed the draw: the controller itself, or who tried after it."""
+    from flipperctl.api import Outcome
+
+    for row in rows:
+        row["crossed_by"] = source.label() if row["outcome"] == Outcome.REACHED else ""
+    for other in others:
+        left = [row["episode"] for row in rows if not row["crossed_by"]]
+        label = f"{config.terrain.plugin_name}, {other.label()} on what was not crossed"
+        for row in _play(config, other, label, left):
+            if row["outcome"] == Outcome.REACHED:
+                rows[row["episode"]]["crossed_by"] = other.label()
+
+
+def _play(
+    config: EvalConfig, source: ControllerSource, label: str, only: list[int] | None = None
+) -> list[dict[str, Any]]:
     from rich.console import Console
     from rich.progress import Progress
 
     from flipperctl.run.evaluate import evaluate as run
 
     s = config.eval
+    played = list(range(s.episodes)) if only is None else only
     console = Console(stderr=True)
     rows: list[dict[str, Any]] = []
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(label, total=s.episodes)
+        task = progress.add_task(label, total=len(played))
 
         def tell(share: float) -> None:
             progress.update(task, completed=len(rows) + share)
 
-        episodes = run(config, source, episodes=s.episodes, seed=s.seed, jobs=s.jobs, tell=tell)
-        for row in episodes:
+        for row in run(config, source, episodes=played, seed=s.seed, jobs=s.jobs, tell=tell):
             rows.append(row)
             tell(0.0)
     return rows
@@ -201,65 +234,3 @@ def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
     states, profile = Player(config, source, config.eval.seed).trace(0)
     figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
     save(figure, folder / f"{terrain}.png")
-
-
-def _table(document: dict[str, Any]) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=str(document["controller"]), title_justify="left")
-    for heading in ("terrain", "episodes", "success", "outcomes", "t_cost [s]"):
-        table.add_column(escape(heading))
-    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
-        table.add_column(escape(heading))
-    for scene in document["scenes"]:
-        table.add_row(*_cells(scene["terrain"], scene))
-        for label, part in scene.get("parts", {}).items():
-            table.add_row(*_cells(f"  {label}", part), style="dim")
-    return table
-
-
-def _cells(name: str, summary: dict[str, Any]) -> list[str]:
-    outcomes = " ".join(f"{name} {count}" for name, count in summary["outcomes"].items() if count)
-    return [
-        name,
-        str(summary["episodes"]),
-        _shown(summary["success"], 3),
-        outcomes,
-        _shown(summary["t_cost"], 1),
-        *(_shown(summary[m]) for m in ("pitch_variation", "pitch_variation_100hz", "max_pitch")),
-    ]
-
-
-def _comparison(document: dict[str, Any], baseline: str) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
-    title = f"difference to {baseline} on the same draws, where both reached the finish"
-    table = Table(title=title, title_justify="left")
-    for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
-        table.add_column(escape(heading))
-    for scene in document["scenes"]:
-        other = scene["baseline"]
-        table.add_row(*_difference_cells(scene["terrain"], other, other["difference"]))
-        for label, part in other["difference"].get("parts", {}).items():
-            cells = _difference_cells(f"  {label}", other["parts"][label], part)
-            table.add_row(*cells, style="dim")
-    return table
-
-
-def _difference_cells(name: str, other: dict[str, Any], difference: dict[str, Any]) -> list[str]:
-    return [
-        name,
-        str((difference["pitch_variation"] or {}).get("episodes", 0)),
-        _shown(other["success"], 3),
-        _shown(difference["t_cost"], 1),
-        _shown(difference["pitch_variation"]),
-    ]
-
-
-def _shown(found: dict[str, float] | None, digits: int = 2) -> str:
-    if found is None:
-        return "–"
-    mean, low, high = (f"{found[key]:.{digits}f}" for key in ("mean", "low", "high"))
-    return f"{mean} [{low}, {high}]"

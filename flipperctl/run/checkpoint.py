@@ -21,6 +21,7 @@ from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.messages import close_match
 from flipperctl.run.files import write_bytes
 
 FORMAT = 1
@@ -136,7 +137,7 @@ def read(path: Path) -> Checkpoint:
 
 
 def find(run_or_file: Path, prefer: Path = BEST) -> Path:
-    """The checkpoint file meant by a run directory or a file.
+    """The checkpoint file meant by a run directory, a file or the name of a shipped policy.
 
     Raises:
         CheckpointError: there is none.
@@ -144,11 +145,23 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
     if run_or_file.is_file():
         return run_or_file
     if not run_or_file.exists():
-        raise CheckpointError(f"{run_or_file}: there is no such run or checkpoint file")
+        if (known := shipped()) and str(run_or_file) in known:
+            return known[str(run_or_file)]
+        raise CheckpointError(
+            f"{run_or_file}: there is no such run or checkpoint file"
+            f"{close_match(str(run_or_file), known)}; policies that come with flipperctl: "
+            f"{', '.join(known) or 'none'}"
+        )
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
             return run_or_file / name
     raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; is it a run directory?")
+
+
+def shipped() -> dict[str, Path]:
+    """The policies that come with the package, by name."""
+    folder = Path(__file__).parents[1] / "policies"
+    return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def _digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from flipperctl import plugins
@@ -57,24 +57,26 @@ def evaluate(
     config: EnvConfig,
     source: ControllerSource,
     *,
-    episodes: int,
+    episodes: int | Sequence[int],
     seed: int,
     jobs: int = 1,
     tell: Callable[[float], None] = lambda share: None,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of episodes 0 … ``episodes`` - 1, in order, as they are done.
+    """Yield the rows of the episodes, in order, as they are done.
 
-    ``tell`` hears what share of an episode's search is done, where one process plays them all.
+    ``episodes``: how many, from 0, or which. ``tell`` hears what share of an episode's search is
+    done, where one process plays them all.
     """
-    if jobs == 1:
+    indices = range(episodes) if isinstance(episodes, int) else episodes
+    if jobs == 1 or not indices:
         player = Player(config, source, seed, tell)
-        yield from map(player.episode, range(episodes))
+        yield from map(player.episode, indices)
         return
     arguments = (container(config.environment()), source, seed, plugins.given())
-    workers = Workers(min(jobs, episodes), _begin, arguments)
+    workers = Workers(min(jobs, len(indices)), _begin, arguments)
     try:
-        waiting = deque(workers.submit(_episode, index) for index in range(episodes))
-        for index in range(episodes):
+        waiting = deque(workers.submit(_episode, index) for index in indices)
+        for index in indices:
             yield _result(workers, waiting.popleft(), index)
     finally:
         workers.close()

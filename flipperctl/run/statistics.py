@@ -70,6 +70,14 @@ def _summary(terrain: str, rows: Rows) -> dict[str, Any]:
     }
     for name in REACHED_ONLY:
         summary[name] = _measure([row[name] for row in good])
+    if any("crossed_by" in row for row in rows):
+        # A draw that nobody is known to cross says nothing about a policy.
+        fair = [row for row in rows if row["crossed_by"]]
+        summary["passable"] = {
+            "episodes": len(fair),
+            "success_rate": len(good) / len(fair) if fair else None,
+            "success": interval([float(row["outcome"] == Outcome.REACHED) for row in fair]),
+        }
     summary["max_pitch"] = _measure([row["max_pitch"] for row in rows])
     summary["return"] = _measure([row["return"] for row in rows])
     return summary
