@@ -185,6 +185,14 @@ class Agent(Settings):
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
     )
+    advantage: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="α of advantage learning (Bellemare et al. 2016): the share of an action's "
+        "disadvantage that its target loses, which widens the gaps between actions; 0 is plain "
+        "Q-learning [-]",
+    )
     gradient_norm: float = Field(10.0, gt=0, le=1e6, description="gradients are clipped to it [-]")
     reward_scale: float = Field(
         0.1, gt=0, le=1e6, description="rewards are multiplied by it inside the learner [-]"

@@ -92,16 +92,21 @@ class Fusion(nn.Module):
     """Terrain features joined with the robot's own angles (paper Fig. 4, left)."""
 
     def __init__(
-        self, layout: ObservationLayout, terrain: nn.Module, features: int, fused: int
+        self,
+        layout: ObservationLayout,
+        terrain: nn.Module,
+        features: int,
+        fused: int,
+        more: int = 0,
     ) -> None:
-        """``terrain``: (B, N) → (B, features)."""
+        """``terrain``: (B, N) → (B, features); ``more`` numbers follow the robot's three."""
         super().__init__()
         self.bins = layout.bins
         self.terrain = terrain
-        self.joined = perceptron((features + 3, fused))
+        self.joined = perceptron((features + 3 + more, fused))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, N + 3) → S′ (B, fused)."""
+        """(B, N + 3 + more) → S′ (B, fused)."""
         heights, robot = observation[:, : self.bins], observation[:, self.bins :]
         features: torch.Tensor = self.joined(torch.cat([self.terrain(heights), robot], dim=1))
         return features

@@ -14,14 +14,18 @@ if TYPE_CHECKING:
 
 @network("stacked")
 class Stacked(Network):
-    """``dueling_mlp`` over the newest observation and how it came about: it sees what moves."""
+    """``at_d3qn`` that also sees how the newest observation came about: what moves, and what not.
+
+    The changes between the last observations join the robot's own angles behind the terrain layers.
+    """
 
     window: int = Field(
-        4, ge=2, le=16, description="observations that are taken in at once, newest included [-]"
+        3, ge=2, le=16, description="observations that are taken in at once, newest included [-]"
     )
-    hidden: tuple[int, ...] = Field(
-        (128, 128), min_length=1, description="widths of the hidden layers [-]"
+    terrain: tuple[int, ...] = Field(
+        (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
+    fused: int = Field(128, ge=1, le=4096, description="width behind the fusion [-]")
     head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
 
     @property
@@ -31,12 +35,20 @@ class Stacked(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observations (B, window · (N + 3)), oldest first → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import Dueling, Motion, Normalise, perceptron
+        from flipperctl_plugins.networks.modules import (
+            Dueling,
+            Fusion,
+            Motion,
+            Normalise,
+            perceptron,
+        )
         from torch import nn
 
+        terrain = perceptron((layout.bins, *self.terrain))
+        changes = (self.window - 1) * layout.size
         return nn.Sequential(
             Normalise(layout, self.window),
             Motion(self.window),
-            perceptron((self.window * layout.size, *self.hidden)),
-            Dueling(self.hidden[-1], self.head, n_actions),
+            Fusion(layout, terrain, self.terrain[-1], self.fused, changes),
+            Dueling(self.fused, self.head, n_actions),
         )
