@@ -219,6 +219,10 @@ class Train(Settings):
     workers: int = Field(
         1, ge=1, le=1024, description="processes that play when the mode is fast [-]"
     )
+    guide: str | None = Field(
+        None, description="controller that drives some of the episodes, to learn from it [-]"
+    )
+    guided: float = Field(0.1, ge=0, le=1, description="share of episodes that it drives [-]")
     decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
     validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
     validation_episodes: int = Field(
@@ -359,6 +363,12 @@ class TrainConfig(EnvConfig):
     eval: Eval = Eval()
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
+
+    @model_validator(mode="after")
+    def _guided_by_one_that_there_is(self) -> TrainConfig:
+        if self.train.guide is not None:
+            plugins.get("controller", self.train.guide, "train.guide")
+        return self
 
     @model_validator(mode="after")
     def _one_place_to_play(self) -> TrainConfig:
