@@ -185,14 +185,6 @@ class Agent(Settings):
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
     )
-    advantage: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="α of advantage learning (Bellemare et al. 2016): the share of an action's "
-        "disadvantage that its target loses, which widens the gaps between actions; 0 is plain "
-        "Q-learning [-]",
-    )
     gradient_norm: float = Field(10.0, gt=0, le=1e6, description="gradients are clipped to it [-]")
     reward_scale: float = Field(
         0.1, gt=0, le=1e6, description="rewards are multiplied by it inside the learner [-]"
@@ -219,10 +211,6 @@ class Train(Settings):
     workers: int = Field(
         1, ge=1, le=1024, description="processes that play when the mode is fast [-]"
     )
-    guide: str | None = Field(
-        None, description="controller that drives some of the episodes, to learn from it [-]"
-    )
-    guided: float = Field(0.1, ge=0, le=1, description="share of episodes that it drives [-]")
     decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
     validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
     validation_episodes: int = Field(
@@ -363,12 +351,6 @@ class TrainConfig(EnvConfig):
     eval: Eval = Eval()
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
-
-    @model_validator(mode="after")
-    def _guided_by_one_that_there_is(self) -> TrainConfig:
-        if self.train.guide is not None:
-            plugins.get("controller", self.train.guide, "train.guide")
-        return self
 
     @model_validator(mode="after")
     def _one_place_to_play(self) -> TrainConfig:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from flipperctl.agent.adam import Adam
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.heads import Distributional, head
-from flipperctl.agent.losses import disadvantage
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -162,9 +161,6 @@ class D3qn:
         self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
-            if s.advantage > 0:
-                now = self.target(batch.observation)
-                reward = reward - s.advantage * disadvantage(now, batch.action)
             targets = self._head.targets(reward, batch, self.online, self.target)
         value = 0.0
         for start in range(0, len(targets), s.batch_size):

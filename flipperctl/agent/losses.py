@@ -20,15 +20,6 @@ def double_q_target(
     return reward + discount * next_target.gather(1, best).squeeze(1)
 
 
-def disadvantage(values: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-    """How much worse the actions taken are than the best: max_a Q(s, a) − Q(s, a_t) ≥ 0, (B,).
-
-    ``values`` are (B, A), ``action`` (B,).
-    """
-    taken = values.gather(1, action.unsqueeze(1)).squeeze(1)
-    return values.max(dim=1).values - taken
-
-
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Mean Huber loss with threshold 1 of two (B,) tensors."""
     return torch.nn.functional.smooth_l1_loss(prediction, target)

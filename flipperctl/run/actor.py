@@ -17,7 +17,6 @@ from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.run.collect import Order, Played, Row, Weights
-from flipperctl.run.guide import Guide
 from flipperctl.run.policy import QPolicy
 from flipperctl.run.rollout import play
 from flipperctl.run.seeds import exploration
@@ -36,7 +35,6 @@ class Actor:
         self._module.requires_grad_(False)
         self._noise = Noise(self._module)
         self._frames = settings.network.frames
-        self._guide = Guide(settings.train)
         self._seed = settings.seed
 
     def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
@@ -54,7 +52,6 @@ class Actor:
         self._module.train()
         rng = exploration(self._seed, order.episode)
         self._env.reset(seed=order.seed, options={"difficulty": order.difficulty})
-        rule = self._guide.driver(self._env, rng)
         observation = self._seen()
         observations, actions, rewards = [observation], [], []
         over = False
@@ -62,8 +59,6 @@ class Actor:
         while not over:
             if rng.random() < order.epsilon:
                 action = int(rng.integers(len(ACTIONS)))
-            elif rule is not None:
-                action = rule.act(self._env.perception)
             else:
                 self._noise.draw(rng)
                 action = greedy(self._module, observation)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
-from flipperctl.api import Controller
 from flipperctl.env.flipper_env import FlipperEnv
 
 Weights = Mapping[str, NDArray[Any]]
@@ -129,14 +128,9 @@ class InProcess:
         next_seed: Callable[[], int],
         difficulty: Callable[[], float] = lambda: 1.0,
         frames: int = 1,
-        driver: Callable[[FlipperEnv], Controller | None] = lambda env: None,
     ) -> None:
-        """``frames``: observations that ``act`` takes in at once.
-
-        ``driver`` may name a rule that drives an episode in its place.
-        """
+        """``frames``: observations that ``act`` takes in at once."""
         self._env, self._act, self._frames = env, act, frames
-        self._driver = driver
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
@@ -144,10 +138,9 @@ class InProcess:
         seed, difficulty = self._next_seed(), self._difficulty()
         self._env.reset(seed=seed, options={"difficulty": difficulty})
         observation = stacked(self._env.perception.recent, self._frames)
-        rule = self._driver(self._env)
         ending: Row | None = None
         while ending is None:
-            action = self._act(observation) if rule is None else rule.act(self._env.perception)
+            action = self._act(observation)
             _, reward, terminated, truncated, info = self._env.step(action)
             following = stacked(self._env.perception.recent, self._frames)
             if terminated or truncated:

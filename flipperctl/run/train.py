@@ -31,7 +31,6 @@ from flipperctl.errors import CheckpointError
 from flipperctl.run import checkpoint
 from flipperctl.run.collect import Collector, Crew, InProcess, Order, Pipelined, Row, Weights
 from flipperctl.run.files import write_json
-from flipperctl.run.guide import Guide
 from flipperctl.run.policy import QPolicy
 from flipperctl.run.processes import ProcessCrew
 from flipperctl.run.records import Listener
@@ -142,15 +141,7 @@ class Trainer:
         if config.train.mode == "exact":
             env = FlipperEnv(config=config.environment())
             frames = config.network.frames
-            guide, rng = Guide(config.train), self._generators["explore"]
-            return InProcess(
-                env,
-                self._act,
-                self._next_seed,
-                lambda: self.difficulty,
-                frames,
-                lambda env: guide.driver(env, rng),
-            )
+            return InProcess(env, self._act, self._next_seed, lambda: self.difficulty, frames)
         document, paths = container(config), plugins.given()
         crew: Crew
         if config.collector.name == "ray":

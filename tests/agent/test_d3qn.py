@@ -197,24 +197,6 @@ def test_the_policy_is_the_network_that_the_settings_name(act_with: str) -> None
     assert agent.policy is getattr(agent, act_with)
 
 
-def test_advantage_learning_widens_the_gap_between_actions_and_keeps_the_best() -> None:
-    gaps = []
-    for advantage in (0.0, 0.5):
-        # One state, two actions worth 1 and 0.8, and nothing behind them.
-        agent = learner(advantage=advantage, reward_scale=1.0, target_rate=0.1)
-        state = torch.zeros(32, LAYOUT.size)
-        action = torch.arange(32) % 2
-        reward = torch.where(action == 0, 1.0, 0.8)
-        batch = Batch(state, action, reward, state, torch.zeros(32))
-        for _ in range(400):
-            agent.update(batch, 0.0)
-        first, second = agent.online(state[:1])[0, :2].tolist()
-        assert first == pytest.approx(1.0, abs=0.02)
-        gaps.append(first - second)
-    # Q = r - α (V - Q): the gap g becomes g = 0.2 + α g, if the other actions stay below.
-    assert gaps == pytest.approx([0.2, 0.4], abs=0.03)
-
-
 def test_a_restored_learner_goes_on_as_the_saved_one() -> None:
     saved, other = learner(seed=1), learner(seed=2)
     saved.update(fixed_batch(), 0.0)

@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from flipperctl.agent.losses import (
-    disadvantage,
     double_q_target,
     double_quantile_target,
     huber,
@@ -24,11 +23,6 @@ def test_the_online_network_chooses_and_the_target_network_values() -> None:
     )
     # 1 + 0.5 · 20, -2 + 0.25 · 4 (not the larger 9), and the reward alone where the episode ended
     assert value.tolist() == [11.0, -1.0, 0.5]
-
-
-def test_the_disadvantage_is_what_the_best_action_has_over_the_one_taken() -> None:
-    values = torch.tensor([[1.0, 3.0, 2.0], [0.0, -1.0, -2.0]])
-    assert disadvantage(values, torch.tensor([2, 0])).tolist() == [1.0, 0.0]
 
 
 def test_the_loss_is_quadratic_near_zero_and_linear_far_out() -> None:
