@@ -113,10 +113,10 @@ def _where(error: Exception, file: Path | None) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
     libraries = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
-    here = {__file__, str(Path(__file__).with_name("api.py"))}
+    here = (__file__, str(Path(__file__).with_name("api")))
     frames = traceback.extract_tb(error.__traceback__)
     own = [f for f in frames if file is not None and f.filename == str(file)]
-    own = own or [f for f in frames if f.filename not in here and f.filename[0] != "<"]
+    own = own or [f for f in frames if not f.filename.startswith((*here, "<"))]
     own = [f for f in own if not f.filename.startswith(libraries)] or own
     place = f"{own[-1].filename}:{own[-1].lineno}: " if own else ""
     return f"{place}{type(error).__name__}: {error}"

@@ -1,0 +1,51 @@
+"""What all plugins share: their base, their names and the registry."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeVar
+
+from flipperctl.api.values import Settings
+
+
+class Plugin(Settings):
+    """Base of the four families; a plugin's fields are its settings."""
+
+    kind: ClassVar[str]
+    plugin_name: ClassVar[str]
+
+
+registry: dict[tuple[str, str], type[Plugin]] = {}
+"""(kind, name) → class, filled by the decorators when a plugin's module is imported."""
+
+
+PluginT = TypeVar("PluginT", bound=Plugin)
+
+NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
+
+
+def is_plugin_name(name: str) -> bool:
+    """Whether a plugin may be called so."""
+    return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None
+
+
+def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
+    """A decorator that enters a class of ``family`` under ``name``."""
+    if not is_plugin_name(name):
+        raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
+
+    def decorate(cls: type[PluginT]) -> type[PluginT]:
+        if not issubclass(cls, family):
+            raise TypeError(f"@{family.kind}({name!r}): {cls.__name__} is no {family.__name__}")
+        taken = registry.get((family.kind, name))
+        if taken is not None:
+            raise ValueError(
+                f"two {family.kind} plugins are called {name!r}: "
+                f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
+            )
+        cls.plugin_name = name
+        registry[family.kind, name] = cls
+        return cls
+
+    return decorate

@@ -1,0 +1,277 @@
+"""The values that plugins are given: geometry, ground, states, perceptions, decisions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+FloatArray = NDArray[np.float64]
+
+ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
+"""Action index → (front, rear); +1 raises the pair by one angle step (paper Eq. 3)."""
+
+MEMORY = 32
+"""Observations that ``Perception.recent`` holds at most."""
+
+
+def action_index(front: int, rear: int) -> int:
+    """Index of the action that turns the pairs by ``front`` and ``rear`` in {-1, 0, 1}."""
+    return 3 * (front + 1) + (rear + 1)
+
+
+class Settings(BaseModel):
+    """Frozen settings; unknown keys, NaN and infinity are errors."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        arbitrary_types_allowed=True,
+        validate_default=True,
+    )
+
+
+class RobotGeometry(Settings):
+    """Side-view geometry of a chassis with a front and a rear flipper pair (paper Sec. IV)."""
+
+    chassis_length: float = Field(
+        0.76, gt=0.2, le=3, description="overall length of the chassis, round ends included [m]"
+    )
+    flipper_length: float = Field(
+        0.536, gt=0.2, le=2, description="overall length of a flipper, round ends included [m]"
+    )
+    track_radius: float = Field(
+        0.1, gt=0.01, lt=0.5, description="radius of the tracks' round ends [m]"
+    )
+    angle_limit: float = Field(
+        math.pi / 3, gt=0, le=math.pi / 2, description="largest flipper angle, both ways [rad]"
+    )
+    angle_step: float = Field(
+        math.pi / 12, gt=0, le=math.pi / 2, description="flipper turn of one action [rad]"
+    )
+
+    @property
+    def hinge_offset(self) -> float:
+        """Distance of each flipper hinge from the chassis centre, along the chassis [m]."""
+        return self.chassis_length / 2 - self.track_radius
+
+    @property
+    def flipper_axle(self) -> float:
+        """Distance from the hinge to the centre of the flipper's tip arc [m]."""
+        return self.flipper_length - 2 * self.track_radius
+
+    def clip(self, angle: float) -> float:
+        """The angle limited to what a flipper can reach [rad]."""
+        return min(self.angle_limit, max(-self.angle_limit, angle))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The obstacle in the robot's side plane, from its first edge to its last.
+
+    ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
+    The ground goes on level before the first point and behind the last. ``label`` says what was
+    drawn, for tables; empty stands for the terrain's own name.
+
+    Raises:
+        ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
+    """
+
+    points: FloatArray
+    label: str = ""
+
+    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]], label: str = "") -> None:
+        array = np.array(points, dtype=np.float64)
+        if array.size == 0:
+            raise ValueError("a profile needs at least one point; it is empty")
+        if array.ndim != 2 or array.shape[1] != 2:
+            raise ValueError(f"a profile is (V, 2) points of x and z; the shape is {array.shape}")
+        if not np.isfinite(array).all():
+            bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+            raise ValueError(f"profile point {bad} is not finite: {tuple(array[bad].tolist())}")
+        drops = np.flatnonzero(np.diff(array[:, 0]) < 0)
+        if drops.size:
+            i = int(drops[0])
+            raise ValueError(
+                f"x decreases from {array[i, 0]:g} to {array[i + 1, 0]:g} m "
+                f"between profile points {i} and {i + 1}; it may only grow or stay"
+            )
+        array.setflags(write=False)
+        object.__setattr__(self, "points", array)
+        object.__setattr__(self, "label", label)
+
+    @property
+    def start(self) -> float:
+        """X of the first edge [m]."""
+        return float(self.points[0, 0])
+
+    @property
+    def end(self) -> float:
+        """X of the last edge [m]."""
+        return float(self.points[-1, 0])
+
+    def extended(self, before: float, behind: float) -> FloatArray:
+        """The polyline with level ground added, (V + 2, 2) [m]."""
+        first, last = self.points[0], self.points[-1]
+        return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + behind, last[1]]])
+
+    def height(self, x: float) -> float:
+        """Height of the ground at x; the higher of the two at a vertical face [m]."""
+        points = self.points
+        right = int(np.searchsorted(points[:, 0], x, side="right"))
+        left = int(np.searchsorted(points[:, 0], x, side="left"))
+        if left < right:
+            return float(points[left:right, 1].max())
+        if right == 0 or right == len(points):
+            return float(points[0 if right == 0 else -1, 1])
+        (x0, z0), (x1, z1) = points[right - 1], points[right]
+        return float(z0 + (z1 - z0) * (x - x0) / (x1 - x0))
+
+    def sample(self, spacing: float, margin: float) -> FloatArray:
+        """Points along the outline, vertical faces included, (P, 2) in world [m].
+
+        x never decreases; ``margin`` metres of level ground are added on both sides.
+        """
+        line = self.extended(margin, margin)
+        lengths = np.hypot(*np.diff(line, axis=0).T)  # (V + 1,) [m]
+        along = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = np.arange(0.0, along[-1], spacing)
+        return np.column_stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])])
+
+    @cached_property
+    def cloud(self) -> FloatArray:
+        """The outline every 0.02 m with 3 m of level ground on both sides, (P, 2) [m]."""
+        return self.sample(0.02, 3.0)
+
+    def around(self, x: float, reach: float) -> FloatArray:
+        """The points of ``cloud`` within ``reach`` of x, (P', 2) in world [m]."""
+        low, high = np.searchsorted(self.cloud[:, 0], (x - reach, x + reach))
+        return self.cloud[low:high]
+
+
+class Outcome(StrEnum):
+    """How an episode ends."""
+
+    REACHED = "reached"
+    OVERTURNED = "overturned"
+    STUCK = "stuck"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """The robot at one instant."""
+
+    position: FloatArray
+    """(2,) chassis centre in world [m]."""
+    pitch: float
+    """Chassis against level, nose up positive [rad]."""
+    front: float
+    """Front flipper pair in frame R, above the chassis positive [rad]."""
+    rear: float
+    """Rear flipper pair in frame R, above the chassis positive [rad]."""
+    velocity: FloatArray
+    """(2,) of the chassis centre in world [m/s]."""
+    pitch_rate: float
+    """[rad/s]"""
+    time: float
+    """Since the start of the episode [s]."""
+
+
+class ObservationLayout(Settings):
+    """What the N + 3 numbers of an observation are (paper Eqs. 1 and 2)."""
+
+    bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
+    bin_width: float = Field(
+        0.15, gt=0.01, le=1, description="d, width of a bin; the paper gives no number [m]"
+    )
+
+    @property
+    def size(self) -> int:
+        """Length of an observation."""
+        return self.bins + 3
+
+    @property
+    def reach(self) -> float:
+        """Half the length of the perceived ground [m]."""
+        return self.bins * self.bin_width / 2
+
+    @property
+    def scale(self) -> FloatArray:
+        """Typical magnitude of each number, (N + 3,) in SI units: networks divide by it."""
+        return np.concatenate([np.full(self.bins, 0.5), np.full(3, math.pi / 3)])
+
+
+@dataclass(frozen=True)
+class Perception:
+    """What a controller may know when it decides: sensed, never the true terrain."""
+
+    observation: NDArray[np.float32]
+    """(N + 3,) laid out as ``layout`` says."""
+    points: FloatArray
+    """(P, 2) sensed terrain points in frame L [m]."""
+    pitch: float
+    front: float
+    rear: float
+    robot: RobotGeometry
+    layout: ObservationLayout
+    rng: np.random.Generator
+    """For controllers that draw at random; seeded by the episode."""
+    recent: tuple[NDArray[np.float32], ...]
+    """The observations of the episode so far, ``observation`` last; at most ``MEMORY``."""
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One decision, as reward terms see it."""
+
+    before: RobotState
+    after: RobotState
+    pitches: FloatArray
+    """(T,) pitch at every decision of the episode so far, start and ``after`` included [rad]."""
+    action: tuple[int, int]
+    """(front, rear) in {-1, 0, 1}."""
+    profile: Profile
+    robot: RobotGeometry
+    outcome: Outcome | None = field(default=None)
+    """None while the episode runs."""
+    path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
+    previous_action: tuple[int, int] = (0, 0)
+    """Of the decision before, (0, 0) at an episode's first."""
+
+
+def candidate_angle(
+    points: FloatArray,
+    pitch: float,
+    robot: RobotGeometry,
+    *,
+    near: float = 0.1,
+    far: float = 0.45,
+    rear: bool = False,
+) -> float:
+    """The flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
+
+    The largest angle in frame R of the vectors from the hinge to the terrain points inflated by
+    the track radius (paper Sec. III-D after Okada et al. 2011): atan2(z, u) + asin(r / distance).
+    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` of the hinge,
+    measured along the chassis, count, since a point under the hinge would outweigh all others.
+    Clipped to what the flipper can reach; 0 without points.
+    """
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    along = cos * points[:, 0] + sin * points[:, 1]
+    up = cos * points[:, 1] - sin * points[:, 0]
+    u = (-along if rear else along) - robot.hinge_offset
+    chosen = (u >= near) & (u <= far)
+    if not chosen.any():
+        return 0.0
+    u, up = u[chosen], up[chosen]
+    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
+    return robot.clip(float((np.arctan2(up, u) + inflation).max()))

@@ -1,0 +1,241 @@
+"""The sections of a configuration: every setting, its default, bounds and unit.
+
+A description that says "paper silent" marks a choice of ours.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from flipperctl.api import ObservationLayout, Outcome, RobotGeometry, Settings
+
+
+class Robot(RobotGeometry):
+    """The robot: geometry from the paper, masses from the laboratory's public robot model."""
+
+    chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
+    flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
+    track_speed: float = Field(
+        0.2, gt=0, le=2, description="speed of all belts' surfaces along their outline [m/s]"
+    )
+    flipper_speed: float = Field(
+        math.radians(25), gt=0.05, le=5, description="turning rate of a flipper pair [rad/s]"
+    )
+    flipper_torque: float = Field(
+        200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
+    )
+    actuator_delay: float = Field(
+        0.0, ge=0, le=0.5, description="from a decision to the flippers' turn; paper silent [s]"
+    )
+
+    @property
+    def decision_period(self) -> float:
+        """Time in which a flipper turns by one angle step [s]."""
+        return self.angle_step / self.flipper_speed
+
+
+class Sim(Settings):
+    """The physics engine."""
+
+    substep: float = Field(
+        0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
+    )
+    iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
+    engine: Literal["compiled", "plain"] = Field(
+        "compiled",
+        description="the substeps' loop: machine code, or the plain Python that it equals number "
+        "for number [-]",
+    )
+    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
+    friction: float = Field(
+        1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"
+    )
+
+    @model_validator(mode="after")
+    def _divides_the_sample(self) -> Sim:
+        ratio = 0.01 / self.substep
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
+        return self
+
+
+class PerceptionSettings(ObservationLayout):
+    """The point cloud and the observation made of it."""
+
+    density: float = Field(
+        50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
+    )
+    noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
+    )
+    dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
+    bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
+    )
+    horizon: float = Field(
+        10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
+    )
+    angle_noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
+    )
+    pitch_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of the measured pitch, constant [rad]"
+    )
+    flipper_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
+    )
+    delay: float = Field(
+        0.0, ge=0, le=0.5, description="age of all that is perceived at a decision [s]"
+    )
+
+
+class Episode(Settings):
+    """Where an episode starts and how it ends."""
+
+    run_up: float = Field(
+        1.0, ge=0, le=10, description="chassis centre before the first edge at the start [m]"
+    )
+    run_out: float = Field(
+        1.0, ge=0, le=10, description="chassis centre behind the last edge at the finish [m]"
+    )
+    start_noise: float = Field(
+        0.05, ge=0, le=0.5, description="the start shifts uniformly by up to this, both ways [m]"
+    )
+    start_angle_noise: float = Field(
+        0.0, ge=0, le=0.5, description="the same for each flipper's start angle [rad]"
+    )
+    start_angle: float = Field(
+        0.0, ge=-1.5, le=1.5, description="flipper angles at the start; paper silent [rad]"
+    )
+    overturn: float = Field(
+        math.pi / 3, gt=0, le=math.pi / 2, description="pitch that ends as overturned [rad]"
+    )
+    clearance: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="height of the chassis' higher end above the ground that still counts as close "
+        "to it at the finish; paper silent [m]",
+    )
+    slack: float = Field(
+        3.0,
+        gt=1,
+        le=100,
+        description="t_max as a multiple of the time the level drive needs; paper silent [-]",
+    )
+    stuck_window: int = Field(
+        20, ge=2, le=1000, description="decisions over which progress is judged [-]"
+    )
+    stuck_progress: float = Field(
+        0.1, ge=0, le=10, description="less progress in the window is stuck; paper silent [m]"
+    )
+
+
+class Agent(Settings):
+    """The double dueling DQN. The paper gives none of these numbers."""
+
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Adam step at the start [-]")
+    learning_rate_end: float = Field(
+        2e-5, ge=0, le=1, description="Adam step at the end, reached linearly [-]"
+    )
+    gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
+    n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
+    batch_size: int = Field(128, ge=2, le=65536, description="transitions an update [-]")
+    replay_size: int = Field(100_000, ge=100, le=10_000_000, description="transitions kept [-]")
+    learning_starts: int = Field(
+        1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
+    )
+    update_every: int = Field(2, ge=1, le=1000, description="decisions an update [-]")
+    updates_together: int = Field(
+        4,
+        ge=1,
+        le=64,
+        description="updates made in one go, their targets computed in one pass before the first; "
+        "1 is the textbook's way [-]",
+    )
+    target_rate: float = Field(
+        0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
+    )
+    epsilon_start: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="random actions at the start; 0, with epsilon_end, suits networks that explore "
+        "by noise of their own [-]",
+    )
+    epsilon_end: float = Field(0.05, ge=0, le=1, description="random actions at the end [-]")
+    epsilon_decisions: int = Field(
+        15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
+    )
+    gradient_norm: float = Field(10.0, gt=0, le=1e6, description="gradients are clipped to it [-]")
+    reward_scale: float = Field(
+        0.1, gt=0, le=1e6, description="rewards are multiplied by it inside the learner [-]"
+    )
+    act_with: Literal["target", "online"] = Field(
+        "target",
+        description="weights that are validated and exported: the slowly following target "
+        "or the online network [-]",
+    )
+    bootstrap_outcomes: tuple[Outcome, ...] = Field(
+        (), description="outcomes behind which the value goes on instead of ending [-]"
+    )
+
+
+class Train(Settings):
+    """The training run."""
+
+    mode: Literal["fast", "exact"] = Field(
+        "fast",
+        description="fast: workers play whole episodes while the learner learns, with weights that "
+        "are a few episodes old; exact: the learner's process plays decision by decision with the "
+        "newest weights [-]",
+    )
+    workers: int = Field(
+        1, ge=1, le=1024, description="processes that play when the mode is fast [-]"
+    )
+    decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
+    validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
+    validation_episodes: int = Field(
+        40, ge=1, le=10_000, description="episodes a validation, always the same draws [-]"
+    )
+    validation_seed: int = Field(0, ge=0, description="seed of the validation draws [-]")
+    checkpoint_every: int = Field(
+        10_000, ge=1, description="decisions between full checkpoints [-]"
+    )
+    threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
+
+
+class LocalCollector(Settings):
+    """Episodes are played on this machine, in ``train.workers`` processes."""
+
+    name: Literal["local"] = "local"
+
+
+class RayCollector(Settings):
+    """Episodes are played by actors on a Ray cluster."""
+
+    name: Literal["ray"] = "ray"
+    address: str | None = Field(
+        None, description="of the cluster, such as auto or host:port; null starts a local one [-]"
+    )
+    workers: int = Field(2, ge=1, le=100_000, description="actors, each on a CPU of its own [-]")
+    max_lag: int = Field(
+        20_000,
+        ge=1,
+        description="an episode is dropped if the learner is more decisions further than when it "
+        "was ordered [-]",
+    )
+    patience: float = Field(
+        300.0, gt=0, description="time without any episode after which the run fails [s]"
+    )
+
+
+class Eval(Settings):
+    """The evaluation."""
+
+    episodes: int = Field(100, ge=1, le=1_000_000, description="episodes a scene [-]")
+    seed: int = Field(0, ge=0, description="seed of the draws, unseen in training [-]")
+    jobs: int = Field(1, ge=1, le=1024, description="processes [-]")
