@@ -41,7 +41,7 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["train", "agent.gama=0.9"], ["agent.gama", "'gamma'"]),
         (["train", "rewards.pitch.lamda_2=3"], ["rewards.pitch.lamda_2", "'lambda_2'"]),
         (["train", "~rewards.pich"], ["rewards.pich", "'pitch'"]),
-        (["train", "rewards=tunde"], ["rewards", "'tunde'", "'tuned'", "paper, tuned"]),
+        (["train", "rewards=tunde"], ["rewards", "'tunde'", "'tuned'", "paper, smooth, tuned"]),
         (["train", "rewards.pich.weight=2"], ["rewards.pich.weight", "'pitch'", "in rewards"]),
         (["train", "rewards=tuned", "rewards.travle.weight=2"], ["rewards.travle", "'travel'"]),
         (
