@@ -80,7 +80,9 @@ def _reward_containers(value: Mapping[str, RewardTerm]) -> dict[str, Any]:
     return {name: plugins.container(term) for name, term in value.items()}
 
 
-AnyTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(plugins.container)]
+ConfiguredTerrain = Annotated[
+    Terrain, BeforeValidator(_terrain), PlainSerializer(plugins.container)
+]
 AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(plugins.container)]
 AnyRewards = Annotated[
     dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_reward_containers)
@@ -92,7 +94,7 @@ PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 class EnvConfig(Settings):
     """Everything the environment is made of."""
 
-    terrain: AnyTerrain
+    terrain: ConfiguredTerrain
     rewards: AnyRewards = Field(
         # names, which the validator turns into terms
         default_factory=lambda: dict(PAPER_REWARDS)  # type: ignore[arg-type]
@@ -114,7 +116,7 @@ class EnvConfig(Settings):
                     raise ConfigError(explain(error, "randomise", model)) from error
         for section, name in (("robot", "actuator_delay"), ("perception", "delay")):
             longest = max(
-                getattr(self, section).__dict__[name], *(getattr(self.randomise, name) or (0,))
+                getattr(getattr(self, section), name), *(getattr(self.randomise, name) or (0,))
             )
             if longest > self.robot.decision_period:
                 raise ConfigError(

@@ -17,6 +17,10 @@ from flipperctl.env.ends import Ends
 from flipperctl.sim.world import SAMPLE, World
 
 
+_TURN, _LOOK, _END = range(3)
+"""What happens within a decision; at one moment, in this order."""
+
+
 class Drive:
     """World, flipper targets and ends."""
 
@@ -40,7 +44,7 @@ class Drive:
         whole = math.ceil(period / SAMPLE - 1e-9)
         act = min(whole, round(self.robot.actuator_delay / SAMPLE))
         look = max(0, whole - round(perception.delay / SAMPLE))
-        self._moments = sorted([(act, 0), (look, 1), (whole, 2)])
+        self._moments = sorted([(act, _TURN), (look, _LOOK), (whole, _END)])
         self._fresh = look == whole
 
     def decide(self, action: int) -> Outcome | None:
@@ -67,9 +71,9 @@ class Drive:
                 if (outcome := ends.instant(world)) is not None:
                     return outcome
                 done += len(poses)
-            if what == 0:
+            if what == _TURN:
                 world.command(*self._target)
-            elif what == 1 and not self._fresh:
+            elif what == _LOOK and not self._fresh:
                 self.seen = world.state()
         return None
 

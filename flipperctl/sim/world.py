@@ -177,8 +177,8 @@ class World:
     def save(self) -> tuple[Any, ...]:
         """Poses, speeds and flipper targets, for ``load``.
 
-        The engine's contact impulses are not in it: what follows differs from an uninterrupted
-        run by less than its solver's tolerance at each load.
+        The engine's contact impulses are not in it: what follows differs a little from an
+        uninterrupted run, by 5e-5 m a decision at the median and up to 0.02 m at hard contacts.
         """
         bodies = [
             (b.position, b.angle, b.velocity, b.angular_velocity)
