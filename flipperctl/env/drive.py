@@ -16,7 +16,6 @@ from flipperctl.config import Episode, PerceptionSettings, Robot, Sim
 from flipperctl.env.ends import Ends
 from flipperctl.sim.world import SAMPLE, World
 
-
 _TURN, _LOOK, _END = range(3)
 """What happens within a decision; at one moment, in this order."""
 
