@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, merged, parse
-from flipperctl.run import checkpoint
-from flipperctl.run.train import Trainer
+from flipperctl.training.trainer import Trainer
 
 SHORT = {
     "train.decisions": 600,

@@ -10,9 +10,9 @@ from uuid import uuid4
 
 import pytest
 
+from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
 from flipperctl.env import flipper_env
-from flipperctl.run import checkpoint
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 

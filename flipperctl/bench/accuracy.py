@@ -12,9 +12,9 @@ from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.run.rollout import play
-from flipperctl.run.seeds import episode_seed
-from flipperctl.sim.world import SAMPLE
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import episode_seed
+from flipperctl.sim.planar.world import SAMPLE
 
 ABOUT = (
     "θ̂_R of a rule on the paper's scenes, from several starts, by substep; ratios against a "

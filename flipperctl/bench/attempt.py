@@ -12,10 +12,10 @@ import torch
 from flipperctl.bench.settings import BenchSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.run.policy import QPolicy
-from flipperctl.run.rollout import play
-from flipperctl.run.seeds import episode_seed
-from flipperctl.run.statistics import reached
+from flipperctl.evaluation.statistics import reached
+from flipperctl.policies.trained import QPolicy
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import episode_seed
 
 
 @dataclass

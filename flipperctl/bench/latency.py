@@ -14,14 +14,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from flipperctl import checkpoint
 from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import in_turn, quantity
 from flipperctl.config import TrainConfig, merged, parse
 from flipperctl.errors import MissingExtraError
-from flipperctl.run import checkpoint
-from flipperctl.run.export import export
-from flipperctl.run.train import Trainer
+from flipperctl.export.policy import export
+from flipperctl.training.trainer import Trainer
 
 ABOUT = (
     "one decision of an exported ONNX policy on one thread, in a process without torch and "

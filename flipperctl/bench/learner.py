@@ -28,8 +28,8 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.run.collect import InProcess
-from flipperctl.run.seeds import episode_seed
+from flipperctl.rollout.collect import InProcess
+from flipperctl.rollout.seeds import episode_seed
 
 ABOUT = (
     "sample, gradient step and soft target update of our agent against Stable-Baselines3's DQN, "

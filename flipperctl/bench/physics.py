@@ -21,10 +21,10 @@ from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
-from flipperctl.run.seeds import episode_seed
-from flipperctl.sim import bare
-from flipperctl.sim.sensing import TerrainSensor
-from flipperctl.sim.world import SAMPLE, World
+from flipperctl.rollout.seeds import episode_seed
+from flipperctl.sim.planar import bare
+from flipperctl.sim.planar.sensing import TerrainSensor
+from flipperctl.sim.planar.world import SAMPLE, World
 
 ABOUT = (
     "decisions of the environment against the same substeps by Chipmunk's step alone "

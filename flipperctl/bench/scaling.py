@@ -24,10 +24,10 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.run import collect
-from flipperctl.run.collect import Crew, Order
-from flipperctl.run.processes import ProcessCrew
-from flipperctl.run.seeds import episode_seed
+from flipperctl.rollout import collect
+from flipperctl.rollout.collect import Crew, Order
+from flipperctl.rollout.processes import ProcessCrew
+from flipperctl.rollout.seeds import episode_seed
 
 ABOUT = "decisions collected a second (ε-greedy on the network, no updates), over workers, in turn"
 EPSILON = 0.05
@@ -117,7 +117,7 @@ def in_processes(config: TrainConfig, workers: int) -> Collector:
 
 def on_ray(config: TrainConfig, workers: int) -> Collector:
     """As ``collector=ray`` on a cluster that is started here, with room for all contestants."""
-    from flipperctl.run.ray_crew import RayCrew, start_local
+    from flipperctl.rollout.ray_workers import RayCrew, start_local
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)

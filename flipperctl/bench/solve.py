@@ -14,14 +14,14 @@ from typing import Any
 
 import torch
 
+from flipperctl import checkpoint
 from flipperctl.bench.attempt import Attempt, Listens
 from flipperctl.bench.extras import extra
 from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import TrainConfig, merged, parse
 from flipperctl.errors import MissingExtraError
-from flipperctl.run import checkpoint
-from flipperctl.run.train import Trainer
+from flipperctl.training.trainer import Trainer
 
 ABOUT = (
     "wall-clock from the start, validations included, until all unseen episodes of several "

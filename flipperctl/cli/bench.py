@@ -77,7 +77,7 @@ def bench(
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
     from flipperctl.cli.measured import tables
-    from flipperctl.run.files import make_folder, write_json
+    from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
     if repeats is not None:

@@ -14,7 +14,7 @@ from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.config import EvalConfig
-    from flipperctl.run.policy import ControllerSource
+    from flipperctl.policies.trained import ControllerSource
 
 HELP = """Judge a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
@@ -76,7 +76,7 @@ def evaluate(
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
     from flipperctl import plugins as loader
-    from flipperctl.run.files import make_folder
+    from flipperctl.files import make_folder
 
     loader.load(plugins or ())
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
@@ -112,15 +112,15 @@ def scenes(
     """What to judge: a configuration a scene, and the controller; one of the two is given."""
     from flipperctl import plugins as loader
     from flipperctl.cli import compose
-    from flipperctl.run.policy import ControllerSource
+    from flipperctl.policies.trained import ControllerSource
 
     compose.offer_defaults()
     if checkpoint is None:
         loader.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, ControllerSource(settings=settings)) for config, settings in found]
-    from flipperctl.run import checkpoint as checkpoints
-    from flipperctl.run.exported import exported_config, is_exported
+    from flipperctl import checkpoint as checkpoints
+    from flipperctl.policies.exported import exported_config, is_exported
 
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
@@ -134,7 +134,7 @@ def scenes(
 
 def _plugin(name: str, option: str) -> ControllerSource:
     from flipperctl import plugins as loader
-    from flipperctl.run.policy import ControllerSource
+    from flipperctl.policies.trained import ControllerSource
 
     plugin = loader.create("controller", name, option)
     return ControllerSource(settings=loader.container(plugin))
@@ -147,7 +147,7 @@ def _judge(
     baseline: ControllerSource | None,
     others: list[ControllerSource],
 ) -> list[dict[str, Any]]:
-    from flipperctl.run.statistics import differences, scene_summary
+    from flipperctl.evaluation.statistics import differences, scene_summary
 
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
@@ -192,7 +192,7 @@ def _play(
     from rich.console import Console
     from rich.progress import Progress
 
-    from flipperctl.run.evaluate import evaluate as run
+    from flipperctl.evaluation.episodes import evaluate as run
 
     s = config.eval
     played = list(range(s.episodes)) if only is None else only
@@ -214,7 +214,7 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
     import csv
     import io
 
-    from flipperctl.run.files import write_bytes, write_json
+    from flipperctl.files import write_bytes, write_json
 
     text = io.StringIO()
     writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
@@ -226,9 +226,9 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
 
 def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
     """A picture of the scene's first episode."""
+    from flipperctl.evaluation.episodes import Player
     from flipperctl.report.episode import episode_figure
     from flipperctl.report.figure import save
-    from flipperctl.run.evaluate import Player
 
     terrain = config.terrain.plugin_name
     states, profile = Player(config, source, config.eval.seed).trace(0)

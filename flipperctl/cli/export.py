@@ -48,10 +48,10 @@ def export(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl import checkpoint as checkpoints
     from flipperctl import plugins as loader
-    from flipperctl.run import checkpoint as checkpoints
-    from flipperctl.run.export import export as run
-    from flipperctl.run.files import check_writable
+    from flipperctl.export.policy import export as run
+    from flipperctl.files import check_writable
 
     loader.load(plugins or ())
     saved = checkpoints.read(checkpoints.find(checkpoint))

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from flipperctl.run.records import Listener
+from flipperctl.training.events import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
 

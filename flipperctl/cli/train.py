@@ -78,7 +78,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from flipperctl import plugins as loader
     from flipperctl.cli import compose, sweeper
     from flipperctl.errors import FlipperctlError, InterruptedRunError
-    from flipperctl.run.files import failure
+    from flipperctl.files import failure
 
     compose.offer_defaults()
     sweeper.offer()
@@ -178,11 +178,11 @@ def _check_terrain(config: TrainConfig) -> None:
 def _resume(run: Path, overrides: list[str]) -> None:
     from omegaconf import OmegaConf
 
+    from flipperctl import checkpoint
     from flipperctl.cli.compose import translated
     from flipperctl.cli.training import go_on
     from flipperctl.config import TrainConfig, merged, parse
     from flipperctl.errors import ConfigError
-    from flipperctl.run import checkpoint
 
     for override in overrides:
         if "=" not in override or not override.startswith(_RESUMABLE):

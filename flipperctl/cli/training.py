@@ -12,13 +12,13 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from flipperctl import checkpoint
 from flipperctl.cli.progress import progress
 from flipperctl.config import TrainConfig, container
 from flipperctl.errors import CheckpointError, InterruptedRunError, OutputError
-from flipperctl.run import checkpoint
-from flipperctl.run.files import make_folder, write_bytes
-from flipperctl.run.records import MetricsCsv, TensorBoard
-from flipperctl.run.train import Trainer
+from flipperctl.files import make_folder, write_bytes
+from flipperctl.training.events import MetricsCsv, TensorBoard
+from flipperctl.training.trainer import Trainer
 
 
 def start(config: TrainConfig, directory: Path) -> dict[str, Any]:

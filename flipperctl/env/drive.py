@@ -14,7 +14,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, Outcome, Profile
 from flipperctl.config import Episode, PerceptionSettings, Robot, Sim
 from flipperctl.env.ends import Ends
-from flipperctl.sim.world import SAMPLE, World
+from flipperctl.sim.planar.world import SAMPLE, World
 
 _TURN, _LOOK, _END = range(3)
 """What happens within a decision; at one moment, in this order."""

@@ -7,8 +7,8 @@ from collections import deque
 
 from flipperctl.api import Outcome, Profile
 from flipperctl.config import Episode, Robot
-from flipperctl.sim.plain import Limits
-from flipperctl.sim.world import World
+from flipperctl.sim.planar.plain import Limits
+from flipperctl.sim.planar.world import World
 
 
 class Ends:

@@ -32,7 +32,7 @@ from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import NonFiniteError, TerrainError
-from flipperctl.sim.sensing import TerrainSensor
+from flipperctl.sim.planar.sensing import TerrainSensor
 
 Observation = NDArray[np.float32]
 

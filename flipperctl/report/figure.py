@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from flipperctl.api import FloatArray, Profile
 from flipperctl.env.render import EARTH, GROUND, INK
 from flipperctl.errors import OutputError
+from flipperctl.files import check_writable, write_bytes
 from flipperctl.messages import close_match
-from flipperctl.run.files import check_writable, write_bytes
 
 SUFFIXES = (".pdf", ".png", ".svg")
 """File types that ``save`` writes."""

@@ -1,1 +1,1 @@
-"""The pymunk simulator: geometry, belts, the world and sensing. Knows no reward."""
+"""Engines and sensors; knows no reward."""

@@ -99,7 +99,7 @@ def exportable(network: Network) -> None:
         NotChecked: the extra is not installed.
     """
     from flipperctl.config import TrainConfig
-    from flipperctl.run.export import compare_onnx
+    from flipperctl.export.policy import compare_onnx
 
     config = TrainConfig(terrain=Ground(), rewards={"none": Recorder()}, network=network)
     module = _built(network).eval().requires_grad_(False)

@@ -120,9 +120,9 @@ def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
         OutputError: the folder cannot be written.
     """
     from flipperctl.config import Robot
+    from flipperctl.files import make_folder
     from flipperctl.report.figure import save
     from flipperctl.report.terrain import SMALL, terrain_figure
-    from flipperctl.run.files import make_folder
 
     name = variants[0].plugin.plugin_name
     for page, first in enumerate(range(0, len(variants), SMALL + 1)):

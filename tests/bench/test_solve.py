@@ -7,7 +7,7 @@ import pytest
 
 from flipperctl.bench import solve
 from flipperctl.bench.attempt import Attempt, Listens, Validation
-from flipperctl.run.train import Trainer
+from flipperctl.training.trainer import Trainer
 from tests.bench.small import check, small_bench
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.run import checkpoint
-from flipperctl.run.records import read_rows
+from flipperctl import checkpoint
+from flipperctl.training.events import read_rows
 from tests.cli.call import RUN, call
 
 QUICK = [f"{key}={value}" for key, value in RUN.items()]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.run import checkpoint
+from flipperctl import checkpoint
 from tests.cli.call import RUN, call
 
 QUICK = [f"{key}={value}" for key, value in RUN.items()]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.run.statistics import scene_summary
+from flipperctl.evaluation.statistics import scene_summary
 from tests.cli.call import call
 
 # A step of 0.9 m that nobody crosses, or one of 0.1 m that the others cross.

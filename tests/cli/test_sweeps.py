@@ -11,7 +11,7 @@ import pytest
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 
-from flipperctl.run import checkpoint
+from flipperctl import checkpoint
 from tests.cli.call import RUN, Done, call
 
 QUICK = [f"{key}={value}" for key, value in RUN.items()]

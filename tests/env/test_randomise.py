@@ -7,10 +7,10 @@ import pytest
 
 from flipperctl import plugins
 from flipperctl.config import EnvConfig, PerceptionSettings, Robot, Sim, merged, parse
+from flipperctl.config.randomise import Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.randomise import Randomise
-from flipperctl.run.rollout import play
+from flipperctl.rollout.episode import play
 
 HOLD, RAISE = 4, 8
 RANGES = {

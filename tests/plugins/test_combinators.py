@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import plugins
+from flipperctl import checkpoint, plugins
 from flipperctl.api import Profile, Terrain, registry, terrain
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
-from flipperctl.run import checkpoint
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 from flipperctl import plugins
 from flipperctl.api import Controller, Outcome
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.run.rollout import play
+from flipperctl.rollout.episode import play
 
 QUICK = {"name": "planner", "width": 6, "budget": 6000}
 

@@ -13,7 +13,7 @@ from pydantic import Field
 from flipperctl import api
 from flipperctl.api import Controller, Network, Outcome, Profile, RewardTerm, Terrain
 from flipperctl.errors import ConformanceError, MissingExtraError
-from flipperctl.run import export
+from flipperctl.export import policy as export
 from flipperctl.testing import Conformance, NotChecked, checks, controller
 from flipperctl.testing.recorded import transitions
 from flipperctl.testing.variants import variants

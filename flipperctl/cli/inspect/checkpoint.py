@@ -11,7 +11,7 @@ import typer
 from flipperctl.cli.options import AsJson, PluginPaths
 
 if TYPE_CHECKING:
-    from flipperctl.run.checkpoint import Checkpoint
+    from flipperctl.checkpoint import Checkpoint
 
 HELP = """Say what a checkpoint is. Nothing in the file is executed, and no plugin is needed.
 
@@ -34,8 +34,8 @@ def show(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl import checkpoint
     from flipperctl import plugins as loader
-    from flipperctl.run import checkpoint
 
     loader.load(plugins or ())
     found = describe(checkpoint.read(checkpoint.find(path)))

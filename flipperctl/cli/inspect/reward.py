@@ -45,7 +45,7 @@ def show(
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
     from flipperctl.cli.eval import scenes
-    from flipperctl.run.audit import audit
+    from flipperctl.evaluation.audit import audit
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"

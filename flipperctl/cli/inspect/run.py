@@ -34,7 +34,7 @@ def show(
     """See HELP."""
     from flipperctl import plugins as loader
     from flipperctl.errors import RequestError
-    from flipperctl.run.records import read_rows
+    from flipperctl.training.events import read_rows
 
     loader.load(plugins or ())
     metrics = run / "metrics.csv"

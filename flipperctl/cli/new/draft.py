@@ -13,8 +13,8 @@ from tempfile import mkdtemp
 
 from flipperctl import api
 from flipperctl.errors import OutputError, PluginError
+from flipperctl.files import failure, make_folder
 from flipperctl.plugins import source
-from flipperctl.run.files import failure, make_folder
 
 _USES = {
     "terrain": (

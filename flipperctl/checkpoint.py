@@ -1,0 +1,173 @@
+"""Checkpoints: safetensors files that describe themselves and run no code.
+
+A file holds tensors and, in its metadata, one JSON document (configuration, versions, plugins,
+format number) and a SHA-256 of everything, so that any flipped bit is found at load.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from flipperctl import __version__, plugins
+from flipperctl.api import Plugin, registry
+from flipperctl.config import TrainConfig, container, parse
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.files import write_bytes
+from flipperctl.messages import close_match
+
+FORMAT = 1
+BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint in memory, checked."""
+
+    path: Path
+    document: dict[str, Any]
+    """``format``, ``kind`` (best or last), ``config``, ``versions``, ``plugins`` and, with
+    ``kind``, the validation or the state of the run."""
+    tensors: dict[str, torch.Tensor]
+
+    def config(self) -> TrainConfig:
+        """The full training configuration.
+
+        Raises:
+            CheckpointError: a plugin that it needs is not installed, or the configuration is not
+                one of this version.
+        """
+        for plugin in self.document["plugins"]:
+            if (plugin["kind"], plugin["name"]) not in registry:
+                raise CheckpointError(
+                    f"{self.path}: the checkpoint needs the {plugin['kind']} plugin "
+                    f"{plugin['name']!r} (from {plugin['module']}), which is not installed; "
+                    "install it or name its file with --plugins"
+                )
+        try:
+            return parse(TrainConfig, self.document["config"])
+        except ConfigError as error:
+            raise CheckpointError(
+                f"{self.path}: its configuration does not fit: {error}"
+            ) from error
+
+    def part(self, prefix: str) -> dict[str, torch.Tensor]:
+        """The tensors whose names begin with ``prefix.``, without it."""
+        start = f"{prefix}."
+        return {k[len(start) :]: v for k, v in self.tensors.items() if k.startswith(start)}
+
+
+def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
+    """The document of a checkpoint."""
+    import gymnasium
+    import numpy as np
+    import pymunk
+
+    chosen: list[Plugin] = [config.terrain, config.network, *config.rewards.values()]
+    used = [part for plugin in chosen for part in plugins.nested(plugin)]
+    return {
+        "format": FORMAT,
+        "kind": kind,
+        "config": container(config),
+        "versions": {
+            "flipperctl": __version__,
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+            "pymunk": pymunk.version,
+            "gymnasium": gymnasium.__version__,
+        },
+        "plugins": [
+            {"kind": p.kind, "name": p.plugin_name, "module": type(p).__module__} for p in used
+        ],
+        **more,
+    }
+
+
+def write(path: Path, document: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> None:
+    """Write a checkpoint, whole or not at all."""
+    held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    text = json.dumps(document, allow_nan=False)  # order kept: rewards are summed in it
+    write_bytes(path, save(held, {"flipperctl": text, "sha256": _digest(text, held)}))
+
+
+def read(path: Path) -> Checkpoint:
+    """Read and check a checkpoint; nothing in the file is ever executed.
+
+    Raises:
+        CheckpointError: it is missing, truncated, changed, of another program or another format.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: there is no such checkpoint")
+    try:
+        with path.open("rb") as file:
+            start = file.read(9)
+    except OSError as error:
+        raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
+    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{".
+    if start[8:] != b"{" and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
+        raise CheckpointError(
+            f"{path} is a pickle or a zip archive, not a safetensors file; "
+            "flipperctl never loads these, since they can run code"
+        )
+    try:
+        with safe_open(path, framework="pt") as opened:
+            metadata = opened.metadata() or {}
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
+    if "flipperctl" not in metadata:
+        raise CheckpointError(f"{path} is a safetensors file, but no checkpoint of flipperctl")
+    text = metadata["flipperctl"]
+    if metadata.get("sha256") != _digest(text, tensors):
+        raise CheckpointError(f"{path} is damaged: its SHA-256 does not match its contents")
+    document = json.loads(text)
+    if document.get("format") != FORMAT:
+        raise CheckpointError(
+            f"{path} has checkpoint format {document.get('format')!r}; this version reads {FORMAT}"
+        )
+    return Checkpoint(path, document, tensors)
+
+
+def find(run_or_file: Path, prefer: Path = BEST) -> Path:
+    """The checkpoint file meant by a run directory, a file or the name of a shipped policy.
+
+    Raises:
+        CheckpointError: there is none.
+    """
+    if run_or_file.is_file():
+        return run_or_file
+    if not run_or_file.exists():
+        if (known := shipped()) and str(run_or_file) in known:
+            return known[str(run_or_file)]
+        raise CheckpointError(
+            f"{run_or_file}: there is no such run or checkpoint file"
+            f"{close_match(str(run_or_file), known)}; policies that come with flipperctl: "
+            f"{', '.join(known) or 'none'}"
+        )
+    for name in dict.fromkeys((prefer, BEST, LAST)):
+        if (run_or_file / name).is_file():
+            return run_or_file / name
+    raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; is it a run directory?")
+
+
+def shipped() -> dict[str, Path]:
+    """The policies that come with the package, by name."""
+    folder = Path(__file__).parent / "policies"
+    return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
+
+
+def _digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].contiguous()
+        digest.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,47 @@
+"""The composed configuration as frozen pydantic models.
+
+``sections`` holds the settings, ``randomise`` what is drawn for each episode, ``models`` whole
+configurations.
+"""
+
+from flipperctl.config.models import (
+    PAPER_REWARDS,
+    EnvConfig,
+    EvalConfig,
+    TrainConfig,
+    container,
+    merged,
+    parse,
+)
+from flipperctl.config.randomise import Randomise
+from flipperctl.config.sections import (
+    Agent,
+    Episode,
+    Eval,
+    LocalCollector,
+    PerceptionSettings,
+    RayCollector,
+    Robot,
+    Sim,
+    Train,
+)
+
+__all__ = [
+    "PAPER_REWARDS",
+    "Agent",
+    "EnvConfig",
+    "Episode",
+    "Eval",
+    "EvalConfig",
+    "LocalCollector",
+    "PerceptionSettings",
+    "Randomise",
+    "RayCollector",
+    "Robot",
+    "Sim",
+    "Train",
+    "TrainConfig",
+    "container",
+    "merged",
+    "parse",
+]

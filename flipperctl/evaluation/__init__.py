@@ -1,0 +1,1 @@
+"""Evaluation: episodes of any policy, their statistics, the audit of rewards."""

@@ -1,0 +1,110 @@
+"""A trained network as a controller, and controllers from a description of a few words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+
+from flipperctl import plugins
+from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.frames import stacked
+from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Simulator
+from flipperctl.checkpoint import Checkpoint, read
+from flipperctl.errors import CheckpointError
+from flipperctl.policies.exported import ExportedPolicy, is_exported
+
+
+class Acts(Protocol):
+    """Anything that maps what the robot perceives to an action."""
+
+    def begin(self, simulator: Simulator, /) -> None:
+        """An episode begins."""
+
+    def act(self, p: Perception, /) -> int:
+        """Index into ``ACTIONS``."""
+
+
+class QPolicy:
+    """Greedy in the Q-values of a network, which is in ``eval()`` mode."""
+
+    def __init__(self, module: torch.nn.Module, frames: int = 1) -> None:
+        """``frames``: observations that the network takes in at once."""
+        self.module = module
+        self.frames = frames
+        parameter = next(module.parameters(), torch.empty(0))
+        self._device = parameter.device
+
+    def begin(self, simulator: Simulator) -> None:
+        """Nothing: a network knows only what it perceives."""
+
+    def act(self, p: Perception) -> int:
+        """The action of the largest Q-value."""
+        return greedy(self.module, stacked(p.recent, self.frames), self._device)
+
+
+def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
+    """The network of a checkpoint with its trained weights, on the CPU.
+
+    Raises:
+        CheckpointError: the weights do not fit the network.
+    """
+    config = checkpoint.config()
+    module = build_network(config.network, config.perception, len(ACTIONS))
+    kind = checkpoint.document["kind"]
+    weights = checkpoint.part("policy" if kind == "best" else config.agent.act_with)
+    try:
+        module.load_state_dict(weights)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"{checkpoint.path}: the weights do not fit network {config.network.plugin_name!r}: "
+            f"{' '.join(str(error).split())}"
+        ) from error
+    return module.eval().requires_grad_(False)
+
+
+@dataclass(frozen=True)
+class ControllerSource:
+    """Where a controller comes from; small enough to be handed to another process."""
+
+    checkpoint: Path | None = None
+    """Or a file of ``flipperctl export onnx``."""
+    settings: dict[str, Any] | None = None
+    """``name`` and fields of a controller plugin."""
+
+    def label(self) -> str:
+        """What tables and files call it."""
+        if self.checkpoint is not None:
+            return str(self.checkpoint)
+        return str((self.settings or {})["name"])
+
+    def make(self, layout: ObservationLayout) -> Acts:
+        """The controller.
+
+        Raises:
+            CheckpointError: the policy was trained on another observation layout.
+        """
+        if self.checkpoint is None:
+            controller: Controller = plugins.create("controller", self.settings, "controller")
+            return controller
+        bins, bin_width, policy = _opened(self.checkpoint)
+        if (bins, bin_width) != (layout.bins, layout.bin_width):
+            raise CheckpointError(
+                f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
+                "perception.bins and perception.bin_width ask for "
+                f"{layout.bins} of {layout.bin_width:g} m"
+            )
+        return policy
+
+
+def _opened(file: Path) -> tuple[int, float, Acts]:
+    """The number and width of the bins that a policy takes, and the policy."""
+    if is_exported(file):
+        exported = ExportedPolicy(file)
+        return exported.interface.bins, exported.interface.bin_width, exported
+    checkpoint = read(file)
+    config = checkpoint.config()
+    policy = QPolicy(policy_module(checkpoint), config.network.frames)
+    return config.perception.bins, config.perception.bin_width, policy

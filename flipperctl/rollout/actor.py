@@ -1,0 +1,80 @@
+"""What runs in a worker: an environment and a network that plays whole episodes on order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl import plugins
+from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.frames import stacked
+from flipperctl.agent.noise import Noise
+from flipperctl.api import ACTIONS
+from flipperctl.config import TrainConfig, parse
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.trained import QPolicy
+from flipperctl.rollout.collect import Order, Played, Row, Weights
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import exploration
+
+
+class Actor:
+    """Plays episodes of training with the weights that come with each order."""
+
+    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        """``config``: the container of a ``TrainConfig``."""
+        torch.set_num_threads(1)
+        plugins.load(plugin_paths)
+        settings = parse(TrainConfig, config)
+        self._env = FlipperEnv(config=settings.environment())
+        self._module = build_network(settings.network, self._env.layout, len(ACTIONS))
+        self._module.requires_grad_(False)
+        self._noise = Noise(self._module)
+        self._frames = settings.network.frames
+        self._seed = settings.seed
+
+    def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+        """Play an episode of each seed greedily."""
+        self._load(weights)
+        policy = QPolicy(self._module.eval(), self._frames)
+        return [play(self._env, policy, seed) for seed in seeds]
+
+    def play(self, order: Order, weights: Weights) -> Played:
+        """One episode to its end; equal orders give equal episodes.
+
+        The weights come apart from the order, since many orders share them.
+        """
+        self._load(weights)
+        self._module.train()
+        rng = exploration(self._seed, order.episode)
+        self._env.reset(seed=order.seed, options={"difficulty": order.difficulty})
+        observation = self._seen()
+        observations, actions, rewards = [observation], [], []
+        over = False
+        info: dict[str, Any] = {}
+        while not over:
+            if rng.random() < order.epsilon:
+                action = int(rng.integers(len(ACTIONS)))
+            else:
+                self._noise.draw(rng)
+                action = greedy(self._module, observation)
+            _, reward, terminated, truncated, info = self._env.step(action)
+            observation = self._seen()
+            over = terminated or truncated
+            observations.append(observation)
+            actions.append(action)
+            rewards.append(reward)
+        ending = {"seed": order.seed, "outcome": str(info["outcome"]), **info["metrics"]}
+        ending["difficulty"] = order.difficulty
+        return Played(np.array(observations), np.array(actions), np.array(rewards), ending)
+
+    def _seen(self) -> NDArray[np.float32]:
+        return stacked(self._env.perception.recent, self._frames)
+
+    def _load(self, weights: Weights) -> None:
+        state = {name: torch.from_numpy(array) for name, array in weights.items()}
+        self._module.load_state_dict(state)

@@ -1,0 +1,229 @@
+"""Worker processes that are replaced when they die, and a crew of actors in them.
+
+Each worker is a process pool of one from the standard library: a dead process then takes down
+nothing but itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from safetensors.numpy import load_file, save_file
+
+from flipperctl.errors import FlipperctlError
+from flipperctl.rollout.collect import Judged, Order, Played, Row, Weights
+
+_ACTOR = "flipperctl.rollout.actor"
+_DEATHS = 3
+"""A worker that dies this often without a result in between is given up."""
+
+
+class WorkerDiedError(FlipperctlError):
+    """The process died that worked on a job."""
+
+
+@dataclass
+class Job:
+    """A call handed to a worker."""
+
+    worker: int
+    task: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    future: Future[Any]
+
+
+class Workers:
+    """``count`` processes, each begun with ``begin(*arguments)``."""
+
+    def __init__(self, count: int, begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        self.count = count
+        # A fork server imports torch once for all workers; for one worker it would only add to
+        # the memory.
+        several = count > 1 and "forkserver" in multiprocessing.get_all_start_methods()
+        self._context = multiprocessing.get_context("forkserver" if several else "spawn")
+        known = multiprocessing.get_all_start_methods()
+        if multiprocessing.get_start_method(allow_none=True) not in (None, *known):
+            # A worker of joblib's has one of its own, which its children would not know.
+            multiprocessing.set_start_method("spawn", force=True)
+        if several:
+            self._context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
+        self._begin = (begin, arguments)
+        self._pools = [self._pool() for _ in range(count)]
+        self._deaths = [0] * count
+        self._jobs: list[deque[Job]] = [deque() for _ in range(count)]
+
+    def _pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(1, self._context, _start, self._begin)
+
+    def submit(self, task: Callable[..., Any], *arguments: Any) -> Job:
+        """Call ``task(*arguments)`` in the worker that has the least to do."""
+        worker = min(range(self.count), key=lambda index: len(self._jobs[index]))
+        job = Job(worker, task, arguments, self._hand_over(worker, task, arguments))
+        self._jobs[worker].append(job)
+        return job
+
+    def _hand_over(
+        self, worker: int, task: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> Future[Any]:
+        try:
+            return self._pools[worker].submit(task, *arguments)
+        except BrokenProcessPool as error:  # it died while it had nothing to do, or since
+            failed: Future[Any] = Future()
+            failed.set_exception(error)
+            return failed
+
+    def result(self, job: Job) -> Any:
+        """Wait for what the job returns.
+
+        Raises:
+            WorkerDiedError: its process died; another has taken its place, with the jobs behind.
+        """
+        try:
+            value = job.future.result()
+        except BrokenProcessPool as error:
+            self._replace(job)
+            raise WorkerDiedError(f"worker process {job.worker} died") from error
+        finally:
+            self._jobs[job.worker].remove(job)
+        self._deaths[job.worker] = 0
+        return value
+
+    def _replace(self, job: Job) -> None:
+        worker = job.worker
+        self._deaths[worker] += 1
+        if self._deaths[worker] >= _DEATHS:
+            raise FlipperctlError(
+                f"worker process {worker} died {_DEATHS} times in a row, the last time in "
+                "its first job; is the memory full?"
+            )
+        self._pools[worker].shutdown(wait=False)
+        self._pools[worker] = self._pool()
+        for other in self._jobs[worker]:
+            if other is not job and (not other.future.done() or other.future.exception()):
+                other.future = self._hand_over(worker, other.task, other.arguments)
+
+    def processes(self) -> list[int]:
+        """The process numbers of the workers that run."""
+        return [pid for pool in self._pools for pid in (pool._processes or {})]
+
+    def close(self) -> None:
+        """Stop all processes, each behind the job that it works on."""
+        for pool in self._pools:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    with contextlib.suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process' business
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
+    begin(*arguments)
+
+
+def _leave_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
+
+
+class ProcessCrew:
+    """Actors in ``count`` processes; results come in the order of the orders."""
+
+    def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        self.count = count
+        self.capacity = 2 * count  # one is waiting while the other is played
+        self._workers = Workers(count, _begin, (config, plugin_paths))
+        self._sent: deque[tuple[Order, Job]] = deque()
+        # Weights go through files: a pool whose process dies while a long message to it is under
+        # way would hold up the interpreter's exit (CPython issue 94777, before Python 3.12).
+        self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
+        self._files: dict[int, Path] = {}
+
+    def send(self, order: Order) -> None:
+        """Hand an order to the worker that has the least to do."""
+        if order.version not in self._files:
+            self._files[order.version] = self._write(f"order{order.version}", order.weights)
+        path = self._files[order.version]
+        slim = replace(order, weights={})
+        self._sent.append((order, self._workers.submit(_play, slim, path)))
+
+    def take(self) -> tuple[Order, Played | None]:
+        """The oldest order, and its episode."""
+        order, job = self._sent.popleft()
+        try:
+            return order, self._workers.result(job)
+        except WorkerDiedError:
+            return order, None
+        finally:
+            in_use = {waiting.version for waiting in self.outstanding()}
+            for version in self._files.keys() - in_use:
+                self._files.pop(version).unlink()
+
+    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
+        """Each share goes to the worker that has the least to do."""
+        path = self._write("judged", weights)
+        jobs = [self._workers.submit(_judge, path, share) for share in shares]
+        return [partial(self._judged, job) for job in jobs]
+
+    def _write(self, name: str, weights: Weights) -> Path:
+        path = Path(self._folder.name) / f"{name}.safetensors"
+        save_file(dict(weights), path)
+        return path
+
+    def _judged(self, job: Job) -> list[Row] | None:
+        try:
+            rows: list[Row] = self._workers.result(job)
+        except WorkerDiedError:
+            return None
+        return rows
+
+    def outstanding(self) -> list[Order]:
+        """Orders sent and not taken."""
+        return [order for order, _ in self._sent]
+
+    def close(self) -> None:
+        """Stop the processes."""
+        self._workers.close()
+        self._folder.cleanup()
+
+
+_actor: Any = None  # one a worker process
+
+
+def _begin(config: dict[str, Any], plugin_paths: list[str]) -> None:
+    global _actor
+    from flipperctl.rollout.actor import Actor
+
+    try:
+        _actor = Actor(config, plugin_paths)
+    except FlipperctlError as error:  # an initialiser's error would only break the pool
+        _actor = error
+
+
+def _ready() -> Any:
+    if isinstance(_actor, FlipperctlError):
+        raise _actor
+    return _actor
+
+
+def _play(order: Order, weights: Path) -> Played:
+    played: Played = _ready().play(order, load_file(weights))
+    return played
+
+
+def _judge(weights: Path, seeds: Sequence[int]) -> list[Row]:
+    rows: list[Row] = _ready().judge(load_file(weights), seeds)
+    return rows

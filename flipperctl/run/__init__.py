@@ -1,1 +1,0 @@
-"""Runs: training, evaluation, export, and the files they leave."""

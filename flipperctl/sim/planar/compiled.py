@@ -1,0 +1,122 @@
+"""The engine's inner loop as machine code: no Python between the decisions of a robot.
+
+Chipmunk is stepped through its C function, and a compiled callback gives every contact its belt
+velocity. ``plain`` does the same through pymunk's public interface, number for number.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import llvmlite.binding
+import numpy as np
+import pymunk
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # carray
+from numpy.typing import NDArray
+from pymunk._chipmunk_cffi import ffi, lib
+
+from flipperctl.api import FloatArray
+from flipperctl.sim.planar.plain import GROUND, TRACK, Limits
+
+_DOUBLE = 8  # bytes
+
+
+def _double(struct: str, *path: str) -> int:
+    """Where a number lies in one of Chipmunk's structs, counted in doubles."""
+    return int(ffi.offsetof(struct, *path)) // _DOUBLE
+
+
+_NORMAL = _double("cpArbiter", "n", "x")
+_SURFACE = _double("cpArbiter", "surface_vr", "x")
+
+
+def _address(pointer: Any) -> int:
+    return int(ffi.cast("uintptr_t", pointer))
+
+
+def _c_function(name: str, signature: Any) -> Any:
+    """A function of pymunk's C library, to be called from compiled code."""
+    llvmlite.binding.add_symbol(name, _address(ffi.addressof(lib, name)))
+    return types.ExternalFunction(name, signature)
+
+
+_step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
+_read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp, types.uintp))
+
+
+@cfunc(types.void(types.voidptr, types.voidptr, types.voidptr), cache=True)
+def _belt(arbiter: Any, space: Any, speed: Any) -> None:
+    """Chipmunk's pre-solve callback; ``speed`` points to the belts' speed [m/s]."""
+    numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
+    v = carray(speed, (1,), dtype=np.float64)[0]
+    # Where the ground is the first shape, normal and surface velocity both change their sign.
+    numbers[_SURFACE] = -v * numbers[_NORMAL + 1]
+    numbers[_SURFACE + 1] = v * numbers[_NORMAL]
+
+
+@njit(cache=True)
+def _run(
+    space: int,
+    substep: float,
+    substeps: int,
+    body: int,
+    request: int,
+    filled: NDArray[np.int32],
+    pose: FloatArray,
+    poses: FloatArray,
+    angle_limit: float,
+    x_limit: float,
+    top: float,
+    half: float,
+) -> int:
+    for sample in range(len(poses)):
+        for _ in range(substeps):
+            _step(space, substep)
+        filled[0] = 0
+        _read(body, request)
+        x, z, angle = pose[0], pose[1], pose[2]
+        poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
+        if abs(angle) >= angle_limit:
+            return sample + 1
+        if x >= x_limit and z + half * abs(math.sin(angle)) <= top:
+            return sample + 1
+    return len(poses)
+
+
+class CompiledLoop:
+    """As ``PlainLoop``."""
+
+    def __init__(
+        self, space: pymunk.Space, body: pymunk.Body, speed: float, substep: float, substeps: int
+    ) -> None:
+        handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
+        belt_speed = ffi.new("double *", speed)
+        handler.userData = belt_speed
+        handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
+        # pymunk's batch reader puts position and angle into an array: x, y, angle.
+        pose = ffi.new("double[8]")  # with room to spare, so that it is never moved
+        array = ffi.new("pmFloatArray *", {"num": 0, "max": 8, "arr": pose})
+        fields = lib.POSITION | lib.ANGLE
+        request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
+        self._memory = (space, body, belt_speed, pose, array, request)  # in use as long as this
+        filled = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
+        self._arguments = (
+            *(_address(space._space), substep, substeps),
+            *(_address(body._body), _address(request), filled, np.frombuffer(ffi.buffer(pose))),
+        )
+
+    def run(self, poses: FloatArray, limits: Limits) -> int:
+        """As ``PlainLoop.run``."""
+        return int(_run(*self._arguments, poses, *limits))
+
+
+@njit(cache=True)
+def _steps(space: int, substep: float, count: int) -> None:
+    for _ in range(count):
+        _step(space, substep)
+
+
+def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
+    """Step a space with nothing else in between: the limit of what ``run`` can reach."""
+    _steps(_address(space._space), substep, count)

@@ -1,0 +1,110 @@
+"""Export: what is written agrees with torch, says what it is, and nothing is written otherwise."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.api import ObservationLayout
+from flipperctl.errors import ExportError, MissingExtraError
+from flipperctl.export import policy as export
+from flipperctl.policies.trained import policy_module
+
+
+@pytest.fixture(scope="module")
+def saved(short_run: Path) -> checkpoint.Checkpoint:
+    return checkpoint.read(short_run / checkpoint.BEST)
+
+
+@pytest.fixture(scope="module")
+def onnx_file(saved: checkpoint.Checkpoint, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("export") / "step.onnx"
+    found = export.export(saved, "onnx", path)
+    assert found["observations"] >= 1000
+    assert found["largest_difference"] < 1e-4
+    assert found["action_agreement"] == 1.0
+    return path
+
+
+def test_onnx_takes_si_units_in_any_batch(saved: checkpoint.Checkpoint, onnx_file: Path) -> None:
+    session = onnxruntime.InferenceSession(onnx_file, providers=["CPUExecutionProvider"])
+    (entry,), (result,) = session.get_inputs(), session.get_outputs()
+    assert (entry.name, entry.type, entry.shape[1]) == ("observation", "tensor(float)", 18)
+    assert (result.name, result.type, result.shape[1]) == ("q_values", "tensor(float)", 9)
+    module = policy_module(saved)
+    rng = np.random.default_rng(0)
+    for size in (1, 7):
+        observation = rng.uniform(-0.5, 0.5, (size, 18)).astype(np.float32)
+        expected = module(torch.from_numpy(observation)).numpy()
+        actual = session.run(None, {"observation": observation})[0]
+        assert actual == pytest.approx(expected, abs=1e-5)
+
+
+def test_onnx_says_what_it_is(onnx_file: Path) -> None:
+    model = onnx.load(onnx_file)
+    properties = {p.key: p.value for p in model.metadata_props}
+    layout = json.loads(properties["flipperctl.observation"])
+    assert [entry["name"] for entry in layout[-3:]] == ["theta_f1", "theta_f2", "theta_R"]
+    assert {entry["frame"] for entry in layout} == {"L", "R"}
+    actions = json.loads(properties["flipperctl.actions"])
+    assert np.shape(actions) == (9, 2)
+    # action = 3·(i + 1) + (j + 1): index 5 is front 0, rear +1 · π/12
+    assert actions[5] == pytest.approx([0.0, math.pi / 12])
+    assert float(properties["flipperctl.decision_period"]) == pytest.approx(0.6)
+    assert json.loads(properties["flipperctl.robot"])["chassis_length"] == 0.76
+    assert properties["flipperctl.terrain"] == "step"
+    assert properties["flipperctl.seed"] == "7"
+    assert float(properties["flipperctl.bin_width"]) == 0.15
+    assert {"flipperctl.format_version", "flipperctl.package_version"} <= properties.keys()
+    assert str(Path(__file__).parents[2]).encode() not in onnx_file.read_bytes()  # no local path
+
+
+def test_the_layout_names_every_number_of_an_observation() -> None:
+    entries = export.observation_layout(ObservationLayout(bins=5, bin_width=0.2))
+    names = ["h_1", "h_2", "h_3", "h_4", "h_5", "theta_f1", "theta_f2", "theta_R"]
+    assert [entry["name"] for entry in entries] == names
+    assert [entry["unit"] for entry in entries] == ["m"] * 5 + ["rad"] * 3
+    assert [entry["frame"] for entry in entries] == ["L"] * 5 + ["R", "R", "L"]
+    assert "[-0.500, -0.300) m" in entries[0]["meaning"]
+    assert "[0.300, 0.500) m" in entries[4]["meaning"]
+
+
+def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
+    path = tmp_path / "step.pt2"
+    found = export.export(saved, "pt2", path)
+    assert found["largest_difference"] < 1e-4
+    extra = {"flipperctl.terrain": ""}
+    program = torch.export.load(path, extra_files=extra)
+    assert extra["flipperctl.terrain"] == "step"
+    observation = torch.full((3, 18), 0.1)
+    expected = policy_module(saved)(observation)
+    assert torch.allclose(program.module()(observation), expected, atol=1e-5)
+
+
+def test_a_mismatch_fails_and_writes_nothing(
+    saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = export._pt2
+
+    def flipped(module: torch.nn.Module, *rest: object) -> object:
+        data, run = honest(module, *rest)
+        return data, lambda observations: run(-observations)
+
+    monkeypatch.setattr(export, "_pt2", flipped)
+    with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
+        export.export(saved, "pt2", tmp_path / "bad.pt2")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_extra_is_named(
+    saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
+    with pytest.raises(MissingExtraError, match=r"flipperctl\[onnx\]"):
+        export.export(saved, "onnx", tmp_path / "x.onnx")

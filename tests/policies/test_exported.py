@@ -1,0 +1,65 @@
+"""An exported file in the simulator: judged as the checkpoint it came from, in its own setting."""
+
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.config import EnvConfig
+from flipperctl.errors import CheckpointError, PolicyError
+from flipperctl.evaluation.episodes import evaluate
+from flipperctl.export import policy as export
+from flipperctl.policies.exported import exported_config
+from flipperctl.policies.trained import ControllerSource
+from tests.cli.call import call
+from tests.runtime import linear
+
+
+@pytest.fixture(scope="module")
+def exported(short_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("exported") / "step.onnx"
+    export.export(checkpoint.read(short_run / checkpoint.BEST), "onnx", path)
+    return path
+
+
+def test_the_exported_policy_drives_as_the_trained_one(short_run: Path, exported: Path) -> None:
+    config = EnvConfig(terrain="step")
+    trained = ControllerSource(checkpoint=short_run / checkpoint.BEST)
+    robot = ControllerSource(checkpoint=exported)
+    expected = list(evaluate(config, trained, episodes=3, seed=1))
+    assert list(evaluate(config, robot, episodes=3, seed=1)) == expected
+    assert list(evaluate(config, robot, episodes=3, seed=1, jobs=2)) == expected
+
+
+def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:
+    config = exported_config(exported)
+    assert config.terrain.plugin_name == "step"
+    robot = {"chassis_length": 0.9, "flipper_length": 0.5}
+    path = linear.write(tmp_path / "p.onnx", terrain="flat", robot=robot, bin_width=0.1)
+    config = exported_config(path)
+    assert config.terrain.plugin_name == "flat"
+    assert config.robot.chassis_length == 0.9
+    assert config.perception.bin_width == 0.1
+
+
+def test_another_layout_is_refused(exported: Path) -> None:
+    config = EnvConfig(terrain="flat", perception={"bins": 11})
+    with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
+        ControllerSource(checkpoint=exported).make(config.perception)
+
+
+def test_a_terrain_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    path = linear.write(tmp_path / "p.onnx", terrain="moon")
+    with pytest.raises(PolicyError, match="there is no terrain plugin 'moon'"):
+        exported_config(path)
+
+
+def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
+    done = call("eval", "--checkpoint", str(exported), "--episodes", "1", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert '"terrain": "step"' in done.out
+    (tmp_path / "no.onnx").write_text("no")
+    done = call("eval", "--checkpoint", "no.onnx", cwd=tmp_path)
+    assert done.code == 2
+    assert done.err.startswith("error: no.onnx is damaged or no ONNX model: ")
+    assert done.err.count("\n") == 1

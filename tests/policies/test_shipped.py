@@ -1,0 +1,43 @@
+"""The policies that come with the package: whole, described, and of today's configuration."""
+
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.cli import compose
+from flipperctl.config import container
+from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.episodes import evaluate
+from flipperctl.policies.trained import ControllerSource
+
+SHIPPED = sorted(checkpoint.shipped().items())
+
+
+def test_there_is_a_generalist() -> None:
+    assert "generalist" in dict(SHIPPED)
+
+
+@pytest.mark.parametrize(("name", "path"), SHIPPED)
+def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: Path) -> None:
+    saved = checkpoint.read(checkpoint.find(Path(name)))
+    assert saved.path == path
+    compose.offer_defaults()
+    (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
+    assert container(saved.config()) == container(experiment)
+    config = saved.config().environment()
+    rows = list(evaluate(config, ControllerSource(checkpoint=path), episodes=5, seed=0))
+    assert sum(row["outcome"] == "reached" for row in rows) >= 4
+
+
+@pytest.mark.parametrize(("name", "path"), SHIPPED)
+def test_a_shipped_policy_has_its_card(name: str, path: Path) -> None:
+    card = path.with_suffix(".md").read_text()
+    for heading in ("## What it is for", "## How it was trained", "## How it was judged"):
+        assert heading in card
+    assert f"experiment={name}" in card
+
+
+def test_an_unknown_policy_is_answered_with_those_there_are(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="did you mean 'generalist'"):
+        checkpoint.find(Path("generalst"))

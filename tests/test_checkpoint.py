@@ -1,0 +1,160 @@
+"""Checkpoints: damaged, foreign and dangerous files are refused with one clear error."""
+
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from flipperctl import checkpoint
+from flipperctl.errors import CheckpointError
+from flipperctl.policies.trained import policy_module
+
+
+@pytest.fixture
+def best(short_run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(short_run / checkpoint.BEST, tmp_path / "best.safetensors"))
+
+
+def test_a_checkpoint_describes_itself(best: Path) -> None:
+    saved = checkpoint.read(best)
+    assert saved.document["format"] == 1
+    assert saved.document["config"]["terrain"]["name"] == "step"
+    assert saved.document["versions"]["torch"] == torch.__version__
+    assert {
+        "kind": "network",
+        "name": "at_d3qn",
+        "module": "flipperctl_plugins.networks.at_d3qn",
+    } in (saved.document["plugins"])
+    assert saved.config().seed == 7
+
+
+def test_best_and_last_hold_the_same_policy_where_last_was_validated(short_run: Path) -> None:
+    last = checkpoint.read(short_run / checkpoint.LAST)
+    validations = last.document["state"]["validations"]
+    best = checkpoint.read(short_run / checkpoint.BEST)
+    assert best.document["validation"] in validations
+    observation = torch.zeros(1, 18)
+    for saved in (best, last):
+        assert policy_module(saved)(observation).shape == (1, 9)
+
+
+def test_every_flipped_bit_is_found(best: Path) -> None:
+    data = best.read_bytes()
+    # Some in the header, in the document, in the digest, in the weights.
+    for at in (0, 9, 100, 2000, len(data) // 2, len(data) - 1):
+        best.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(CheckpointError, match=r"damaged|no checkpoint"):
+            checkpoint.read(best)
+
+
+@pytest.mark.parametrize("size", [0, 7, 500, -1])
+def test_a_truncated_file_is_damaged(best: Path, size: int) -> None:
+    best.write_bytes(best.read_bytes()[:size])
+    with pytest.raises(CheckpointError, match="damaged"):
+        checkpoint.read(best)
+
+
+def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file({"weight": torch.zeros(2)}, path)
+    with pytest.raises(CheckpointError, match="no checkpoint of flipperctl"):
+        checkpoint.read(path)
+
+
+def test_another_format_number_is_refused(best: Path) -> None:
+    saved = checkpoint.read(best)
+    checkpoint.write(best, {**saved.document, "format": 99}, saved.tensors)
+    with pytest.raises(CheckpointError, match="format 99; this version reads 1"):
+        checkpoint.read(best)
+
+
+class Mine:
+    """Leaves a trace if it is ever unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return os.mkdir, (str(self.trace),)
+
+
+@pytest.mark.parametrize("how", ["pickle", "torch"])
+def test_a_pickle_is_refused_and_never_executed(tmp_path: Path, how: str) -> None:
+    path, trace = tmp_path / "best.safetensors", tmp_path / "executed"
+    if how == "pickle":
+        path.write_bytes(pickle.dumps(Mine(trace)))
+    else:
+        torch.save(Mine(trace), path)
+    with pytest.raises(CheckpointError, match="never loads"):
+        checkpoint.read(path)
+    assert not trace.exists()
+    pickle.loads(pickle.dumps(Mine(trace)))  # the trap does work
+    assert trace.exists()
+
+
+def test_a_header_whose_length_looks_like_a_pickle_is_read(best: Path) -> None:
+    saved = checkpoint.read(best)
+    for padding in range(256):  # until the length's lowest byte is a pickle's first, 0x80
+        checkpoint.write(best, {**saved.document, "padding": "x" * padding}, saved.tensors)
+        if best.read_bytes()[:1] == b"\x80":
+            break
+    assert best.read_bytes()[:1] == b"\x80"
+    assert checkpoint.read(best).document["padding"] == "x" * padding
+
+
+def test_a_missing_plugin_is_named(best: Path) -> None:
+    saved = checkpoint.read(best)
+    text = json.dumps(saved.document).replace("at_d3qn", "their_network")
+    checkpoint.write(best, json.loads(text), saved.tensors)
+    with pytest.raises(CheckpointError, match=r"network plugin 'their_network'.*--plugins"):
+        checkpoint.read(best).config()
+
+
+def test_weights_of_another_shape_are_refused(best: Path) -> None:
+    saved = checkpoint.read(best)
+    document = json.loads(json.dumps(saved.document))
+    document["config"]["network"]["head"] = 32
+    checkpoint.write(best, document, saved.tensors)
+    with pytest.raises(CheckpointError, match="do not fit network 'at_d3qn'"):
+        policy_module(checkpoint.read(best))
+
+
+def test_a_run_directory_stands_for_its_checkpoint(short_run: Path, tmp_path: Path) -> None:
+    assert checkpoint.find(short_run) == short_run / checkpoint.BEST
+    assert checkpoint.find(short_run, checkpoint.LAST) == short_run / checkpoint.LAST
+    with pytest.raises(CheckpointError, match="is it a run directory"):
+        checkpoint.find(tmp_path)
+    with pytest.raises(CheckpointError, match="no such run"):
+        checkpoint.find(tmp_path / "missing")
+
+
+_FILL = """
+import resource, signal, sys
+from pathlib import Path
+from flipperctl.errors import WriteError
+from flipperctl import checkpoint
+saved = checkpoint.read(Path(sys.argv[1]))
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # the disk is full behind 4 KiB
+try:
+    checkpoint.write(Path(sys.argv[1]), {**saved.document, "kind": "new"}, saved.tensors)
+except WriteError as error:
+    print(error)
+"""
+
+
+def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path) -> None:
+    before = best.read_bytes()
+    done = subprocess.run(
+        [sys.executable, "-c", _FILL, str(best)], capture_output=True, text=True, check=True
+    )
+    assert "writing failed half way" in done.stdout
+    assert best.read_bytes() == before
+    assert list(best.parent.iterdir()) == [best]

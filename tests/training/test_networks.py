@@ -1,0 +1,106 @@
+"""Every network is trained, judged and exported by its name alone."""
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from flipperctl import checkpoint, plugins
+from flipperctl.api import Network
+from flipperctl.config import EnvConfig, TrainConfig
+from flipperctl.evaluation.episodes import evaluate
+from flipperctl.export import policy as export
+from flipperctl.policies.trained import ControllerSource
+from flipperctl.runtime import OnnxPolicy
+from tests.short import short_config, trainer
+
+NEW = [n for n in plugins.names("network") if n not in ("at_d3qn", "dueling_mlp", "mlp")]
+
+
+def config(name: str, **more: object) -> TrainConfig:
+    """A training of some twelve episodes."""
+    quick = {
+        "train.decisions": 260,
+        "train.validate_every": 130,
+        "train.validation_episodes": 1,
+        "agent.learning_starts": 60,
+        "agent.batch_size": 32,
+        "agent.epsilon_start": 0.2,
+        **more,
+    }
+    return short_config(network=name, **quick)
+
+
+@pytest.fixture(scope="module", params=NEW)
+def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a finished run of one of the networks."""
+    folder = tmp_path_factory.mktemp(request.param)
+    summary = trainer(config(request.param), folder).run()
+    assert summary["network"] == request.param
+    return folder
+
+
+@pytest.mark.parametrize("trained", ["noisy", "stacked"], indirect=True)
+def test_a_resumed_run_equals_the_uninterrupted_one(trained: Path, tmp_path: Path) -> None:
+    whole = checkpoint.read(trained / checkpoint.LAST)
+    first = trainer(whole.config(), tmp_path)
+    first.run(stop=lambda: first.decision >= 120)
+    stopped = checkpoint.read(tmp_path / checkpoint.LAST)
+    assert 0 < stopped.document["state"]["updates"] < whole.document["state"]["updates"]
+    second = trainer(stopped.config(), tmp_path)
+    second.restore(stopped)
+    second.run()
+    resumed = checkpoint.read(tmp_path / checkpoint.LAST)
+    assert resumed.tensors.keys() == whole.tensors.keys()
+    for name, tensor in whole.tensors.items():
+        assert torch.equal(resumed.tensors[name], tensor), name
+    for key in ("validations", "generators"):
+        assert resumed.document["state"][key] == whole.document["state"][key]
+
+
+def test_the_exported_policy_drives_as_the_trained_one(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "OBSERVATIONS", 100)
+    saved, path = checkpoint.read(trained / checkpoint.BEST), tmp_path / "policy.onnx"
+    for found in (
+        export.export(saved, "onnx", path),
+        export.export(saved, "pt2", tmp_path / "policy.pt2"),
+    ):
+        assert found["action_agreement"] == 1.0
+    frames = saved.config().network.frames
+    assert OnnxPolicy(path).interface.frames == frames
+    (entry,) = onnxruntime.InferenceSession(path).get_inputs()
+    assert entry.shape[1] == 18 * frames
+    judged = EnvConfig(terrain="step")
+    expected = list(
+        evaluate(judged, ControllerSource(trained / checkpoint.BEST), episodes=3, seed=1)
+    )
+    assert list(evaluate(judged, ControllerSource(path), episodes=3, seed=1)) == expected
+
+
+def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Path) -> None:
+    from flipperctl.agent.d3qn import D3qn, arrays
+    from flipperctl.config import container
+    from flipperctl.rollout.actor import Actor
+    from flipperctl.rollout.collect import Order
+
+    for name in ("noisy", "stacked"):
+        settings = config(name)
+        network, layout = settings.network, settings.perception
+        assert isinstance(network, Network)
+        agent = D3qn(network, layout, 9, settings.agent, seed=1)
+        weights = arrays(agent.online)
+        actors = [Actor(container(settings), []) for _ in range(2)]
+        orders = [Order(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
+        actors[1].judge(weights, [3])  # leaves no trace in what is played next
+        one, again, other = (
+            actor.play(order, weights)
+            for actor, order in zip([*actors, actors[0]], [*orders[:1] * 2, orders[1]], strict=True)
+        )
+        assert one.observations.shape[1] == network.frames * layout.size
+        assert np.array_equal(one.actions, again.actions)
+        # Without random actions, only noise makes two episodes of equal ground differ
+        assert np.array_equal(one.actions, other.actions) == (name == "stacked")

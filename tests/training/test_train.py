@@ -1,0 +1,166 @@
+"""Training: it learns, it can be stopped and goes on bit for bit, it leaves what it promises."""
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from flipperctl import checkpoint, plugins
+from flipperctl.api import RewardTerm, Transition, registry, reward
+from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.errors import NonFiniteError, WriteError
+from flipperctl.training import trainer as train
+from flipperctl.training.events import MetricsCsv, read_rows
+from tests.short import short_config, trainer
+
+
+def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
+    learner = trainer(
+        short_config(**{"train.decisions": 3000, "agent.epsilon_decisions": 2000}), tmp_path
+    )
+    best = learner.run()["best"]
+    # An untrained network reaches hardly any finish (first validation); a trained one most.
+    assert best is not None
+    assert best["success_rate"] >= 2 / 3
+    assert best["decision"] > 300
+
+
+def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
+    tmp_path: Path, short_run: Path
+) -> None:
+    first = trainer(short_config(), tmp_path)
+    first.run(stop=lambda: first.decision >= 250)
+    stopped = checkpoint.read(tmp_path / checkpoint.LAST)
+    assert 250 <= stopped.document["state"]["decision"] < 600
+
+    second = trainer(stopped.config(), tmp_path)
+    second.restore(stopped)
+    second.run()
+
+    resumed = checkpoint.read(tmp_path / checkpoint.LAST)
+    whole = checkpoint.read(short_run / checkpoint.LAST)
+    assert resumed.tensors.keys() == whole.tensors.keys()
+    for name, tensor in whole.tensors.items():
+        assert torch.equal(resumed.tensors[name], tensor), name
+    ours, theirs = resumed.document["state"], whole.document["state"]
+    for key in ("decision", "episode", "loss", "recent", "validations", "generators"):
+        assert ours[key] == theirs[key], key
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
+    tmp_path: Path, workers: int
+) -> None:
+    config = short_config(
+        **{
+            "train.mode": "fast",
+            "train.workers": workers,
+            # An order carries its episode's difficulty.
+            "terrain": {"name": "curriculum", "start": 0.5, "up": 0.2, "down": 0.1},
+        }
+    )
+    trainer(config, tmp_path / "whole").run()
+    whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
+
+    first = trainer(config, tmp_path / "parts")
+    first.run(stop=lambda: first.decision >= 250)
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    assert len(stopped.document["state"]["orders"]) == 2 * workers - 1
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.restore(stopped)
+    second.run()
+
+    resumed = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    assert resumed.tensors.keys() == whole.tensors.keys()
+    for name, tensor in whole.tensors.items():
+        assert torch.equal(resumed.tensors[name], tensor), name
+    for key in ("validations", "difficulty"):
+        assert resumed.document["state"][key] == whole.document["state"][key]
+
+
+def test_equal_seeds_give_equal_runs_and_others_do_not(tmp_path: Path, short_run: Path) -> None:
+    whole = checkpoint.read(short_run / checkpoint.LAST).part("online")
+    trainer(short_config(seed=8), tmp_path / "other").run()
+    other = checkpoint.read(tmp_path / "other" / checkpoint.LAST).part("online")
+    assert any(not torch.equal(whole[name], other[name]) for name in whole)
+
+
+def test_the_budget_is_met_exactly(short_run: Path) -> None:
+    summary = json.loads((short_run / "summary.json").read_text())
+    assert summary["finished"] is True
+    assert summary["decisions"] == 600
+    assert summary["last"]["decision"] == 600
+
+
+def test_metrics_hold_a_row_an_episode_and_drop_what_lies_behind_a_resumed_checkpoint(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "metrics.csv"
+    first = trainer(short_config(), tmp_path)
+    first.listeners.append(MetricsCsv(path, ["flipper", "pitch", "end"]))
+    first.run()
+    rows = read_rows(path)
+    episodes = [row for row in rows if row["kind"] == "episode"]
+    assert [int(row["episode"]) for row in episodes] == list(range(1, first.episode + 1))
+    parts = [
+        sum(float(row[f"reward_{t}"]) for t in ("flipper", "pitch", "end")) for row in episodes
+    ]
+    assert parts == pytest.approx([float(row["return"]) for row in episodes])
+
+    MetricsCsv(path, ["flipper", "pitch", "end"], resume_at=300).close()
+    kept = read_rows(path)
+    assert kept == [row for row in rows if int(row["decision"]) <= 300]
+    assert 0 < len(kept) < len(rows)
+    with path.open() as file:
+        assert next(csv.reader(file))[0] == "kind"
+
+
+def test_best_is_chosen_by_success_then_by_pitch_variation() -> None:
+    def validation(success: float, variation: float) -> dict[str, float]:
+        return {"success_rate": success, "pitch_variation": variation}
+
+    learner = train.Trainer.__new__(train.Trainer)
+    learner.validations = [validation(0.9, 0.1), validation(1.0, 2.0), validation(1.0, 1.5)]
+    assert learner.best == validation(1.0, 1.5)
+
+
+def test_a_reward_that_is_no_number_stops_and_is_named(tmp_path: Path) -> None:
+    @reward("sometimes_nan")
+    class SometimesNan(RewardTerm):
+        """NaN when an episode ends."""
+
+        def __call__(self, t: Transition) -> float:
+            return 0.0 if t.outcome is None else math.nan
+
+    try:
+        rewards = {**plugins_of(short_config()), "odd": {"name": "sometimes_nan"}}
+        config = parse(TrainConfig, merged(short_config(), {"rewards": rewards}))
+        with pytest.raises(NonFiniteError, match=r"rewards\.odd.*SometimesNan.*nan"):
+            trainer(config, tmp_path).run()
+    finally:
+        del registry["reward", "sometimes_nan"]
+
+
+def plugins_of(config: TrainConfig) -> dict[str, dict[str, object]]:
+    return {name: plugins.container(term) for name, term in config.rewards.items()}
+
+
+def test_a_failing_write_keeps_the_checkpoint_before(
+    short_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "last.safetensors"
+    saved = checkpoint.read(short_run / checkpoint.LAST)
+    checkpoint.write(target, saved.document, saved.tensors)
+    before = target.read_bytes()
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(WriteError, match=r"No space left on device.*the old file is kept"):
+        checkpoint.write(target, {**saved.document, "kind": "other"}, saved.tensors)
+    assert target.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["last.safetensors"]
