@@ -69,9 +69,9 @@ def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
     """The document of a checkpoint."""
     import gymnasium
     import numpy as np
-    import pymunk
 
-    chosen: list[Plugin] = [config.terrain, config.network, *config.rewards.values()]
+    chosen: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
+    chosen += config.rewards.values()
     used = [part for plugin in chosen for part in plugins.nested(plugin)]
     return {
         "format": FORMAT,
@@ -81,8 +81,8 @@ def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
             "flipperctl": __version__,
             "torch": torch.__version__,
             "numpy": np.__version__,
-            "pymunk": pymunk.version,
             "gymnasium": gymnasium.__version__,
+            **config.sim.versions(),
         },
         "plugins": [
             {"kind": p.kind, "name": p.plugin_name, "module": type(p).__module__} for p in used

@@ -8,9 +8,20 @@ and rear alike; the pitch is positive nose up.
 """
 
 from flipperctl.api.controllers import Controller, Simulator, controller
+from flipperctl.api.engines import (
+    NO_LIMITS,
+    SAMPLE_PERIOD,
+    Engine,
+    Limits,
+    Start,
+    World,
+    engine,
+)
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
+from flipperctl.api.robot import Robot
+from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sensor, sensor
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
     ACTIONS,
@@ -32,9 +43,14 @@ __all__ = [
     "ACTIONS",
     "MEMORY",
     "NAME_RULE",
+    "NO_LIMITS",
+    "SAMPLE_PERIOD",
     "AnyTerrain",
     "Controller",
+    "Engine",
     "FloatArray",
+    "GroundSensor",
+    "Limits",
     "Network",
     "ObservationLayout",
     "Outcome",
@@ -42,19 +58,27 @@ __all__ = [
     "Plugin",
     "Profile",
     "RewardTerm",
+    "Robot",
     "RobotGeometry",
     "RobotState",
+    "SensedAngles",
+    "SensedGround",
+    "Sensor",
     "Settings",
     "Shaping",
     "Simulator",
+    "Start",
     "Terrain",
     "Transition",
+    "World",
     "action_index",
     "candidate_angle",
     "controller",
+    "engine",
     "is_plugin_name",
     "network",
     "registry",
     "reward",
+    "sensor",
     "terrain",
 ]

@@ -246,6 +246,10 @@ class Transition:
     """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
     previous_action: tuple[int, int] = (0, 0)
     """Of the decision before, (0, 0) at an episode's first."""
+    flippers: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """(S + 1, 2) front and rear flipper angle in frame R at each pose of ``path`` [rad]."""
+    sample_period: float = 0.01
+    """Time between two poses of ``path`` [s]."""
 
 
 def candidate_angle(

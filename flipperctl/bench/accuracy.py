@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import Any
 
 from flipperctl import plugins
+from flipperctl.api import SAMPLE_PERIOD
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
-from flipperctl.sim.planar.world import SAMPLE
+from flipperctl.sim.planar import planar
 
 ABOUT = (
     "θ̂_R of a rule on the paper's scenes, from several starts, by substep; ratios against a "
@@ -28,8 +29,8 @@ FACTORS = (2.0, 1.0, 0.5, 0.25)
 def measure(bench: Bench) -> dict[str, Any]:
     """θ̂_R [rad] by scene and substep [ms], and its ratio to that of the finest."""
     # The sampling time is the coarsest substep that the simulator takes.
-    substeps = [f * bench.config.sim.substep for f in FACTORS]
-    substeps = [step for step in substeps if step <= SAMPLE * (1 + 1e-9)]
+    substeps = [f * planar(bench.config.sim).substep for f in FACTORS]
+    substeps = [step for step in substeps if step <= SAMPLE_PERIOD * (1 + 1e-9)]
     runs = [(scene, step) for scene in SCENES for step in substeps]
     found: dict[tuple[str, float], list[float | None]] = {}
     for index, (scene, step) in enumerate(runs):

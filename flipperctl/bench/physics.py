@@ -15,16 +15,15 @@ from typing import Any
 import numpy as np
 
 from flipperctl import plugins
-from flipperctl.api import ACTIONS, Profile, Transition
+from flipperctl.api import ACTIONS, SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
 from flipperctl.rollout.seeds import episode_seed
-from flipperctl.sim.planar import bare
-from flipperctl.sim.planar.sensing import TerrainSensor
-from flipperctl.sim.planar.world import SAMPLE, World
+from flipperctl.sim.planar import bare, planar
+from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (
     "decisions of the environment against the same substeps by Chipmunk's step alone "
@@ -38,8 +37,7 @@ class Recording:
 
     seed: int
     profile: Profile
-    start: tuple[float, float, float]
-    """x of the chassis [m], front and rear flipper angle [rad]."""
+    start: Start
     actions: list[int] = field(default_factory=list)
     targets: list[tuple[float, float]] = field(default_factory=list)
     """Angles commanded to the front and the rear flippers [rad]."""
@@ -52,7 +50,7 @@ class Recording:
     def samples(self, index: int) -> int:
         """How many samples of the state decision ``index`` took."""
         t = self.transitions[index]
-        return round((t.after.time - t.before.time) / SAMPLE)
+        return round((t.after.time - t.before.time) / SAMPLE_PERIOD)
 
 
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
@@ -61,8 +59,9 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     acts = plugins.create("controller", controller, "bench.controller")
     env.reset(seed=seed)
     state, robot = env.state, config.robot
-    made = Recording(seed, env.profile, (float(state.position[0]), state.front, state.rear))
-    made.moments.append(bare.moment(env.drive.world))
+    made = Recording(seed, env.profile, Start(float(state.position[0]), state.front, state.rear))
+    world = _world(env)
+    made.moments.append(bare.moment(world))
     target = (state.front, state.rear)
     outcome = None
     while outcome is None:
@@ -75,10 +74,18 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
         )
         made.actions.append(action)
         made.targets.append(target)
-        made.moments.append(bare.moment(env.drive.world))
-        made.contacts.append(bare.contacts(env.drive.world))
+        made.moments.append(bare.moment(world))
+        made.contacts.append(bare.contacts(world))
         made.transitions.append(env.transition)
     return made
+
+
+def _world(env: FlipperEnv) -> PlanarWorld:
+    """The world that the environment drives in."""
+    world = env.drive.world
+    if not isinstance(world, PlanarWorld):
+        raise TypeError(f"bench physics needs a planar world; got {type(world).__name__}")
+    return world
 
 
 class Clocks:
@@ -108,7 +115,7 @@ class Clocks:
         """Chipmunk's step alone."""
         world, spent = self._world(r), 0.0
         bare.strip(world)
-        substeps = round(SAMPLE / self.config.sim.substep)
+        substeps = round(SAMPLE_PERIOD / planar(self.config.sim).substep)
         self.bare_contacts = []
         for index in range(len(r.actions)):
             bare.put(world, r.moments[index], r.moments[index + 1].phases)
@@ -130,13 +137,13 @@ class Clocks:
         return spent
 
     def sensing(self, r: Recording) -> float:
-        """Terrain points and the heights of the bins."""
+        """Terrain points, the heights of the bins and the angles."""
         perception, episode = self.config.perception, self.config.episode
         margin = episode.run_up + episode.run_out + perception.reach + 2.0
-        sensor, rng = TerrainSensor(r.profile, perception, margin), np.random.default_rng(0)
+        sensor, rng = perception.over(r.profile, margin), np.random.default_rng(0)
         begun = time.perf_counter()
         for t in r.transitions:
-            sensor.heights(sensor.points(t.after.position, rng))
+            sensor.sense(t.after, rng)
         return time.perf_counter() - begun
 
     def rewards(self, r: Recording) -> float:
@@ -146,11 +153,11 @@ class Clocks:
             self.reward(t)
         return time.perf_counter() - begun
 
-    def _world(self, r: Recording) -> World:
-        return World(r.profile, self.config.robot, self.config.sim, *r.start)
+    def _world(self, r: Recording) -> PlanarWorld:
+        return PlanarWorld(r.profile, self.config.robot, planar(self.config.sim), *r.start)
 
 
-def run(world: World, target: tuple[float, float], samples: int) -> None:
+def run(world: PlanarWorld, target: tuple[float, float], samples: int) -> None:
     """Run a world through one decision, as the environment does."""
     world.command(*target)
     world.advance(samples)
@@ -183,7 +190,8 @@ def measure(bench: Bench) -> dict[str, Any]:
         bench.tell("episodes in turn", (index + 1) / s.repeats)
     samples = sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
     work = Work(
-        sum(len(r.actions) for r in recordings), samples * round(SAMPLE / config.sim.substep)
+        sum(len(r.actions) for r in recordings),
+        samples * round(SAMPLE_PERIOD / planar(config.sim).substep),
     )
     return {
         "about": ABOUT,

@@ -43,7 +43,7 @@ from flipperctl.messages import close_match
 CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_GROUP_KEYS = ("terrain", "rewards", "network", "collector")
+_GROUP_KEYS = ("terrain", "rewards", "network", "collector", "sim", "perception")
 _CALLED = {"rewards": "preset"}  # what an entry of a group is called, if not as the group
 
 
@@ -78,7 +78,7 @@ def offer_trained(config: TrainConfig | EvalConfig) -> str:
     store = ConfigStore.instance()
     whole = container(config.environment())
     whole["terrain"] = plugins.container(config.terrain, brief=True)
-    groups = ("terrain", "rewards")
+    groups = ("terrain", "rewards", "sim", "perception")
     for group in groups:
         store.store(group=group, name=_TRAINED, node=whole.pop(group))
     name = "flipperctl_eval_trained"

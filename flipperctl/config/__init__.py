@@ -19,10 +19,7 @@ from flipperctl.config.sections import (
     Episode,
     Eval,
     LocalCollector,
-    PerceptionSettings,
     RayCollector,
-    Robot,
-    Sim,
     Train,
 )
 
@@ -34,11 +31,8 @@ __all__ = [
     "Eval",
     "EvalConfig",
     "LocalCollector",
-    "PerceptionSettings",
     "Randomise",
     "RayCollector",
-    "Robot",
-    "Sim",
     "Train",
     "TrainConfig",
     "container",

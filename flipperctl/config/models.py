@@ -7,14 +7,17 @@ plugin instances inside. The sections and their settings stand in ``sections``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError, model_validator
 
 from flipperctl import plugins
 from flipperctl.api import (
+    Engine,
     Network,
     RewardTerm,
+    Robot,
+    Sensor,
     Settings,
     Shaping,
     Terrain,
@@ -25,10 +28,7 @@ from flipperctl.config.sections import (
     Episode,
     Eval,
     LocalCollector,
-    PerceptionSettings,
     RayCollector,
-    Robot,
-    Sim,
     Train,
 )
 from flipperctl.errors import ConfigError
@@ -41,6 +41,21 @@ def _terrain(value: object) -> object:
 
 def _network(value: object) -> object:
     return plugins.create("network", value, "network")
+
+
+def _engine(value: object) -> object:
+    return plugins.create("sim", _named(value), "sim")
+
+
+def _sensor(value: object) -> object:
+    return plugins.create("perception", _named(value), "perception")
+
+
+def _named(value: object) -> object:
+    """The settings with a name; files of version 0.1 have none."""
+    if isinstance(value, Mapping) and "name" not in value:
+        return {"name": DEFAULT_ENGINE, **value}
+    return value
 
 
 def _rewards(value: object) -> object:
@@ -64,10 +79,14 @@ ConfiguredTerrain = Annotated[
     Terrain, BeforeValidator(_terrain), PlainSerializer(plugins.container)
 ]
 AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(plugins.container)]
+AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(plugins.container)]
+AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(plugins.container)]
 AnyRewards = Annotated[
     dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_reward_containers)
 ]
 
+DEFAULT_ENGINE = "planar"
+"""Name of the engine and of the sensor that are used if none is chosen."""
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
@@ -80,15 +99,21 @@ class EnvConfig(Settings):
         default_factory=lambda: dict(PAPER_REWARDS)  # type: ignore[arg-type]
     )
     robot: Robot = Robot()
-    sim: Sim = Sim()
-    perception: PerceptionSettings = PerceptionSettings()
+    sim: AnyEngine = Field(default_factory=lambda: cast("Engine", DEFAULT_ENGINE))
+    perception: AnySensor = Field(default_factory=lambda: cast("Sensor", DEFAULT_ENGINE))
     episode: Episode = Episode()
     randomise: Randomise = Randomise()
 
     @model_validator(mode="after")
     def _draws_are_allowed(self) -> EnvConfig:
         for section, name, ends in self.randomise.ranges():
-            model = type(getattr(self, section))
+            settings = getattr(self, section)
+            model = type(settings)
+            if name not in model.model_fields:
+                raise ConfigError(
+                    f"randomise.{name}: {section}={settings.plugin_name} has no setting {name!r}; "
+                    f"drop it with randomise.{name}=null"
+                )
             for value in ends:
                 try:
                     model(**{name: value})
@@ -105,7 +130,7 @@ class EnvConfig(Settings):
                 )
         return self
 
-    def drawn(self, values: Mapping[str, float]) -> tuple[Sim, Robot, PerceptionSettings]:
+    def drawn(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
         """Engine, robot and perception of an episode in which ``values`` were drawn."""
         sections = {"sim": self.sim, "robot": self.robot, "perception": self.perception}
         found = replaced(sections, values)

@@ -8,88 +8,9 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from flipperctl.api import ObservationLayout, Outcome, RobotGeometry, Settings
-
-
-class Robot(RobotGeometry):
-    """The robot: geometry from the paper, masses from the laboratory's public robot model."""
-
-    chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
-    flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
-    track_speed: float = Field(
-        0.2, gt=0, le=2, description="speed of all belts' surfaces along their outline [m/s]"
-    )
-    flipper_speed: float = Field(
-        math.radians(25), gt=0.05, le=5, description="turning rate of a flipper pair [rad/s]"
-    )
-    flipper_torque: float = Field(
-        200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
-    )
-    actuator_delay: float = Field(
-        0.0, ge=0, le=0.5, description="from a decision to the flippers' turn; paper silent [s]"
-    )
-
-    @property
-    def decision_period(self) -> float:
-        """Time in which a flipper turns by one angle step [s]."""
-        return self.angle_step / self.flipper_speed
-
-
-class Sim(Settings):
-    """The physics engine."""
-
-    substep: float = Field(
-        0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
-    )
-    iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
-    engine: Literal["compiled", "plain"] = Field(
-        "compiled",
-        description="the substeps' loop: machine code, or the plain Python that it equals number "
-        "for number [-]",
-    )
-    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
-    friction: float = Field(
-        1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"
-    )
-
-    @model_validator(mode="after")
-    def _divides_the_sample(self) -> Sim:
-        ratio = 0.01 / self.substep
-        if abs(ratio - round(ratio)) > 1e-9:
-            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
-        return self
-
-
-class PerceptionSettings(ObservationLayout):
-    """The point cloud and the observation made of it."""
-
-    density: float = Field(
-        50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
-    )
-    noise: float = Field(
-        0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
-    )
-    dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
-    bias: float = Field(
-        0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
-    )
-    horizon: float = Field(
-        10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
-    )
-    angle_noise: float = Field(
-        0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
-    )
-    pitch_bias: float = Field(
-        0.0, ge=-0.2, le=0.2, description="error of the measured pitch, constant [rad]"
-    )
-    flipper_bias: float = Field(
-        0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
-    )
-    delay: float = Field(
-        0.0, ge=0, le=0.5, description="age of all that is perceived at a decision [s]"
-    )
+from flipperctl.api import Outcome, Settings
 
 
 class Episode(Settings):

@@ -11,10 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, Outcome, Profile
-from flipperctl.config import Episode, PerceptionSettings, Robot, Sim
+from flipperctl.api import (
+    ACTIONS,
+    SAMPLE_PERIOD,
+    Engine,
+    FloatArray,
+    Outcome,
+    Profile,
+    Robot,
+    Sensor,
+    Start,
+    World,
+)
+from flipperctl.config import Episode
 from flipperctl.env.ends import Ends
-from flipperctl.sim.planar.world import SAMPLE, World
 
 _TURN, _LOOK, _END = range(3)
 """What happens within a decision; at one moment, in this order."""
@@ -26,23 +36,24 @@ class Drive:
     def __init__(
         self,
         profile: Profile,
-        sections: tuple[Sim, Robot, PerceptionSettings],
+        sections: tuple[Engine, Robot, Sensor],
         episode: Episode,
-        start: tuple[float, float, float],
+        start: Start,
         period: float,
     ) -> None:
-        """``start``: x [m], front and rear angle [rad]; ``period``: of the decisions [s]."""
-        sim, self.robot, perception = sections
-        self.world = World(profile, self.robot, sim, *start)
-        self.ends = Ends(profile, self.robot, episode, start[0], period)
+        """``period``: of the decisions [s]."""
+        engine, self.robot, perception = sections
+        self.world: World = engine.place(profile, self.robot, start)
+        self.ends = Ends(profile, self.robot, episode, start.x, period)
         self.state = self.seen = self.world.state()
         """The state now, and the one that the robot perceives: ``perception.delay`` older."""
-        self.path = np.array([[*self.world.position, self.world.pitch]])
-        """The last decision at 100 Hz: x [m], z [m] and pitch [rad], (S + 1, 3)."""
-        self._target = list(start[1:])
-        whole = math.ceil(period / SAMPLE - 1e-9)
-        act = min(whole, round(self.robot.actuator_delay / SAMPLE))
-        look = max(0, whole - round(perception.delay / SAMPLE))
+        self.poses = self._pose()
+        """(S + 1, 5) the last decision at 100 Hz, the pose before it included: x [m], z [m], pitch,
+        front and rear flipper angle [rad]."""
+        self._target = [start.front, start.rear]
+        whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
+        act = min(whole, round(self.robot.actuator_delay / SAMPLE_PERIOD))
+        look = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
         self._moments = sorted([(act, _TURN), (look, _LOOK), (whole, _END)])
         self._fresh = look == whole
 
@@ -62,11 +73,11 @@ class Drive:
     def _run(self) -> Outcome | None:
         world, ends = self.world, self.ends
         done = 0
-        self.path = np.array([[*world.position, world.pitch]])
+        self.poses = self._pose()
         for moment, what in self._moments:
             while done < moment:
                 poses = world.advance(moment - done, ends.limits)
-                self.path = np.concatenate([self.path, poses])
+                self.poses = np.concatenate([self.poses, poses])
                 if (outcome := ends.instant(world)) is not None:
                     return outcome
                 done += len(poses)
@@ -75,6 +86,11 @@ class Drive:
             elif what == _LOOK and not self._fresh:
                 self.seen = world.state()
         return None
+
+    def _pose(self) -> FloatArray:
+        """The pose at the last decision, (1, 5)."""
+        world, state = self.world, self.state
+        return np.array([[*world.position, world.pitch, state.front, state.rear]])
 
     def save(self) -> tuple[Any, ...]:
         """All that changes, for ``load``; the engine's contact impulses are not in it."""

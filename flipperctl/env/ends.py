@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from flipperctl.api import Outcome, Profile
-from flipperctl.config import Episode, Robot
-from flipperctl.sim.planar.plain import Limits
-from flipperctl.sim.planar.world import World
+from flipperctl.api import Limits, Outcome, Profile, Robot, World
+from flipperctl.config import Episode
 
 
 class Ends:

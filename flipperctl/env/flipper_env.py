@@ -19,10 +19,12 @@ from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     MEMORY,
+    SAMPLE_PERIOD,
     Outcome,
     Perception,
     Profile,
     RobotState,
+    Start,
     Transition,
 )
 from flipperctl.config import EnvConfig, merged, parse
@@ -32,7 +34,6 @@ from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import NonFiniteError, TerrainError
-from flipperctl.sim.planar.sensing import TerrainSensor
 
 Observation = NDArray[np.float32]
 
@@ -71,7 +72,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.config = config
         self.robot = config.robot
         """As the episode drew it."""
-        self.layout = config.perception
+        self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward = RewardSum(config.rewards)
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
@@ -105,7 +106,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         x = self.profile.start - episode.run_up + shift
         front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
-        self._start = (x, front, rear)
+        self._start = Start(x, front, rear)
         self._sections = sections
         self.drive = self._drive()
         if (depth := self.drive.world.penetration()) > _DEEPEST_START:
@@ -114,7 +115,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        self._sensor = TerrainSensor(self.profile, perception, margin + 2.0)
+        self._sensor = perception.over(self.profile, margin + 2.0)
         self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
@@ -160,12 +161,22 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         after = self._checked(self.state)
         self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, path = np.array(self._pitches), self.drive.path
+        pitches, poses = np.array(self._pitches), self.drive.poses
         self.transition = Transition(
-            before, after, pitches, move, self.profile, self.robot, outcome, path, previous
+            before,
+            after,
+            pitches,
+            move,
+            self.profile,
+            self.robot,
+            outcome,
+            poses[:, :3],
+            previous,
+            flippers=poses[:, 3:],
+            sample_period=SAMPLE_PERIOD,
         )
         parts = self._reward(self.transition)
-        self._metrics.samples(path[:, 2])
+        self._metrics.samples(poses[:, 2])
         self._metrics.decision(after, parts)
         self.perception = self._perceive(self.drive.seen)
         info: dict[str, Any] = {"rewards": parts}
@@ -190,26 +201,18 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return state
 
     def _perceive(self, state: RobotState) -> Perception:
-        rng, settings = self._sensor_rng, self._sensor.settings
-        points = self._sensor.points(state.position, rng)
-        bias = settings.flipper_bias
-        angles = np.array(
-            [state.front + bias, state.rear + bias, state.pitch + settings.pitch_bias]
-        )
-        if settings.angle_noise > 0:
-            angles = angles + rng.normal(0.0, settings.angle_noise, 3)
+        ground, angles = self._sensor.sense(state, self._sensor_rng)
         observation = np.empty(self.layout.size, dtype=np.float32)
-        observation[: self.layout.bins] = self._sensor.heights(points)
-        observation[self.layout.bins :] = angles
+        observation[: self.layout.bins] = ground.heights
+        observation[self.layout.bins :] = angles.front, angles.rear, angles.pitch
         self._recent.append(observation)
-        front, rear, pitch = angles.tolist()
         return Perception(
             observation,
-            points,
-            pitch,
-            front,
-            rear,
-            self.robot,
+            ground.points,
+            angles.pitch,
+            angles.front,
+            angles.rear,
+            self.config.robot,
             self.layout,
             self._controller_rng,
             tuple(self._recent),

@@ -95,6 +95,19 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_some("actions", controller.actions)
             yield at_defaults("repeats", controller.repeats)
             yield at_defaults("in time", controller.in_time)
+        case "sim":
+            from flipperctl.testing import engine
+
+            yield at_defaults("drives", engine.drives)
+            yield at_defaults("stops", engine.stops)
+            yield at_all("samples", engine.samples)
+            yield at_all("repeats", engine.repeats)
+            yield at_all("returns", engine.returns)
+        case "perception":
+            from flipperctl.testing import sensor
+
+            yield at_all("senses", sensor.senses)
+            yield at_all("repeats", sensor.repeats)
 
 
 def _pictured(cases: list[Variant], folder: Path | None) -> None:

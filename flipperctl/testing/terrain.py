@@ -119,7 +119,7 @@ def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
     Raises:
         OutputError: the folder cannot be written.
     """
-    from flipperctl.config import Robot
+    from flipperctl.api import Robot
     from flipperctl.files import make_folder
     from flipperctl.report.figure import save
     from flipperctl.report.terrain import SMALL, terrain_figure

@@ -16,6 +16,8 @@ from pydantic import ValidationError
 from flipperctl.api import Plugin
 from flipperctl.errors import ConformanceError
 
+_CONTRACT = Plugin.__module__.rpartition(".")[0] + "."
+"""Package of the families' base classes."""
 _BOUNDS = {"ge": 0, "le": 0, "gt": 1, "lt": -1}
 
 
@@ -66,7 +68,7 @@ def own_fields(cls: type[Plugin]) -> list[str]:
     """The fields that are not those of its whole family."""
     shared: set[str] = set()
     for base in cls.__mro__[1:]:
-        if base.__module__ == Plugin.__module__:
+        if base.__module__.startswith(_CONTRACT):
             shared |= set(getattr(base, "model_fields", {}))
     return [name for name in cls.model_fields if name not in shared]
 

@@ -7,8 +7,6 @@ from pydantic import Field
 
 from flipperctl.api import RewardTerm, Transition, reward
 
-_PERIOD = 0.01  # [s] between two poses of a path
-
 
 @reward("impact")
 class Impact(RewardTerm):
@@ -28,7 +26,7 @@ class Impact(RewardTerm):
         """In [-1, 0]; 0 without a path."""
         if len(t.path) < 2:
             return 0.0
-        rise = np.diff(t.path[:, 1]) / _PERIOD  # (S,) [m/s]
+        rise = np.diff(t.path[:, 1]) / t.sample_period  # (S,) [m/s]
         velocity = np.concatenate([t.before.velocity[1:], rise, t.after.velocity[1:]])
-        peak = float(np.abs(np.diff(velocity)).max()) / _PERIOD
+        peak = float(np.abs(np.diff(velocity)).max()) / t.sample_period
         return -min(1.0, max(0.0, peak - self.tolerance) / self.worst)

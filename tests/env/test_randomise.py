@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from flipperctl import plugins
-from flipperctl.config import EnvConfig, PerceptionSettings, Robot, Sim, merged, parse
+from flipperctl.api import Robot
+from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.config.randomise import Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.rollout.episode import play
+from flipperctl.sim.planar import Planar, PlanarSensor
 
 HOLD, RAISE = 4, 8
 RANGES = {
@@ -145,5 +147,5 @@ def test_a_delay_must_fit_into_a_decision() -> None:
 
 def test_sections_are_as_the_episode_drew_them() -> None:
     sim, robot, perception = config().drawn({"friction": 0.5, "delay": 0.1})
-    assert (sim, robot) == (Sim(friction=0.5), Robot())
-    assert perception == PerceptionSettings(delay=0.1)
+    assert (sim, robot) == (Planar(friction=0.5), Robot())
+    assert perception == PlanarSensor(delay=0.1)

@@ -7,7 +7,7 @@ from flipperctl import plugins
 from flipperctl.api import Terrain, registry
 from flipperctl.testing import Check, checks
 
-KINDS = ("terrain", "reward", "network", "controller")
+KINDS = ("terrain", "reward", "network", "controller", "sim", "perception")
 
 
 @pytest.mark.parametrize("check", checks(*registry.values()), ids=str)

@@ -13,7 +13,7 @@ from pymunk import GearJoint, Vec2d
 
 from flipperctl.sim.planar.compiled import step_alone
 from flipperctl.sim.planar.plain import TRACK
-from flipperctl.sim.planar.world import World
+from flipperctl.sim.planar.world import PlanarWorld
 
 _NO_HANDLER = 0
 """A collision type for which nobody has set a callback."""
@@ -29,7 +29,7 @@ class Moment:
     """Targets of the flippers' servos [rad]."""
 
 
-def moment(world: World) -> Moment:
+def moment(world: PlanarWorld) -> Moment:
     """What the world is at now."""
     return Moment(
         tuple((b.position, b.angle, b.velocity, b.angular_velocity) for b in world.space.bodies),
@@ -37,7 +37,7 @@ def moment(world: World) -> Moment:
     )
 
 
-def strip(world: World) -> None:
+def strip(world: PlanarWorld) -> None:
     """Take the belts' callback away and let Chipmunk move the tracks' surfaces by itself."""
     for body in world.space.bodies:
         for shape in body.shapes:
@@ -46,7 +46,7 @@ def strip(world: World) -> None:
                 shape.surface_velocity = (-world.robot.track_speed, 0.0)
 
 
-def put(world: World, begin: Moment, phases: tuple[float, ...]) -> None:
+def put(world: PlanarWorld, begin: Moment, phases: tuple[float, ...]) -> None:
     """Bodies as they were at the beginning of a decision, servos as that decision set them."""
     for body, state in zip(world.space.bodies, begin.bodies, strict=True):
         body.position, body.angle, body.velocity, body.angular_velocity = state
@@ -55,12 +55,12 @@ def put(world: World, begin: Moment, phases: tuple[float, ...]) -> None:
         gear.phase = phase
 
 
-def step(world: World, substeps: int) -> None:
+def step(world: PlanarWorld, substeps: int) -> None:
     """Nothing but the engine's own step."""
     step_alone(world.space, world.sim.substep, substeps)
 
 
-def contacts(world: World) -> int:
+def contacts(world: PlanarWorld) -> int:
     """Points at which the robot touches the ground."""
     found: list[int] = []
     for body in world.space.bodies:

@@ -16,8 +16,8 @@ from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # ca
 from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
-from flipperctl.api import FloatArray
-from flipperctl.sim.planar.plain import GROUND, TRACK, Limits
+from flipperctl.api import FloatArray, Limits
+from flipperctl.sim.planar.plain import GROUND, TRACK, Bodies
 
 _DOUBLE = 8  # bytes
 
@@ -60,7 +60,9 @@ def _run(
     space: int,
     substep: float,
     substeps: int,
-    body: int,
+    chassis: int,
+    front: int,
+    rear: int,
     request: int,
     filled: NDArray[np.int32],
     pose: FloatArray,
@@ -73,10 +75,13 @@ def _run(
     for sample in range(len(poses)):
         for _ in range(substeps):
             _step(space, substep)
-        filled[0] = 0
-        _read(body, request)
+        filled[0] = 0  # the reader appends
+        _read(chassis, request)
+        _read(front, request)
+        _read(rear, request)
         x, z, angle = pose[0], pose[1], pose[2]
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
+        poses[sample, 3], poses[sample, 4] = pose[5] - angle, angle - pose[8]
         if abs(angle) >= angle_limit:
             return sample + 1
         if x >= x_limit and z + half * abs(math.sin(angle)) <= top:
@@ -88,22 +93,23 @@ class CompiledLoop:
     """As ``PlainLoop``."""
 
     def __init__(
-        self, space: pymunk.Space, body: pymunk.Body, speed: float, substep: float, substeps: int
+        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
     ) -> None:
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
         belt_speed = ffi.new("double *", speed)
         handler.userData = belt_speed
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
-        # pymunk's batch reader puts position and angle into an array: x, y, angle.
-        pose = ffi.new("double[8]")  # with room to spare, so that it is never moved
-        array = ffi.new("pmFloatArray *", {"num": 0, "max": 8, "arr": pose})
+        # pymunk's batch reader puts position and angle into an array: x, y, angle of each body.
+        pose = ffi.new("double[16]")  # with room to spare, so that it is never moved
+        array = ffi.new("pmFloatArray *", {"num": 0, "max": 16, "arr": pose})
         fields = lib.POSITION | lib.ANGLE
         request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
-        self._memory = (space, body, belt_speed, pose, array, request)  # in use as long as this
+        self._memory = (space, bodies, belt_speed, pose, array, request)  # in use as long as this
         filled = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
+        chassis, front, rear = (_address(body._body) for body in bodies)
         self._arguments = (
-            *(_address(space._space), substep, substeps),
-            *(_address(body._body), _address(request), filled, np.frombuffer(ffi.buffer(pose))),
+            *(_address(space._space), substep, substeps, chassis, front, rear, _address(request)),
+            *(filled, np.frombuffer(ffi.buffer(pose))),
         )
 
     def run(self, poses: FloatArray, limits: Limits) -> int:

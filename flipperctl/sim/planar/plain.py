@@ -9,37 +9,28 @@ on the tangent and vanishes at a vertical face.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import pymunk
 
-from flipperctl.api import FloatArray
+from flipperctl.api import FloatArray, Limits
 
 TRACK, GROUND = 1, 2
 """Collision types."""
 
 
-class Limits(NamedTuple):
-    """Where a run stops: at ``angle``, or behind ``x`` with both ends not above ``top``."""
-
-    angle: float = math.inf
-    """Of the body, either way [rad]."""
-    x: float = math.inf
-    """Of its centre [m]."""
-    top: float = math.inf
-    """Height of its higher end [m]."""
-    half: float = 0.0
-    """From its centre to each end [m]."""
+Bodies = tuple[pymunk.Body, pymunk.Body, pymunk.Body]
+"""Chassis, front and rear flippers."""
 
 
 class PlainLoop:
-    """Steps a space and samples the pose of one of its bodies."""
+    """Steps a space and samples the pose of the robot in it."""
 
     def __init__(
-        self, space: pymunk.Space, body: pymunk.Body, speed: float, substep: float, substeps: int
+        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
     ) -> None:
         """``speed`` of the belts [m/s], ``substep`` [s], ``substeps`` from sample to sample."""
-        self._space, self._body = space, body
+        self._space, self._bodies = space, bodies
         self._substep, self._substeps = substep, substeps
         self.drive(speed)
 
@@ -57,16 +48,16 @@ class PlainLoop:
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Run for one sample after the other, at most as many as ``poses`` has rows for.
 
-        Stops behind the sample at which a limit is reached, and returns how many samples there
-        were; ``poses`` (S, 3) holds them: x [m], z [m], angle [rad].
+        The run stops after the sample at which a limit is reached; returns how many samples there
+        were. ``poses`` (S, 5) holds them: x [m], z [m], pitch, front and rear flipper angle [rad].
         """
-        step, dt, body = self._space.step, self._substep, self._body
+        step, dt, (body, front, rear) = self._space.step, self._substep, self._bodies
         for sample in range(len(poses)):
             for _ in range(self._substeps):
                 step(dt)
             x, z = body.position
             angle = body.angle
-            poses[sample] = x, z, angle
+            poses[sample] = x, z, angle, front.angle - angle, angle - rear.angle
             if abs(angle) >= limits.angle:
                 return sample + 1
             if x >= limits.x and z + limits.half * abs(math.sin(angle)) <= limits.top:

@@ -1,27 +1,84 @@
-"""Sensing: what a robot with a terrain map and an inertial unit knows of its surroundings.
+"""``perception=planar``: terrain points in the side plane, with noise and a horizon.
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
+Nothing is occluded: points behind an edge or down in a trench are sensed from everywhere within
+the horizon.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from pydantic import Field
 
-from flipperctl.api import FloatArray, Profile
-from flipperctl.config import PerceptionSettings
+from flipperctl.api import (
+    FloatArray,
+    Profile,
+    RobotState,
+    SensedAngles,
+    SensedGround,
+    Sensor,
+    sensor,
+)
+
+
+@sensor("planar")
+class PlanarSensor(Sensor):
+    """Points sampled along the outline of the ground, and the observation made of them."""
+
+    density: float = Field(
+        50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
+    )
+    noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
+    )
+    dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
+    bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
+    )
+    horizon: float = Field(
+        10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
+    )
+    angle_noise: float = Field(
+        0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
+    )
+    pitch_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of the measured pitch, constant [rad]"
+    )
+    flipper_bias: float = Field(
+        0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
+    )
+
+    def over(self, profile: Profile, margin: float) -> TerrainSensor:
+        """Sample the profile once for the whole episode."""
+        return TerrainSensor(profile, self, margin)
 
 
 class TerrainSensor:
     """Samples the profile once, then looks up what lies around the robot."""
 
-    def __init__(self, profile: Profile, settings: PerceptionSettings, margin: float) -> None:
+    def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
         """``margin``: level ground that may come into view on either side [m]."""
         self.settings = settings
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
 
+    def sense(
+        self, state: RobotState, rng: np.random.Generator
+    ) -> tuple[SensedGround, SensedAngles]:
+        """Sense the ground around the robot, then its posture."""
+        s = self.settings
+        points = self.points(state.position, rng)
+        angles = np.array(
+            [state.front + s.flipper_bias, state.rear + s.flipper_bias, state.pitch + s.pitch_bias]
+        )
+        if s.angle_noise > 0:
+            angles = angles + rng.normal(0.0, s.angle_noise, 3)
+        front, rear, pitch = map(float, angles)
+        ground = SensedGround(points, self.heights(points))
+        return ground, SensedAngles(front, rear, pitch)
+
     def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
+        """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
         s = self.settings
         low, high = np.searchsorted(
             self._x, (position[0] - s.reach, position[0] + min(s.reach, s.horizon))
@@ -36,7 +93,7 @@ class TerrainSensor:
         return points
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Mean height of the points of each bin, (N,) in frame L [m] (paper Eq. 1).
+        """Return the mean height of the points of each bin, (N,) in frame L [m] (paper Eq. 1).
 
         A bin without points takes its height from its neighbours, linearly; without any point
         at all, every height is 0.

@@ -13,17 +13,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pymunk
 
-from flipperctl.api import FloatArray, Profile, RobotState
-from flipperctl.config import Robot, Sim
-from flipperctl.sim.planar.plain import GROUND, TRACK, Limits, PlainLoop
+from flipperctl.api import (
+    NO_LIMITS,
+    SAMPLE_PERIOD,
+    FloatArray,
+    Limits,
+    Profile,
+    Robot,
+    RobotState,
+)
+from flipperctl.sim.planar.plain import GROUND, TRACK, PlainLoop
 
 if TYPE_CHECKING:
     from flipperctl.sim.planar.compiled import CompiledLoop
-
-SAMPLE = 0.01
-"""Time between two samples of the state [s]."""
-
-NO_LIMITS = Limits()
+    from flipperctl.sim.planar.engine import Planar
 
 _LEVEL_GROUND = 20.0  # [m] of level ground before and behind the profile
 
@@ -38,14 +41,14 @@ def _loop(engine: str) -> type[PlainLoop | CompiledLoop]:
     return CompiledLoop
 
 
-class World:
+class PlanarWorld:
     """One robot on one profile; rebuilt for every episode, so that replays are bit-identical."""
 
     def __init__(
         self,
         profile: Profile,
         robot: Robot,
-        sim: Sim,
+        sim: Planar,
         start: float,
         front: float = 0.0,
         rear: float = 0.0,
@@ -72,9 +75,15 @@ class World:
         self._chassis = self._add_part(robot.chassis_mass, centre, 0.0, 2 * half)
         self._front, self._front_gear = self._add_flipper(half, front)
         self._rear, self._rear_gear = self._add_flipper(-half, rear)
-        substeps = round(SAMPLE / sim.substep)
+        substeps = round(SAMPLE_PERIOD / sim.substep)
         loop = _loop(sim.engine)
-        self._loop = loop(space, self._chassis, robot.track_speed, sim.substep, substeps)
+        self._loop = loop(
+            space,
+            (self._chassis, self._front, self._rear),
+            robot.track_speed,
+            sim.substep,
+            substeps,
+        )
 
     def _add_ground(self) -> None:
         line = [tuple(p) for p in self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND).tolist()]
@@ -127,14 +136,14 @@ class World:
         self._rear_gear.phase = -rear
 
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Run for up to ``samples`` samples; returns the chassis' pose at each.
+        """Run for up to ``samples`` sample periods; return the pose at the end of each.
 
-        (S, 3): x [m], z [m], pitch [rad]. Stops behind the sample at which the chassis reaches a
-        limit.
+        (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run stops after the
+        sample at which the chassis reaches a limit.
         """
-        poses = np.empty((samples, 3))
+        poses = np.empty((samples, 5))
         done = self._loop.run(poses, limits)
-        self._time += done * SAMPLE
+        self._time += done * SAMPLE_PERIOD
         return poses[:done]
 
     @property

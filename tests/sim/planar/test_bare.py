@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from flipperctl.api import Profile
-from flipperctl.config import Robot, Sim
-from flipperctl.sim.planar import bare
-from flipperctl.sim.planar.world import World
+from flipperctl.api import Profile, Robot
+from flipperctl.sim.planar import Planar, bare
+from flipperctl.sim.planar.world import PlanarWorld
 
 LEVEL = Profile([(0, 0), (1, 0)])
 
 
-def world() -> World:
-    return World(LEVEL, Robot(), Sim(), -3.0)
+def world() -> PlanarWorld:
+    return PlanarWorld(LEVEL, Robot(), Planar(), -3.0)
 
 
 def test_a_stripped_world_drives_forward_on_level_ground() -> None:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Profile
-from flipperctl.config import PerceptionSettings
-from flipperctl.sim.planar.sensing import TerrainSensor
+from flipperctl.sim.planar import PlanarSensor, TerrainSensor
 
 FLAT = Profile([(0.0, 0.0), (0.0, 0.0)])
 STEP = Profile([(0.0, 0.0), (0.0, 0.2)])
@@ -15,7 +14,7 @@ CENTRE = np.array([0.05, 0.3])  # [m]; the 0.05 keeps every point off the bins' 
 def sensor(profile: Profile, **settings: float) -> TerrainSensor:
     """Three bins of 1 m and a point every 0.1 m, unless told otherwise."""
     told = {"bins": 3, "bin_width": 1.0, "density": 10.0, **settings}
-    return TerrainSensor(profile, PerceptionSettings(**told), margin=3.0)
+    return TerrainSensor(profile, PlanarSensor(**told), margin=3.0)
 
 
 def look(of: TerrainSensor, position: np.ndarray = CENTRE, seed: int = 0) -> np.ndarray:
@@ -55,7 +54,7 @@ def test_points_and_heights_follow_the_number_and_width_of_bins(bins: int, width
 
 
 def test_the_paper_s_bins_see_1_125_m_both_ways() -> None:
-    settings = PerceptionSettings()
+    settings = PlanarSensor()
     assert (settings.bins, settings.size) == (15, 18)
     assert settings.reach == pytest.approx(1.125)
 

@@ -7,24 +7,24 @@ import pymunk
 import pytest
 
 from flipperctl import plugins
-from flipperctl.api import Profile
-from flipperctl.config import Robot, Sim
+from flipperctl.api import Limits, Profile, Robot
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar import world as world_module
 from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.plain import GROUND, TRACK, Limits, PlainLoop
-from flipperctl.sim.planar.world import World
+from flipperctl.sim.planar.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.planar.world import PlanarWorld
 
 FLAT = Profile([(0.0, 0.0)])
 STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
 
 
-def run(world: World, seconds: float) -> None:
+def run(world: PlanarWorld, seconds: float) -> None:
     for _ in range(round(100 * seconds)):
         world.advance()
 
 
-def turn(world: World, angle: float, lift: float) -> None:
+def turn(world: PlanarWorld, angle: float, lift: float) -> None:
     """Turn the whole robot about the ground below its centre, then lift it."""
     x, _ = world.position
     pivot = pymunk.Vec2d(x, world.profile.height(x))
@@ -33,12 +33,12 @@ def turn(world: World, angle: float, lift: float) -> None:
         body.angle += angle
 
 
-def on_slope(degrees: float, friction: float) -> World:
+def on_slope(degrees: float, friction: float) -> PlanarWorld:
     """A braking robot that stands on a slope 120 m long."""
     slope = math.radians(degrees)
     rise = 60.0 * math.tan(slope)
     ground = Profile([(-60.0, -rise), (60.0, rise)])
-    world = World(ground, Robot(track_speed=STILL), Sim(friction=friction), 0.0)
+    world = PlanarWorld(ground, Robot(track_speed=STILL), Planar(friction=friction), 0.0)
     turn(world, slope, 0.0)
     run(world, 0.5)
     return world
@@ -66,7 +66,7 @@ def episode(env: FlipperEnv) -> dict:
 
 @pytest.mark.parametrize("speed", [0.05, 0.2, 1.0])
 def test_drives_at_the_belt_speed_on_the_flat(speed: float) -> None:
-    world = World(FLAT, Robot(track_speed=speed), Sim(), -5.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=speed), Planar(), -5.0)
     run(world, 1.0)  # it starts at rest
     start = world.position[0]
     run(world, 5.0)
@@ -74,7 +74,7 @@ def test_drives_at_the_belt_speed_on_the_flat(speed: float) -> None:
 
 
 def test_rests_at_the_height_of_its_tracks() -> None:
-    world = World(FLAT, Robot(track_speed=STILL), Sim(), 0.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), 0.0)
     run(world, 1.0)
     assert world.position == pytest.approx((0.0, 0.1), abs=2e-4)
     assert world.pitch == pytest.approx(0.0, abs=1e-4)
@@ -111,7 +111,7 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None
     robot = Robot(track_speed=STILL, flipper_mass=mass)
     pitches = []
     for overhang in (-0.005, 0.005):  # [m] of the centre of gravity beyond the edge
-        world = World(cliff, robot, Sim(), overhang - ahead, 0.0, math.pi / 3)
+        world = PlanarWorld(cliff, robot, Planar(), overhang - ahead, 0.0, math.pi / 3)
         run(world, 2.0)
         pitches.append(world.pitch)
     assert pitches[0] == pytest.approx(0.0, abs=1e-3)
@@ -121,8 +121,8 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None
 # A tilted robot rocks a little when its other end slaps down.
 @pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
 def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float) -> None:
-    robot, sim = Robot(track_speed=STILL), Sim()
-    world = World(FLAT, robot, sim, 0.0)
+    robot, sim = Robot(track_speed=STILL), Planar()
+    world = PlanarWorld(FLAT, robot, sim, 0.0)
     turn(world, tilt, lift=0.5)
 
     def energy() -> float:
@@ -166,20 +166,21 @@ def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
 @pytest.mark.parametrize("limits", [Limits(x=-4.9), Limits(angle=1e-9)], ids=["x", "pitch"])
 def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limits: Limits) -> None:
-    world, other = (World(FLAT, Robot(), Sim(engine=engine), -5.0) for _ in range(2))
+    world, other = (PlanarWorld(FLAT, Robot(), Planar(engine=engine), -5.0) for _ in range(2))
     poses = world.advance(100, limits)
     every = [other.advance()[0].tolist() for _ in poses]
     assert 0 < len(poses) < 100
     assert world.time == pytest.approx(0.01 * len(poses))
     assert poses.tolist() == every
-    assert poses[-1].tolist() == [*world.position, world.pitch]
+    state = world.state()
+    assert poses[-1].tolist() == [*world.position, world.pitch, state.front, state.rear]
     assert other.position == world.position
     assert abs(world.pitch) >= limits.angle or world.position[0] >= limits.x
 
 
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
 def test_both_engines_go_on_behind_the_finish_while_an_end_is_too_high(engine: str) -> None:
-    world = World(FLAT, Robot(), Sim(engine=engine), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(engine=engine), 0.0)
     low = Limits(x=-1.0, top=0.09, half=0.28)  # the chassis rests at 0.1 m
     assert len(world.advance(30, low)) == 30
     assert len(world.advance(30, low._replace(top=0.11))) == 1
@@ -195,7 +196,7 @@ def test_one_constant_surface_velocity_would_stall_at_the_riser(
                     shape.surface_velocity = (-speed, 0.0)
 
     monkeypatch.setattr(world_module, "_loop", lambda engine: Constant)
-    level = World(FLAT, Robot(), Sim(), -5.0)
+    level = PlanarWorld(FLAT, Robot(), Planar(), -5.0)
     run(level, 6.0)
     assert level.position[0] == pytest.approx(-3.8, abs=0.02)  # on the flat nothing shows
     assert crossing(0.4, friction=1.0) == "stuck"
@@ -228,13 +229,13 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    loop(space, track, 0.2, 0.005, 2).run(np.empty((100, 3)), Limits())
+    loop(space, (track, track, track), 0.2, 0.005, 2).run(np.empty((100, 5)), Limits())
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 
 @pytest.mark.parametrize("way", [1, -1])
 def test_flippers_turn_one_angle_step_in_one_decision(way: int) -> None:
-    world = World(FLAT, Robot(), Sim(), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(), 0.0)
     target = way * math.pi / 12
     world.command(target, target)
     run(world, 0.3)  # half of 15° / (25 °/s) = 0.6 s: they turn, they do not jump
@@ -251,20 +252,20 @@ def test_flippers_turn_one_angle_step_in_one_decision(way: int) -> None:
 def test_flippers_lift_the_robot_only_with_enough_torque(
     settings: dict[str, float], height: float
 ) -> None:
-    world = World(FLAT, Robot(track_speed=STILL, **settings), Sim(), 0.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL, **settings), Planar(), 0.0)
     world.command(-math.pi / 3, -math.pi / 3)
     run(world, 5.0)
     assert world.position[1] == pytest.approx(height, abs=2e-3)
 
 
 def test_starts_on_lowered_flippers() -> None:
-    world = World(FLAT, Robot(track_speed=STILL), Sim(), 0.0, -math.pi / 6, -math.pi / 6)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), 0.0, -math.pi / 6, -math.pi / 6)
     assert world.position[1] == pytest.approx(0.1 + 0.336 / 2)  # sin 30° = 1/2
     assert world.penetration() == pytest.approx(0.0, abs=1e-9)
 
 
 def test_penetration_is_the_depth_in_the_ground() -> None:
-    world = World(FLAT, Robot(), Sim(), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(), 0.0)
     turn(world, 0.0, lift=-0.03)
     assert world.penetration() == pytest.approx(0.03, abs=1e-6)
 
@@ -284,7 +285,7 @@ def test_equal_inputs_give_bit_identical_trajectories() -> None:
     stair = plugins.create("terrain", "paper_stair", "terrain").generate(np.random.default_rng(0))
 
     def trajectory() -> list[tuple[float, ...]]:
-        world = World(stair, Robot(), Sim(), -1.0)
+        world = PlanarWorld(stair, Robot(), Planar(), -1.0)
         states = []
         for decision in range(40):
             world.command(0.8 * math.sin(decision), 0.8 * math.cos(decision))

@@ -1,0 +1,33 @@
+"""The robot: geometry, masses and what its drives can do."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from flipperctl.api.values import RobotGeometry
+
+
+class Robot(RobotGeometry):
+    """The robot: geometry from the paper, masses from the laboratory's public robot model."""
+
+    chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
+    flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
+    track_speed: float = Field(
+        0.2, gt=0, le=2, description="speed of all belts' surfaces along their outline [m/s]"
+    )
+    flipper_speed: float = Field(
+        math.radians(25), gt=0.05, le=5, description="turning rate of a flipper pair [rad/s]"
+    )
+    flipper_torque: float = Field(
+        200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
+    )
+    actuator_delay: float = Field(
+        0.0, ge=0, le=0.5, description="from a decision to the flippers' turn; paper silent [s]"
+    )
+
+    @property
+    def decision_period(self) -> float:
+        """Time in which a flipper turns by one angle step [s]."""
+        return self.angle_step / self.flipper_speed

@@ -1,0 +1,59 @@
+"""``sim=planar``: settings of the pymunk engine, from which it places a robot on a profile."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
+from flipperctl.errors import ConfigError
+
+
+@engine("planar")
+class Planar(Engine):
+    """Rigid bodies in the robot's side plane, by pymunk (Chipmunk)."""
+
+    substep: float = Field(
+        0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
+    )
+    iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
+    engine: Literal["compiled", "plain"] = Field(
+        "compiled",
+        description="the substeps' loop: machine code, or the plain Python that it equals number "
+        "for number [-]",
+    )
+    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
+    friction: float = Field(
+        1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"
+    )
+
+    @model_validator(mode="after")
+    def _divides_the_sample(self) -> Planar:
+        ratio = SAMPLE_PERIOD / self.substep
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
+        return self
+
+    def place(self, profile: Profile, robot: Robot, start: Start) -> World:
+        """Build a world of its own for the episode, so that replays are bit-identical."""
+        from flipperctl.sim.planar.world import PlanarWorld
+
+        return PlanarWorld(profile, robot, self, *start)
+
+    def versions(self) -> dict[str, str]:
+        """Return the version of pymunk."""
+        import pymunk
+
+        return {"pymunk": pymunk.version}
+
+
+def planar(chosen: Engine) -> Planar:
+    """Return the settings as those of the planar engine, for what measures only this one.
+
+    Raises:
+        ConfigError: another engine was chosen.
+    """
+    if not isinstance(chosen, Planar):
+        raise ConfigError(f"sim: this is measured with sim=planar only; got {chosen.plugin_name}")
+    return chosen

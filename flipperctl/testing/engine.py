@@ -1,0 +1,69 @@
+"""What an engine must keep to: it drives, repeats, stops at limits, returns to snapshots."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flipperctl.api import Engine, FloatArray, Limits, Profile, Robot, RobotState, Start, World
+from flipperctl.testing.check import require
+
+SAMPLES = 100
+"""One second, in which the robot drives about 0.2 m."""
+GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
+START = Start(-0.6)
+_TURNED = 0.3  # [rad] that both flippers are told to turn to
+
+
+def drives(engine: Engine) -> None:
+    """On level ground the robot gets on by what its belts run, and its flippers turn."""
+    world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
+    begun, poses = world.state(), _run(world)
+    moved = float(poses[-1, 0] - begun.position[0])
+    way = Robot().track_speed * SAMPLES / 100
+    require(0.5 * way < moved < 1.5 * way, f"drives {moved:.3f} m in 1 s; {way:g} m is expected")
+    for name, turned in (("front", poses[-1, 3]), ("rear", poses[-1, 4])):
+        require(turned > 0.1, f"the {name} flippers are at {turned:.2f} rad 1 s after {_TURNED}")
+
+
+def samples(engine: Engine) -> None:
+    """``advance`` gives (S, 5) finite poses, of which the last is the state."""
+    world = engine.place(GROUND, Robot(), START)
+    poses = _run(world)
+    require(poses.shape == (SAMPLES, 5), f"advance({SAMPLES}) has shape {poses.shape}")
+    require(bool(np.isfinite(poses).all()), "a pose is not finite")
+    last, state = poses[-1], _numbers(world.state())
+    require(bool(np.allclose(last, state[:5])), f"the last pose is {last}, the state {state[:5]}")
+
+
+def repeats(engine: Engine) -> None:
+    """Equal worlds go on equally, bit for bit."""
+    one, other = (_run(engine.place(GROUND, Robot(), START)) for _ in range(2))
+    require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
+
+
+def stops(engine: Engine) -> None:
+    """A run ends after the sample at which a limit is reached."""
+    world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
+    poses = world.advance(SAMPLES, Limits(x=START.x + 0.05))
+    require(0 < len(poses) < SAMPLES, f"runs for {len(poses)} samples past a limit 0.05 m ahead")
+
+
+def returns(engine: Engine) -> None:
+    """A snapshot brings the state back."""
+    world = engine.place(GROUND, Robot(), START)
+    _run(world)
+    saved, state = world.save(), _numbers(world.state())
+    _run(world)
+    world.load(saved)
+    found = _numbers(world.state())
+    require(bool(np.allclose(found, state)), f"load leads to {found}; saved was {state}")
+
+
+def _run(world: World) -> FloatArray:
+    world.command(_TURNED, _TURNED)
+    return world.advance(SAMPLES)
+
+
+def _numbers(state: RobotState) -> FloatArray:
+    x, z = state.position
+    return np.array([x, z, state.pitch, state.front, state.rear, state.time])

@@ -1,0 +1,50 @@
+"""An engine and a sensor from a file of one's own run through everything that knows no engine."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import registry
+from flipperctl.testing import checks
+from tests.cli.call import RUN, call
+
+KINEMATIC = Path(__file__).parents[2] / "examples" / "kinematic.py"
+CHOSEN = ["sim=kinematic", "perception=ruler", "--plugins", str(KINEMATIC)]
+
+
+def test_eval_drives_in_another_engine(tmp_path: Path) -> None:
+    asked = ["eval", "--controller", "level", "terrain=step", "--episodes", "2", "--json"]
+    done = call(*asked, *CHOSEN, cwd=tmp_path)
+    assert done.code == 0, done.err
+    (scene,) = json.loads(done.out)["scenes"]
+    assert scene["success_rate"] == 1.0
+    # The chassis follows the ground, so flippers that are held level change nothing about it.
+    okada = json.loads(call(*asked[:2], "okada", *asked[3:], *CHOSEN, cwd=tmp_path).out)
+    assert okada["scenes"][0]["pitch_variation_100hz"] == scene["pitch_variation_100hz"]
+
+
+def test_a_policy_is_trained_in_another_engine_and_goes_on_there(tmp_path: Path) -> None:
+    settings = [f"{key}={value}" for key, value in RUN.items()]
+    done = call("train", "terrain=step", "hydra.run.dir=run", *settings, *CHOSEN, cwd=tmp_path)
+    assert done.code == 0, done.err
+    evaluate = ["eval", "--checkpoint", "run", "--episodes", "1", "--json"]
+    missing = call(*evaluate, cwd=tmp_path)
+    assert missing.code == 2
+    assert "kinematic" in missing.err
+    assert call(*evaluate, "--plugins", str(KINEMATIC), cwd=tmp_path).code == 0
+
+
+def test_a_setting_that_the_engine_lacks_cannot_be_drawn(tmp_path: Path) -> None:
+    asked = ["eval", "--controller", "level", "randomise.friction=[0.8,1.2]", "--episodes", "1"]
+    done = call(*asked, *CHOSEN, cwd=tmp_path)
+    assert done.code == 2
+    assert "randomise.friction: sim=kinematic has no setting 'friction'" in done.err
+
+
+@pytest.mark.usefixtures("registry")
+def test_both_keep_the_contract() -> None:
+    plugins.load([KINEMATIC])
+    for check in checks(registry["sim", "kinematic"], registry["perception", "ruler"]):
+        check()
