@@ -1,4 +1,4 @@
-"""The double dueling DQN: acts and learns. It knows no environment."""
+"""The double dueling DQN: learns from batches. It knows no environment."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _joined(module: torch.nn.Module) -> torch.Tensor:
 
 
 class D3qn:
-    """Online and target network, optimiser, and one method each to act and to learn."""
+    """Online and target network, their optimiser, and how they learn."""
 
     def __init__(
         self,
@@ -108,7 +108,6 @@ class D3qn:
     ) -> None:
         self.settings = settings
         self.device = torch.device(device)
-        self._n_actions = n_actions
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.online = build_network(network, layout, n_actions).to(self.device)
@@ -135,15 +134,6 @@ class D3qn:
             yield self.policy.eval()
         finally:
             self.policy.train()
-
-    def act(
-        self, observation: NDArray[np.float32], epsilon: float, rng: np.random.Generator
-    ) -> int:
-        """ε-greedy on the online network."""
-        if rng.random() < epsilon:
-            return int(rng.integers(self._n_actions))
-        self._noise.draw(self.noise_rng)
-        return greedy(self.online, observation, self.device)
 
     def update(self, batch: Batch, share: float) -> float:
         """Gradient steps of ``batch_size`` transitions each; ``share`` of the run is over.

@@ -7,7 +7,7 @@ the chassis). Signs: a flipper angle is positive when the flipper is above the c
 and rear alike; the pitch is positive nose up.
 """
 
-from flipperctl.api.controllers import Controller, Simulator, controller
+from flipperctl.api.controllers import Controller, Policy, Simulator, controller
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
@@ -56,6 +56,7 @@ __all__ = [
     "Outcome",
     "Perception",
     "Plugin",
+    "Policy",
     "Profile",
     "RewardTerm",
     "Robot",

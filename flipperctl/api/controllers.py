@@ -1,8 +1,8 @@
-"""Controllers, and the simulator that those who look ahead are given."""
+"""Controllers, the policies that they build, and the simulator for those who look ahead."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import warnings
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -49,17 +49,69 @@ class Simulator(Protocol):
         """Say how much of a long search is done, in [0, 1]."""
 
 
-class Controller(Plugin, ABC):
-    """A rule that maps what the robot perceives to an action."""
+class Policy(Protocol):
+    """Decides, decision after decision; may remember what it perceived in the episode.
+
+    Trained networks, exported files, rules, planners and people who drive are all policies.
+    """
+
+    def reset(self, simulator: Simulator, /) -> None:
+        """Begin an episode; ``simulator`` is its scene, for those who look ahead."""
+
+    def act(self, p: Perception, /) -> int:
+        """Return the index into ``ACTIONS`` of the next action."""
+
+
+class Controller(Plugin):
+    """The frozen settings of a rule, or of something that remembers or plans.
+
+    A rule without memory writes ``act``. Everything else writes ``build``, which makes an object
+    that may keep state, as a network's settings build its module.
+    """
 
     kind: ClassVar[str] = "controller"
+    searches_first: ClassVar[bool] = False
+    """Whether ``reset`` searches the scene, which may take long."""
 
-    def begin(self, simulator: Simulator) -> None:  # for the few that need it
-        """An episode begins; ``simulator`` is its scene. Most rules do nothing here."""
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse what can never decide."""
+        if cls.act is Controller.act and cls.build is Controller.build:
+            raise TypeError(f"controller {cls.__name__} needs a method act(p) or build()")
+        if cls.begin is not Controller.begin:
+            warnings.warn(
+                f"controller {cls.__name__}: begin is deprecated since flipperctl 0.2; "
+                "write build(), which returns an object with reset and act",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            cls.searches_first = True
 
-    @abstractmethod
+    def build(self) -> Policy:
+        """Return a policy with these settings; ``reset`` begins each of its episodes."""
+        return Rule(self)
+
     def act(self, p: Perception) -> int:
-        """Index into ``ACTIONS``."""
+        """Return the index into ``ACTIONS``, from this perception alone."""
+        raise TypeError(f"controller {type(self).__name__} decides through build() only")
+
+    def begin(self, simulator: Simulator) -> None:
+        """Begin an episode; deprecated, see ``build``."""
+
+
+class Rule:
+    """A controller without memory as a policy."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; only controllers written for version 0.1 hear of it."""
+        self._controller.begin(simulator)
+
+    def act(self, p: Perception) -> int:
+        """Return what the controller decides."""
+        return self._controller.act(p)
 
 
 ControllerT = TypeVar("ControllerT", bound=Controller)

@@ -54,8 +54,8 @@ def variations(bench: Bench, scene: str, substep: float) -> list[float | None]:
     """θ̂_R of each start [rad]; None where the finish was not reached."""
     whole = merged(bench.config.environment(), {"terrain": scene, "sim.substep": substep})
     env = FlipperEnv(config=parse(EnvConfig, whole))
-    controller = plugins.create("controller", bench.settings.controller, "bench.controller")
+    policy = plugins.create("controller", bench.settings.controller, "bench.controller").build()
     s = bench.settings
     seeds = (episode_seed("evaluation", s.seed, index) for index in range(s.starts))
-    rows = [play(env, controller, seed) for seed in seeds]
+    rows = [play(env, policy, seed) for seed in seeds]
     return [r["pitch_variation"] if r["outcome"] == "reached" else None for r in rows]

@@ -28,6 +28,7 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.policies.function import FunctionPolicy
 from flipperctl.rollout.collect import InProcess
 from flipperctl.rollout.seeds import episode_seed
 
@@ -85,7 +86,7 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     rng, numbers = np.random.default_rng(seed), itertools.count()
     played = InProcess(
         FlipperEnv(config=config.environment()),
-        lambda _: int(rng.integers(len(ACTIONS))),
+        FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS)))),
         lambda: episode_seed("training", seed, next(numbers)),
         frames=config.network.frames,
     )

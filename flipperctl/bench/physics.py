@@ -21,6 +21,7 @@ from flipperctl.bench.spread import quantity, ratio
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
+from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import episode_seed
 from flipperctl.sim.planar import bare, planar
 from flipperctl.sim.planar.world import PlanarWorld
@@ -55,28 +56,24 @@ class Recording:
 
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     """Play an episode with a controller plugin and note all that happens."""
-    env = FlipperEnv(config=config)
-    acts = plugins.create("controller", controller, "bench.controller")
+    env, robot = FlipperEnv(config=config), config.robot
+    policy = plugins.create("controller", controller, "bench.controller").build()
     env.reset(seed=seed)
-    state, robot = env.state, config.robot
-    made = Recording(seed, env.profile, Start(float(state.position[0]), state.front, state.rear))
-    world = _world(env)
-    made.moments.append(bare.moment(world))
-    target = (state.front, state.rear)
-    outcome = None
-    while outcome is None:
-        action = acts.act(env.perception)
-        *_, info = env.step(action)
-        outcome, move = info.get("outcome"), ACTIONS[action]
-        target = (
-            robot.clip(target[0] + move[0] * robot.angle_step),
-            robot.clip(target[1] + move[1] * robot.angle_step),
+    state = env.state
+    target = Start(float(state.position[0]), state.front, state.rear)
+    made = Recording(seed, env.profile, target)
+    made.moments.append(bare.moment(_world(env)))
+    for decision in decisions(env, policy, seed):
+        world, move = _world(env), ACTIONS[decision.action]
+        target = target._replace(
+            front=robot.clip(target.front + move[0] * robot.angle_step),
+            rear=robot.clip(target.rear + move[1] * robot.angle_step),
         )
-        made.actions.append(action)
-        made.targets.append(target)
+        made.actions.append(decision.action)
+        made.targets.append((target.front, target.rear))
         made.moments.append(bare.moment(world))
         made.contacts.append(bare.contacts(world))
-        made.transitions.append(env.transition)
+        made.transitions.append(decision.transition)
     return made
 
 

@@ -24,6 +24,7 @@ from flipperctl.bench.spread import in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.rollout import collect
 from flipperctl.rollout.collect import Crew, Order
 from flipperctl.rollout.processes import ProcessCrew
@@ -59,9 +60,12 @@ class InProcess:
     def _play(self, config: TrainConfig) -> Iterator[None]:
         env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
         numbers = itertools.count()
+        policy = ExploringPolicy(
+            self._agent.online, config.network.frames, lambda: EPSILON, rng, self._agent.noise_rng
+        )
         played = collect.InProcess(
             env,
-            lambda observation: self._agent.act(observation, EPSILON, rng),
+            policy,
             lambda: episode_seed("training", config.seed, next(numbers)),
             frames=config.network.frames,
         )

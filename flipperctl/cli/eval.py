@@ -204,7 +204,9 @@ def _play(
         def tell(share: float) -> None:
             progress.update(task, completed=len(rows) + share)
 
-        for row in run(config, source, episodes=played, seed=s.seed, jobs=s.jobs, tell=tell):
+        for row in run(
+            config, source, episodes=played, seed=s.seed, jobs=s.jobs, report_progress=tell
+        ):
             rows.append(row)
             tell(0.0)
     return rows

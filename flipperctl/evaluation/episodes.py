@@ -17,7 +17,7 @@ from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.trained import ControllerSource
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.episode import decisions, play
 from flipperctl.rollout.processes import Job, WorkerDiedError, Workers
 from flipperctl.rollout.seeds import episode_seed
 
@@ -32,25 +32,27 @@ class Player:
         config: EnvConfig,
         source: ControllerSource,
         seed: int,
-        tell: Callable[[float], None] = lambda share: None,
+        report_progress: Callable[[float], None] = lambda fraction: None,
     ) -> None:
-        """``tell`` hears what share of an episode's search is done."""
+        """``report_progress`` is called with the fraction of an episode's search that is done."""
         self._env = FlipperEnv(config=config)
-        self._tell = tell
+        self._report_progress = report_progress
         self._controller = source.make(config.perception)
         self._seed = seed
 
     def episode(self, index: int) -> dict[str, Any]:
         """The row of one episode."""
         seed = episode_seed("evaluation", self._seed, index)
-        return {"episode": index, **play(self._env, self._controller, seed, tell=self._tell)}
+        return {
+            "episode": index,
+            **play(self._env, self._controller, seed, report_progress=self._report_progress),
+        }
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
         """The states at every decision of one episode, and the ground it went over."""
-        states: list[RobotState] = []
         seed = episode_seed("evaluation", self._seed, index)
-        play(self._env, self._controller, seed, states)
-        return states, self._env.profile
+        seen = [d.transition for d in decisions(self._env, self._controller, seed)]
+        return [seen[0].before, *(t.after for t in seen)], self._env.profile
 
 
 def evaluate(
@@ -60,16 +62,16 @@ def evaluate(
     episodes: int | Sequence[int],
     seed: int,
     jobs: int = 1,
-    tell: Callable[[float], None] = lambda share: None,
+    report_progress: Callable[[float], None] = lambda fraction: None,
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of the episodes, in order, as they are done.
 
-    ``episodes``: how many, from 0, or which. ``tell`` hears what share of an episode's search is
-    done, where one process plays them all.
+    ``episodes``: how many, from 0, or which. ``report_progress`` is called with the fraction of an
+    episode's search that is done, where one process plays them all.
     """
     indices = range(episodes) if isinstance(episodes, int) else episodes
     if jobs == 1 or not indices:
-        player = Player(config, source, seed, tell)
+        player = Player(config, source, seed, report_progress)
         yield from map(player.episode, indices)
         return
     arguments = (container(config.environment()), source, seed, plugins.given())

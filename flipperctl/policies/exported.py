@@ -20,7 +20,7 @@ class ExportedPolicy:
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
 
-    def begin(self, simulator: Simulator) -> None:
+    def reset(self, simulator: Simulator) -> None:
         """Forget the observations of the episode before."""
         self._policy.reset()
 

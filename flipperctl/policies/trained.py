@@ -4,27 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
 from flipperctl import plugins
 from flipperctl.agent.d3qn import build_network, greedy
 from flipperctl.agent.frames import stacked
-from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Simulator
+from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Policy, Simulator
 from flipperctl.checkpoint import Checkpoint, read
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
-
-
-class Acts(Protocol):
-    """Anything that maps what the robot perceives to an action."""
-
-    def begin(self, simulator: Simulator, /) -> None:
-        """An episode begins."""
-
-    def act(self, p: Perception, /) -> int:
-        """Index into ``ACTIONS``."""
 
 
 class QPolicy:
@@ -37,8 +27,8 @@ class QPolicy:
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
-    def begin(self, simulator: Simulator) -> None:
-        """Nothing: a network knows only what it perceives."""
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; a network knows only what it perceives."""
 
     def act(self, p: Perception) -> int:
         """The action of the largest Q-value."""
@@ -80,7 +70,7 @@ class ControllerSource:
             return str(self.checkpoint)
         return str((self.settings or {})["name"])
 
-    def make(self, layout: ObservationLayout) -> Acts:
+    def make(self, layout: ObservationLayout) -> Policy:
         """The controller.
 
         Raises:
@@ -88,7 +78,7 @@ class ControllerSource:
         """
         if self.checkpoint is None:
             controller: Controller = plugins.create("controller", self.settings, "controller")
-            return controller
+            return controller.build()
         bins, bin_width, policy = _opened(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(
@@ -99,7 +89,7 @@ class ControllerSource:
         return policy
 
 
-def _opened(file: Path) -> tuple[int, float, Acts]:
+def _opened(file: Path) -> tuple[int, float, Policy]:
     """The number and width of the bins that a policy takes, and the policy."""
     if is_exported(file):
         exported = ExportedPolicy(file)

@@ -7,18 +7,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.d3qn import build_network
 from flipperctl.agent.frames import stacked
-from flipperctl.agent.noise import Noise
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.trained import QPolicy
-from flipperctl.rollout.collect import Order, Played, Row, Weights
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.collect import Order, Played, Weights
+from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration
 
 
@@ -33,7 +32,6 @@ class Actor:
         self._env = FlipperEnv(config=settings.environment())
         self._module = build_network(settings.network, self._env.layout, len(ACTIONS))
         self._module.requires_grad_(False)
-        self._noise = Noise(self._module)
         self._frames = settings.network.frames
         self._seed = settings.seed
 
@@ -51,29 +49,13 @@ class Actor:
         self._load(weights)
         self._module.train()
         rng = exploration(self._seed, order.episode)
-        self._env.reset(seed=order.seed, options={"difficulty": order.difficulty})
-        observation = self._seen()
-        observations, actions, rewards = [observation], [], []
-        over = False
-        info: dict[str, Any] = {}
-        while not over:
-            if rng.random() < order.epsilon:
-                action = int(rng.integers(len(ACTIONS)))
-            else:
-                self._noise.draw(rng)
-                action = greedy(self._module, observation)
-            _, reward, terminated, truncated, info = self._env.step(action)
-            observation = self._seen()
-            over = terminated or truncated
-            observations.append(observation)
-            actions.append(action)
-            rewards.append(reward)
-        ending = {"seed": order.seed, "outcome": str(info["outcome"]), **info["metrics"]}
-        ending["difficulty"] = order.difficulty
-        return Played(np.array(observations), np.array(actions), np.array(rewards), ending)
-
-    def _seen(self) -> NDArray[np.float32]:
-        return stacked(self._env.perception.recent, self._frames)
+        policy = ExploringPolicy(self._module, self._frames, lambda: order.epsilon, rng, rng)
+        played = list(decisions(self._env, policy, order.seed, difficulty=order.difficulty))
+        seen = [stacked(played[0].perception.recent, self._frames)]
+        seen += [stacked(d.next_perception.recent, self._frames) for d in played]
+        ending = {**(played[-1].ending or {}), "difficulty": order.difficulty}
+        actions = np.array([d.action for d in played])
+        return Played(np.array(seen), actions, np.array([d.reward for d in played]), ending)
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}

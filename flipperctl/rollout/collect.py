@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
+from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.rollout.episode import Row, decisions
 
 Weights = Mapping[str, NDArray[Any]]
 """A network's ``state_dict`` as arrays."""
-Row = dict[str, Any]
-"""Seed, outcome and metrics of an episode."""
 Judge = Callable[[Sequence[int]], list[Row]]
 """Plays an episode of each seed."""
 Judged = Callable[[], list[Row] | None]
@@ -124,30 +124,22 @@ class InProcess:
     def __init__(
         self,
         env: FlipperEnv,
-        act: Callable[[NDArray[np.float32]], int],
+        policy: Policy,
         next_seed: Callable[[], int],
         difficulty: Callable[[], float] = lambda: 1.0,
         frames: int = 1,
     ) -> None:
-        """``frames``: observations that ``act`` takes in at once."""
-        self._env, self._act, self._frames = env, act, frames
+        """``frames``: observations that the network takes in at once."""
+        self._env, self._policy, self._frames = env, policy, frames
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
         """Each decision is made when it is asked for."""
-        seed, difficulty = self._next_seed(), self._difficulty()
-        self._env.reset(seed=seed, options={"difficulty": difficulty})
-        observation = stacked(self._env.perception.recent, self._frames)
-        ending: Row | None = None
-        while ending is None:
-            action = self._act(observation)
-            _, reward, terminated, truncated, info = self._env.step(action)
-            following = stacked(self._env.perception.recent, self._frames)
-            if terminated or truncated:
-                ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
-                ending["difficulty"] = difficulty
-            yield Step(observation, action, reward, following, ending)
-            observation = following
+        seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
+        for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
+            ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
+            now, following = (stacked(p.recent, frames) for p in (d.perception, d.next_perception))
+            yield Step(now, d.action, d.reward, following, ending)
 
     def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
         """All are played here."""

@@ -1,41 +1,126 @@
-"""One episode, played by any controller."""
+"""The one loop that plays an episode.
+
+In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made when it is
+asked for, so that whoever iterates may learn, watch, time or stop in between.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from flipperctl.api import ACTIONS, RobotState
+import numpy as np
+
+from flipperctl.api import ACTIONS, FloatArray, Perception, Policy, Transition
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.trained import Acts
+
+Row = dict[str, Any]
+"""Seed, outcome and metrics of an episode."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One decision, and what came of it."""
+
+    perception: Perception
+    """What the policy decided on."""
+    action: int
+    reward: float
+    """The sum of the weighted terms."""
+    rewards: Mapping[str, float]
+    """Each term's weighted part."""
+    transition: Transition
+    """The true states before and after, with the poses between at 100 Hz."""
+    next_perception: Perception
+    ending: Row | None
+    """None while the episode runs; else its seed, outcome and metrics."""
+
+    @property
+    def poses(self) -> FloatArray:
+        """(S + 1, 5) every 10 ms: x [m], z [m], pitch, front and rear flipper angle [rad]."""
+        return np.column_stack([self.transition.path, self.transition.flippers])
+
+
+def decisions(
+    env: FlipperEnv,
+    policy: Policy,
+    seed: int,
+    *,
+    difficulty: float = 1.0,
+    pace: Callable[[float], None] | None = None,
+    report_progress: Callable[[float], None] = lambda fraction: None,
+) -> Iterator[Decision]:
+    """Yield the decisions of one episode, to its end; stop iterating to cancel it.
+
+    ``difficulty`` of the terrain, 0 to 1. ``pace`` is called with the time since the start of the
+    episode [s] before each decision, and may wait. ``report_progress`` is called with the fraction
+    that is done of the search of a policy that plans first.
+
+    Raises:
+        FlipperctlError: the policy decided on an action that does not exist.
+    """
+    env.reset(seed=seed, options={"difficulty": difficulty})
+    policy.reset(env.simulator(report_progress))
+    ending: Row | None = None
+    while ending is None:
+        if pace is not None:
+            pace(env.state.time)
+        perception = env.perception
+        action = policy.act(perception)
+        if action not in range(len(ACTIONS)):
+            raise FlipperctlError(
+                f"{type(policy).__name__}.act returned {action!r}; "
+                f"0 to {len(ACTIONS) - 1} is allowed"
+            )
+        _, reward, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
+        yield Decision(
+            perception, action, reward, info["rewards"], env.transition, env.perception, ending
+        )
 
 
 def play(
     env: FlipperEnv,
-    controller: Acts,
+    policy: Policy,
     seed: int,
-    trace: list[RobotState] | None = None,
-    tell: Callable[[float], None] = lambda share: None,
-) -> dict[str, Any]:
-    """Play one episode to its end; returns seed, outcome and the metrics of the episode.
+    *,
+    watch: Callable[[Decision], None] = lambda decision: None,
+    report_progress: Callable[[float], None] = lambda fraction: None,
+) -> Row:
+    """Play one episode to its end; return its seed, outcome and metrics.
 
-    The states at every decision, start and end included, are appended to ``trace``; ``tell``
-    hears what share of its search is done, of a controller that plans ahead.
+    ``watch`` is called after each decision.
     """
-    env.reset(seed=seed)
-    controller.begin(env.simulator(tell))
-    while True:
-        if trace is not None:
-            trace.append(env.state)
-        action = controller.act(env.perception)
-        if action not in range(len(ACTIONS)):
-            raise FlipperctlError(
-                f"{type(controller).__name__}.act returned {action!r}; "
-                f"0 to {len(ACTIONS) - 1} is allowed"
-            )
-        _, _, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            if trace is not None:
-                trace.append(env.state)
-            return {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
+    ending: Row | None = None
+    for decision in decisions(env, policy, seed, report_progress=report_progress):
+        watch(decision)
+        ending = decision.ending
+    assert ending is not None  # decisions() goes on until there is one
+    return ending
+
+
+class RealTime:
+    """A pace: waits until as much time has passed as in the episode, times ``speed``."""
+
+    def __init__(
+        self,
+        speed: float = 1.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """``speed``: 2 plays twice as fast as real time [-]."""
+        self._speed, self._clock, self._sleep = speed, clock, sleep
+        self._begun: float | None = None
+
+    def __call__(self, episode_time: float) -> None:
+        """Wait until the decision at ``episode_time`` [s] is due."""
+        now = self._clock()
+        if self._begun is None or episode_time == 0.0:
+            self._begun = now - episode_time / self._speed
+        left = self._begun + episode_time / self._speed - now
+        if left > 0:
+            self._sleep(left)

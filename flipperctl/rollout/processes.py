@@ -24,7 +24,8 @@ from typing import Any
 from safetensors.numpy import load_file, save_file
 
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout.collect import Judged, Order, Played, Row, Weights
+from flipperctl.rollout.collect import Judged, Order, Played, Weights
+from flipperctl.rollout.episode import Row
 
 _ACTOR = "flipperctl.rollout.actor"
 _DEATHS = 3

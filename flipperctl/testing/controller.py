@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from statistics import median
 from time import perf_counter
 
-from flipperctl.api import ACTIONS, Controller, Plugin
+from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Policy, Simulator
+from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
 
@@ -44,7 +45,7 @@ def in_time(controller: Controller) -> None:
 
 def looks_ahead(cls: type[Plugin]) -> bool:
     """Whether it searches the scene before an episode, which may take it long."""
-    return issubclass(cls, Controller) and cls.begin is not Controller.begin
+    return issubclass(cls, Controller) and cls.searches_first
 
 
 def _scenes(controller: Controller) -> Sequence[Scene]:
@@ -54,21 +55,36 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
 def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
     """What it answers, and the time that each answer took [s]."""
     env = _scenes(controller)[scene].environment()
-    env.reset(seed=scene)
-    controller.begin(env.simulator())
+    policy = Timed(controller.build())
     answers: list[int] = []
-    taken: list[float] = []
-    over = False
-    while not over and len(answers) < DECISIONS:
-        begun = perf_counter()
-        action = controller.act(env.perception)
-        taken.append(perf_counter() - begun)
+    for decision in decisions(env, policy, scene):
+        action = decision.action
         require(
-            isinstance(action, int) and action in range(len(ACTIONS)),
-            f"act returned {action!r} at {env.state.time:.1f} s of scene {scene}; "
+            isinstance(action, int),
+            f"act returned {action!r} at {decision.transition.before.time:.1f} s of scene {scene}; "
             f"an int from 0 to {len(ACTIONS) - 1} is allowed",
         )
         answers.append(action)
-        _, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-    return answers, taken
+        if len(answers) == DECISIONS:
+            break
+    return answers, policy.taken
+
+
+class Timed:
+    """A policy, and the time that each of its decisions takes."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self.taken: list[float] = []
+        """[s]"""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+        self._policy.reset(simulator)
+
+    def act(self, p: Perception) -> int:
+        """Return what the policy decides."""
+        begun = perf_counter()
+        action = self._policy.act(p)
+        self.taken.append(perf_counter() - begun)
+        return action

@@ -15,8 +15,9 @@ from flipperctl.errors import (
     FlipperctlError,
     MissingExtraError,
 )
+from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import NotChecked, require
-from flipperctl.testing.recorded import SCENES, Ground, Recorder, follow
+from flipperctl.testing.recorded import SCENES, Ground, NoReward
 
 if TYPE_CHECKING:
     import torch
@@ -101,7 +102,7 @@ def exportable(network: Network) -> None:
     from flipperctl.config import TrainConfig
     from flipperctl.export.policy import compare_onnx
 
-    config = TrainConfig(terrain=Ground(), rewards={"none": Recorder()}, network=network)
+    config = TrainConfig(terrain=Ground(), rewards={"none": NoReward()}, network=network)
     module = _built(network).eval().requires_grad_(False)
     try:
         compare_onnx(module, config, _recorded(network))
@@ -143,12 +144,8 @@ def _observations(network: Network, layout: ObservationLayout) -> torch.Tensor:
 
 def _recorded(network: Network) -> Any:
     """Observations of the first scene, (M, frames · (N + 3))."""
-    env = SCENES[0].environment()
-    seen, over = [env.reset(seed=0)[0]], False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(follow(env.perception))
-        seen.append(observation)
-        over = terminated or truncated
+    scene = SCENES[0]
+    seen = [d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)]
     return np.tile(np.stack(seen), (1, _frames(network)))
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from flipperctl.api import (
     ACTIONS,
@@ -26,6 +26,8 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.function import FunctionPolicy
+from flipperctl.rollout.episode import decisions
 
 HOLD = action_index(0, 0)
 
@@ -41,21 +43,14 @@ class Ground(Terrain):
         return Profile(self.points)
 
 
-class Recorder(RewardTerm):
-    """Keeps every transition that it is shown."""
+class NoReward(RewardTerm):
+    """Pays nothing, for those who only drive."""
 
-    plugin_name: ClassVar[str] = "recorder"
-    _seen: list[Transition] = PrivateAttr(default_factory=list)
+    plugin_name: ClassVar[str] = "no_reward"
 
     def __call__(self, t: Transition) -> float:
-        """Nothing."""
-        self._seen.append(t)
+        """Return 0."""
         return 0.0
-
-    @property
-    def seen(self) -> list[Transition]:
-        """In the order of the episode."""
-        return self._seen
 
 
 def hold(p: Perception) -> int:
@@ -83,13 +78,15 @@ class Scene:
     outcome: Outcome
     settings: dict[str, Any] = field(default_factory=dict)
 
-    def environment(self, recorder: Recorder | None = None) -> FlipperEnv:
-        """The environment on this ground."""
-        terms = {"recorder": recorder or Recorder()}
-        ground = Ground(points=self.points)
-        return FlipperEnv(
-            config=parse(EnvConfig, {"terrain": ground, "rewards": terms, **self.settings})
-        )
+    def environment(self) -> FlipperEnv:
+        """Return the environment on this ground."""
+        chosen = {"terrain": Ground(points=self.points), "rewards": {"none": NoReward()}}
+        return FlipperEnv(config=parse(EnvConfig, {**chosen, **self.settings}))
+
+    @property
+    def policy(self) -> FunctionPolicy:
+        """The rule as a policy."""
+        return FunctionPolicy(self.rule)
 
 
 _STEPS = ((0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0))
@@ -120,14 +117,10 @@ def transitions() -> tuple[Transition, ...]:
     """
     found: list[Transition] = []
     for index, scene in enumerate(SCENES):
-        recorder = Recorder()
-        env = scene.environment(recorder)
-        env.reset(seed=index)
-        while not recorder.seen or recorder.seen[-1].outcome is None:
-            env.step(scene.rule(env.perception))
-        if recorder.seen[-1].outcome is not scene.outcome:
+        seen = [d.transition for d in decisions(scene.environment(), scene.policy, index)]
+        if seen[-1].outcome is not scene.outcome:
             raise RuntimeError(
-                f"recorded scene {index} ended as {recorder.seen[-1].outcome}, not {scene.outcome}"
+                f"recorded scene {index} ended as {seen[-1].outcome}, not {scene.outcome}"
             )
-        found += recorder.seen
+        found += seen
     return tuple(found)

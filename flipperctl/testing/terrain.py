@@ -13,7 +13,7 @@ from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConformanceError, TerrainError
 from flipperctl.testing.check import require
-from flipperctl.testing.recorded import HOLD, Recorder
+from flipperctl.testing.recorded import HOLD, NoReward
 from flipperctl.testing.variants import Variant
 
 SEEDS = range(5)
@@ -110,7 +110,7 @@ def starts(terrain: Terrain) -> None:
 def environment(terrain: Terrain) -> FlipperEnv:
     """The default environment on this terrain."""
     # A term of our own, so that no reward plugin is needed.
-    return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": Recorder()}))
+    return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": NoReward()}))
 
 
 def write_pictures(variants: Sequence[Variant], folder: Path) -> None:

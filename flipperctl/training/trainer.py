@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from flipperctl import checkpoint, plugins
 from flipperctl.agent.d3qn import D3qn, arrays
@@ -30,9 +29,10 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.statistics import reached
 from flipperctl.files import write_json
+from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.trained import QPolicy
-from flipperctl.rollout.collect import Collector, Crew, InProcess, Order, Pipelined, Row, Weights
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.collect import Collector, Crew, InProcess, Order, Pipelined, Weights
+from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.processes import ProcessCrew
 from flipperctl.rollout.seeds import episode_seed
 from flipperctl.training.events import Listener
@@ -140,7 +140,14 @@ class Trainer:
         if config.train.mode == "exact":
             env = FlipperEnv(config=config.environment())
             frames = config.network.frames
-            return InProcess(env, self._act, self._next_seed, lambda: self.difficulty, frames)
+            policy = ExploringPolicy(
+                self.agent.online,
+                frames,
+                lambda: self.epsilon,
+                self._generators["explore"],
+                self._generators["noise"],
+            )
+            return InProcess(env, policy, self._next_seed, lambda: self.difficulty, frames)
         document, paths = container(config), plugins.given()
         crew: Crew
         if config.collector.name == "ray":
@@ -152,9 +159,6 @@ class Trainer:
         collector = Pipelined(crew, self._order, self._worker_died, self._in_time)
         collector.resume(self._resumed)
         return collector
-
-    def _act(self, observation: NDArray[np.float32]) -> int:
-        return self.agent.act(observation, self.epsilon, self._generators["explore"])
 
     def _next_seed(self) -> int:
         self.started += 1

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from flipperctl.api import (
     ACTIONS,
     Controller,
     Outcome,
     Perception,
+    Policy,
     RobotState,
     Simulator,
     action_index,
@@ -72,6 +73,7 @@ class Planner(Controller):
     something to run on a robot.
     """
 
+    searches_first: ClassVar[bool] = True
     width: int = Field(
         40, ge=1, le=10_000, description="moments of one stretch of the way that go on [-]"
     )
@@ -91,11 +93,22 @@ class Planner(Controller):
         description="of moments closer than this in place and pitch, with equal flippers, one is "
         "kept [m, rad]",
     )
-    _plan: list[int] = PrivateAttr(default_factory=list)
 
-    def begin(self, simulator: Simulator) -> None:
+    def build(self) -> Policy:
+        """A planner without a plan; each episode begins with a search."""
+        return Plan(self)
+
+
+class Plan:
+    """Plans at the start of an episode, then plays the plan."""
+
+    def __init__(self, settings: Planner) -> None:
+        self._settings = settings
+        self._actions: list[int] = []
+
+    def reset(self, simulator: Simulator) -> None:
         """Search, and try the plans in the episode's own world; search again where they stray."""
-        left, width, prefix = self.budget, self.width, list[int]()
+        left, width, prefix = self._settings.budget, self._settings.width, list[int]()
         while True:
             found, spent = self._search(simulator, prefix, width, left)
             left -= spent
@@ -103,7 +116,7 @@ class Planner(Controller):
             reached = [t for t in tried if t.reached]
             best = min(reached or tried, key=lambda t: t.cost if reached else -t.same)
             if reached or left <= 0:
-                self._plan[:] = best.actions[::-1]
+                self._actions = best.actions[::-1]
                 return
             if best.same > len(prefix) + 1:
                 prefix = best.actions[: best.same - 1]
@@ -112,7 +125,7 @@ class Planner(Controller):
 
     def act(self, p: Perception) -> int:
         """The next action of the plan; behind it, the flippers are held."""
-        return self._plan.pop() if self._plan else _HOLD
+        return self._actions.pop() if self._actions else _HOLD
 
     def _search(
         self, simulator: Simulator, prefix: list[int], width: int, budget: int
@@ -186,15 +199,19 @@ class Planner(Controller):
         state = simulator.state
         variation = parent.variation + abs(state.pitch - parent.state.pitch)
         left = max(0.0, simulator.finish - float(state.position[0])) / simulator.speed
-        cost = state.time + left + self.smoothness * variation
+        cost = state.time + left + self._settings.smoothness * variation
         return _Moment(state, cost, variation, simulator.save(), parent, action)
 
     def _stage(self, moment: _Moment, origin: float) -> int:
-        return int((float(moment.state.position[0]) - origin) / self.stretch)
+        return int((float(moment.state.position[0]) - origin) / self._settings.stretch)
 
     def _key(self, state: RobotState) -> tuple[int, ...]:
         x, z = state.position.tolist()
-        place = (x / self.cell, z / self.cell, state.pitch / self.cell)
+        place = (
+            x / self._settings.cell,
+            z / self._settings.cell,
+            state.pitch / self._settings.cell,
+        )
         return tuple(map(round, (*place, 10 * state.front, 10 * state.rear)))
 
 

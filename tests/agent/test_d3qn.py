@@ -11,9 +11,10 @@ import torch
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Batch, Replay
-from flipperctl.api import Network, ObservationLayout
+from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
+from flipperctl.policies.exploring import ExploringPolicy
 
 LAYOUT = ObservationLayout()
 ACTIONS = 9
@@ -92,12 +93,21 @@ def weights(agent: D3qn) -> dict[str, torch.Tensor]:
     return {name: p.detach().clone() for name, p in agent.online.named_parameters()}
 
 
+def explored(agent: D3qn, epsilon: float, count: int) -> list[int]:
+    """Actions of the policy that trains, all on the same observation."""
+    rng = np.random.default_rng(0)
+    policy = ExploringPolicy(agent.online, 1, lambda: epsilon, rng, agent.noise_rng)
+    zeros = np.zeros(LAYOUT.size, np.float32)
+    p = Perception(
+        zeros, np.empty((0, 2)), 0.0, 0.0, 0.0, RobotGeometry(), LAYOUT, rng, recent=(zeros,)
+    )
+    return [policy.act(p) for _ in range(count)]
+
+
 def test_acts_greedily_without_epsilon_and_uniformly_with_all_of_it() -> None:
     agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(), seed=0)
-    rng = np.random.default_rng(0)
-    observation = np.zeros(LAYOUT.size, np.float32)
-    assert {agent.act(observation, 0.0, rng) for _ in range(20)} == {ACTIONS - 1}
-    drawn = np.bincount([agent.act(observation, 1.0, rng) for _ in range(900)])
+    assert set(explored(agent, 0.0, 20)) == {ACTIONS - 1}
+    drawn = np.bincount(explored(agent, 1.0, 900))
     # Each of nine 100 times, ± √(900 · 1/9 · 8/9) = 9
     assert drawn.tolist() == pytest.approx([100] * 9, abs=36)
 
@@ -252,13 +262,12 @@ def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
 
 
 def test_noise_explores_without_epsilon_and_rests_while_the_policy_is_judged() -> None:
-    agent, rng = learner("noisy", act_with="online"), np.random.default_rng(0)
-    observation = np.zeros(LAYOUT.size, np.float32)
-    assert len({agent.act(observation, 0.0, rng) for _ in range(50)}) > 1
+    agent = learner("noisy", act_with="online")
+    assert len(set(explored(agent, 0.0, 50))) > 1
     row = torch.zeros(1, LAYOUT.size)
     with agent.judged() as policy:
         first = policy(row)
-        agent.act(observation, 0.0, rng)
+        explored(agent, 0.0, 1)
         assert torch.equal(policy(row), first)
     assert not torch.equal(agent.online(row), first)
 

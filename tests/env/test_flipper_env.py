@@ -37,7 +37,7 @@ def step_of(height: float) -> dict[str, Any]:
 
 def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, ...]]:
     """What ``step`` returned, decision for decision, to the end of one episode."""
-    chosen = plugins.create("controller", controller, "controller")
+    chosen = plugins.create("controller", controller, "controller").build()
     env.reset(seed=seed)
     steps = []
     while True:
@@ -337,7 +337,7 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_the_metrics_are_what_the_episode_shows() -> None:
     env = FlipperEnv("paper_step", episode=EXACT)
-    rule = plugins.create("controller", "okada", "controller")
+    rule = plugins.create("controller", "okada", "controller").build()
     env.reset(seed=0)
     states, rewards, info = [env.state], [], {}
     while "metrics" not in info:

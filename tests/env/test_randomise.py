@@ -41,7 +41,7 @@ def config(**overrides: object) -> EnvConfig:
 def episode(seed: int, **overrides: object) -> dict[str, object]:
     return play(
         FlipperEnv(config=config(**overrides)),
-        plugins.create("controller", "okada", "controller"),
+        plugins.create("controller", "okada", "controller").build(),
         seed,
     )
 

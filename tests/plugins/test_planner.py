@@ -3,21 +3,25 @@
 import pytest
 
 from flipperctl import plugins
-from flipperctl.api import Controller, Outcome
+from flipperctl.api import Outcome, Policy
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import play
 
 QUICK = {"name": "planner", "width": 6, "budget": 6000}
 
 
+def planner(settings: dict[str, object]) -> Policy:
+    return plugins.create("controller", {**QUICK, **settings}, "controller").build()
+
+
 def planned(env: FlipperEnv, **settings: object) -> dict[str, object]:
-    return play(env, plugins.create("controller", {**QUICK, **settings}, "controller"), seed=1)
+    return play(env, planner(settings), seed=1)
 
 
 def test_a_plan_takes_a_step_that_is_smoother_than_the_rule_s() -> None:
     env = FlipperEnv("paper_step", **{"episode.start_noise": 0.0})
     row = planned(env)
-    rule = play(env, plugins.create("controller", "okada", "controller"), seed=1)
+    rule = play(env, plugins.create("controller", "okada", "controller").build(), seed=1)
     assert row["outcome"] == rule["outcome"] == Outcome.REACHED
     assert row["pitch_variation"] < 0.7 * rule["pitch_variation"]
     assert planned(env) == row  # nothing is drawn at random
@@ -35,9 +39,7 @@ def test_the_budget_bounds_the_search_and_progress_is_told() -> None:
     env = FlipperEnv("paper_stair")
     env.reset(seed=0)
     told: list[float] = []
-    planner = plugins.create("controller", {**QUICK, "budget": 300}, "controller")
-    assert isinstance(planner, Controller)
-    planner.begin(env.simulator(told.append))
+    planner({"budget": 300}).reset(env.simulator(told.append))
     assert 0 < len(told) < 20
     assert told == sorted(told)
     assert told[-1] <= 1

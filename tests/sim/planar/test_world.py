@@ -56,7 +56,7 @@ def crossing(height: float, friction: float) -> str:
 
 def episode(env: FlipperEnv) -> dict:
     """The last info of an episode under the rule controller."""
-    rule = plugins.create("controller", "okada", "controller")
+    rule = plugins.create("controller", "okada", "controller").build()
     env.reset(seed=0)
     while True:
         *_, terminated, truncated, info = env.step(rule.act(env.perception))
