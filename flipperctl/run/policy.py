@@ -15,6 +15,7 @@ from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, S
 from flipperctl.errors import CheckpointError
 from flipperctl.run.checkpoint import Checkpoint, read
 from flipperctl.run.exported import ExportedPolicy, is_exported
+from flipperctl.run.tensors import require_equal_layout
 
 
 class Acts(Protocol):
@@ -53,15 +54,16 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """
     config = checkpoint.config()
     module = build_network(config.network, config.perception, len(ACTIONS))
-    kind = checkpoint.document["kind"]
-    weights = checkpoint.part("policy" if kind == "best" else config.agent.act_with)
+    best = checkpoint.document.kind == "best"
+    weights = checkpoint.part("policy" if best else config.agent.act_with)
     try:
-        module.load_state_dict(weights)
-    except RuntimeError as error:
+        require_equal_layout(weights, module.state_dict())
+    except ValueError as error:
         raise CheckpointError(
-            f"{checkpoint.path}: the weights do not fit network {config.network.plugin_name!r}: "
-            f"{' '.join(str(error).split())}"
+            f"{checkpoint.path}: the weights do not fit network "
+            f"{config.network.plugin_name!r}: {error}"
         ) from error
+    module.load_state_dict(weights)
     return module.eval().requires_grad_(False)
 
 
