@@ -41,9 +41,7 @@ def explain(
     ``given`` is what was validated: it says which plugins lie within the model's fields.
     """
     first = error.errors()[0]
-    location = (
-        ".".join([where, *map(str, first["loc"])]) if where else ".".join(map(str, first["loc"]))
-    )
+    location = ".".join(map(str, (*([where] if where else []), *first["loc"])))
     owner, known = _owner(model, first["loc"], given or {})
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
@@ -92,5 +90,8 @@ def _model_in(annotation: Any, base: type[BaseModel]) -> type[BaseModel] | None:
 
 
 def _short(value: object) -> str:
-    text = dict(value).__repr__() if isinstance(value, Mapping) else repr(value)
+    try:
+        text = dict(value).__repr__() if isinstance(value, Mapping) else repr(value)
+    except ValueError:  # a whole number of more digits than Python writes
+        text = f"a {type(value).__name__} of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."

@@ -64,7 +64,7 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     pinned = ["--constraint", str(ROOT / "requirements.txt")]
     # torch first and by itself, so that the pinned CPU build is the one that is found.
     run(python, "-m", "pip", "install", "--quiet", *pinned, "torch")
-    run(python, "-m", "pip", "install", "--quiet", *pinned, f"{wheel}[onnx]")
+    run(python, "-m", "pip", "install", "--quiet", *pinned, str(wheel))
     flipperctl = str(environment / "bin" / "flipperctl")
 
     run(flipperctl, *TRAIN, "hydra.run.dir=run")

@@ -105,6 +105,10 @@ class Replay:
             raise RuntimeError("the replay is saved between episodes only")
         return {name: self.arrays[name][: len(self)] for name in self.FIELDS}
 
+    def blank(self, added: int) -> dict[str, NDArray[np.generic]]:
+        """Arrays of the shapes and types that ``filled`` has after ``added`` transitions."""
+        return {name: self.arrays[name][: min(added, self.capacity)] for name in self.FIELDS}
+
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int) -> None:
         """Take back what ``filled`` gave."""
         for name in self.FIELDS:

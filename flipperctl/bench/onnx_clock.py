@@ -27,7 +27,7 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
         runtime = importlib.import_module("flipperctl.runtime")
     except ImportError as error:
         raise MissingExtraError(
-            f"decisions of an exported policy: {error}; install flipperctl[onnx]"
+            f"decisions of an exported policy: {error}; install flipperctl[robot]"
         ) from error
     policy = runtime.OnnxPolicy(path)
     rng = np.random.default_rng(seed)

@@ -34,7 +34,7 @@ def start(config: TrainConfig, directory: Path) -> dict[str, Any]:
 
 def go_on(config: TrainConfig, saved: checkpoint.Checkpoint) -> None:
     """Go on with a run from its last full checkpoint."""
-    if saved.document["kind"] != "last":
+    if saved.document.kind != "last":
         raise CheckpointError(
             f"{saved.path} holds only the weights of a policy; "
             f"{checkpoint.LAST} is what a run goes on from"

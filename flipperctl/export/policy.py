@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl import __version__
+from flipperctl import __version__, plugins
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.checkpoint import Checkpoint
@@ -31,7 +31,7 @@ from flipperctl.files import write_bytes
 from flipperctl.policies.trained import QPolicy, policy_module
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
-from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
+from flipperctl.runtime.checksum import CHECKSUM, FORMAT_VERSION, PLACEHOLDER, PREFIX, sealed
 
 Format = Literal["onnx", "pt2"]
 OPSET = 18
@@ -46,7 +46,7 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
     """Write the policy to ``output`` and return what the check found.
 
     Raises:
-        MissingExtraError: ONNX is asked for and ``flipperctl[onnx]`` is not installed.
+        MissingExtraError: ONNX is asked for and a package that it needs is not installed.
         ExportError: the exported policy disagrees with torch; nothing is written.
         OutputError: the file cannot be written.
     """
@@ -55,7 +55,8 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
     observations = rollout_observations(config, module, OBSERVATIONS)
     details = properties(checkpoint)
     if format == "onnx":
-        data, run = _onnx(module, config, details)
+        data, run = _onnx(module, config, {**details, CHECKSUM: PLACEHOLDER})
+        data = sealed(data)
     else:
         data, run = _pt2(module, config, details)
     found = compare(module, run, observations)
@@ -80,6 +81,7 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
         "decision_period": robot.decision_period,
         "robot": geometry,
         "terrain": config.terrain.plugin_name,
+        "terrain_config": plugins.container(config.terrain),
         "seed": config.seed,
         "network": config.network.plugin_name,
     }
@@ -173,7 +175,7 @@ def compare_onnx(
     """Like ``compare``, with the network as ONNX; no file is written.
 
     Raises:
-        MissingExtraError: ``flipperctl[onnx]`` is not installed.
+        MissingExtraError: a package that ONNX needs is not installed.
         ExportError: torch cannot export the network, or the exported one disagrees.
     """
     try:
@@ -192,8 +194,8 @@ def _first_line(error: Exception) -> str:
 def _onnx(
     module: torch.nn.Module, config: TrainConfig, details: dict[str, str]
 ) -> tuple[bytes, Run]:
-    onnx, runtime = (_extra(name) for name in ("onnx", "onnxruntime"))
-    _extra("onnxscript")
+    onnx, runtime = (_package(name) for name in ("onnx", "onnxruntime"))
+    _package("onnxscript")
     example = torch.zeros(2, input_size(config.network, config.perception))
     with _quiet():
         program = torch.onnx.export(
@@ -259,10 +261,11 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def _extra(name: str) -> Any:
+def _package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
         raise MissingExtraError(
-            f"export onnx needs the package {name}; install flipperctl[onnx]"
+            f"export onnx needs the package {name}, which comes with flipperctl unless that was "
+            f"installed without its dependencies; pip install {name}"
         ) from error

@@ -35,14 +35,16 @@ def is_exported(file: Path) -> bool:
 
 
 def exported_config(file: Path) -> EvalConfig:
-    """The file's own evaluation: its robot, its layout and, at its defaults, its terrain.
+    """The file's own evaluation: its robot, its layout and its terrain, all as in training.
+
+    A file of format 1 says only the terrain's name, which then has its defaults.
 
     Raises:
         PolicyError: flipperctl did not export the file, or this version lacks what it names.
     """
     says = OnnxPolicy(file).interface
     settings = {
-        "terrain": says.terrain,
+        "terrain": dict(says.terrain_config),
         "robot": dict(says.robot),
         "perception": {"bins": says.bins, "bin_width": says.bin_width},
     }

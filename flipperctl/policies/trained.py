@@ -13,6 +13,7 @@ from flipperctl.agent.d3qn import build_network, greedy
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Policy, Simulator
 from flipperctl.checkpoint import Checkpoint, read
+from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 
@@ -43,15 +44,16 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """
     config = checkpoint.config()
     module = build_network(config.network, config.perception, len(ACTIONS))
-    kind = checkpoint.document["kind"]
-    weights = checkpoint.part("policy" if kind == "best" else config.agent.act_with)
+    best = checkpoint.document.kind == "best"
+    weights = checkpoint.part("policy" if best else config.agent.act_with)
     try:
-        module.load_state_dict(weights)
-    except RuntimeError as error:
+        require_equal_layout(weights, module.state_dict())
+    except ValueError as error:
         raise CheckpointError(
-            f"{checkpoint.path}: the weights do not fit network {config.network.plugin_name!r}: "
-            f"{' '.join(str(error).split())}"
+            f"{checkpoint.path}: the weights do not fit network "
+            f"{config.network.plugin_name!r}: {error}"
         ) from error
+    module.load_state_dict(weights)
     return module.eval().requires_grad_(False)
 
 

@@ -6,7 +6,7 @@ In: the metadata of an ONNX model. Out: an ``Interface``, checked.
 from __future__ import annotations
 
 import json
-import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.errors import PolicyError
+from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 
-FORMAT_VERSION = 1
-"""Of the metadata under ``flipperctl.*``."""
-PREFIX = "flipperctl."
 ANGLES = 3
 """theta_f1, theta_f2 and theta_R, behind the heights."""
 ACTIONS = 9
@@ -56,6 +54,8 @@ class Interface:
     """Geometry, masses and speeds of the robot that the policy was trained for, in SI units."""
     terrain: str
     """Name of the terrain plugin that it was trained on."""
+    terrain_config: Mapping[str, Any]
+    """That plugin's ``name`` and all its fields; of a file of format 1, the name alone."""
     seed: int
     """Of the training."""
     package_version: str
@@ -78,22 +78,18 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     Raises:
         PolicyError: flipperctl did not write them, in this format, or an entry is wrong.
     """
-    if f"{PREFIX}format_version" not in metadata:
+    version = metadata.get(f"{PREFIX}format_version")
+    if version not in ("1", str(FORMAT_VERSION)):
         raise PolicyError(
-            f"{where} is an ONNX model, but not one of flipperctl export onnx: "
-            f"its metadata lack {PREFIX}format_version"
-        )
-    if metadata[f"{PREFIX}format_version"] != str(FORMAT_VERSION):
-        raise PolicyError(
-            f"{where} has format version {metadata[f'{PREFIX}format_version']}; "
-            f"this version of flipperctl reads {FORMAT_VERSION}"
+            f"{where} has format version {version!r}; "
+            f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
         )
 
     def entry(name: str, allowed: str, check: Callable[[Any], bool], absent: str = "") -> Any:
         text = metadata.get(f"{PREFIX}{name}", absent)
         try:
             value = json.loads(text)
-        except ValueError:
+        except (ValueError, RecursionError):
             value = None
         if value is None or not check(value):
             raise PolicyError(
@@ -106,11 +102,12 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     keys = set(Quantity.__dataclass_fields__)
     observation = entry(
         "observation",
-        f"a list of {size} mappings of {', '.join(sorted(keys))}",
+        f"a list of {size} mappings of {', '.join(sorted(keys))} to text",
         lambda v: (
             isinstance(v, list)
             and len(v) == size
             and all(isinstance(e, dict) and set(e) == keys for e in v)
+            and all(isinstance(text, str) for e in v for text in e.values())
         ),
     )
     table = entry("actions", f"a table of {ACTIONS} pairs of angles", _is_table)
@@ -121,6 +118,13 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         "a mapping of names to numbers",
         lambda v: isinstance(v, dict) and all(map(_is_number, v.values())),
     )
+    terrain = metadata.get(f"{PREFIX}terrain", "")
+    terrain_config = entry(
+        "terrain_config",
+        f"a mapping with the name {terrain!r} and the terrain's fields",
+        lambda v: isinstance(v, dict) and v.get("name") == terrain,
+        absent=json.dumps({"name": terrain}) if version == "1" else "",
+    )
     return Interface(
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
@@ -129,22 +133,29 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         actions=actions,
         decision_period=entry("decision_period", "a time above 0", _is_positive),
         robot=MappingProxyType(robot),
-        terrain=metadata.get(f"{PREFIX}terrain", ""),
-        seed=entry("seed", "a whole number", lambda v: isinstance(v, int)),
+        terrain=terrain,
+        terrain_config=MappingProxyType(terrain_config),
+        seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
     )
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
 def _is_count(value: object) -> bool:
-    return isinstance(value, int) and value > 0
+    return isinstance(value, int) and _is_whole(value) and value > 0
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # false for NaN; whole numbers have no upper end
 
 
 def _is_positive(value: object) -> bool:
-    return isinstance(value, int | float) and 0 < value < math.inf
+    return isinstance(value, int | float) and _is_number(value) and value > 0
 
 
 def _is_table(value: object) -> bool:

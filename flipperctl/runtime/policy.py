@@ -5,6 +5,8 @@ In: the file, and observations. Out: Q-values and actions, within some ten micro
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,12 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.errors import MissingExtraError, NonFiniteError, PolicyError
+from flipperctl.runtime.checksum import verify
 from flipperctl.runtime.interface import ACTIONS, ANGLES, read_interface
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
+_Shapes = dict[str, tuple[str, list[int | str | None]]]
 INPUT, OUTPUT = "observation", "q_values"
+_LOGGER = logging.getLogger(__name__)
 
 
 class OnnxPolicy:
@@ -29,17 +34,17 @@ class OnnxPolicy:
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
-        PolicyError: the file is missing, no ONNX model, or not one that flipperctl exported.
+        PolicyError: the file is missing, damaged, or not one that flipperctl exported.
         NonFiniteError: the network gives NaN or infinity for an observation of zeros.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._session = _open(self.path)
-        metadata = self._session.get_modelmeta().custom_metadata_map
+        metadata, shapes = _described(self._session, str(self.path))
         self.interface = read_interface(metadata, str(self.path))
         size = self.interface.inputs
-        _check_shapes(self._session, size, str(self.path))
+        _check_shapes(shapes, size, str(self.path))
         # Bound once: a decision then takes 10.5 µs inside onnxruntime, by session.run 12.9 µs,
         # with OrtValues 46 µs (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
@@ -74,7 +79,10 @@ class OnnxPolicy:
             self._frames[:-1] = array if self._begins else self._frames[1:]
             self._begins = False
         self._row[...] = array
-        self._session.run_with_iobinding(self._bound)
+        try:
+            self._session.run_with_iobinding(self._bound)
+        except Exception as error:  # onnxruntime's own, which share no base class
+            raise _failed(self.path, error) from error
         action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax finds NaN before any number
             raise self._not_finite(self._output)
@@ -95,7 +103,11 @@ class OnnxPolicy:
         if array.ndim not in (1, 2) or array.shape[-1] != size:
             raise self._refused(array, f"({size},) or (B, {size})")
         batch = np.ascontiguousarray(array.reshape(-1, size))
-        values: NDArray[np.float32] = self._session.run([OUTPUT], {INPUT: batch})[0]
+        values: NDArray[np.float32]
+        try:
+            values = self._session.run([OUTPUT], {INPUT: batch})[0]
+        except Exception as error:  # onnxruntime's own, which share no base class
+            raise _failed(self.path, error) from error
         if not np.isfinite(values).all():
             raise self._not_finite(values)
         return values[0] if array.ndim == 1 else values
@@ -132,33 +144,75 @@ class OnnxPolicy:
 
 
 def _open(path: Path) -> InferenceSession:
-    """A session on one thread: a policy this small is slower on two."""
+    """A session on one thread: a policy this small is slower on two.
+
+    Nothing is parsed before its checksum is known to fit.
+    """
     try:
         import onnxruntime
     except ImportError as error:
         raise MissingExtraError(
             "an exported policy needs the package onnxruntime; install flipperctl[robot]"
         ) from error
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise PolicyError(f"{path}: there is no such policy file") from error
-    except OSError as error:
-        raise PolicyError(f"{path} cannot be read: {error.strerror}") from error
+    data = _read(path)
+    if not verify(data, str(path)):
+        _warn_once(str(path))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 4  # what goes wrong is raised
     try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(
+            data,
+            options,
+            providers=["CPUExecutionProvider"],
+            enable_fallback=0,  # which would try the same again and print that on stdout
+        )
     except Exception as error:  # onnxruntime's own, which share no base class
-        reason = " ".join(str(error).split()).rpartition(" : ")[2]
-        raise PolicyError(f"{path} is damaged or no ONNX model: {reason}") from error
+        raise PolicyError(
+            f"{path} is damaged or no ONNX model that onnxruntime runs: {_reason(error)}"
+        ) from error
 
 
-def _check_shapes(session: InferenceSession, size: int, where: str) -> None:
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise PolicyError(f"{path}: there is no such policy file") from error
+    except (OSError, ValueError) as error:  # a ValueError: no system has a file of that name
+        reason = getattr(error, "strerror", None) or error
+        raise PolicyError(f"{path} cannot be read: {reason}") from error
+
+
+@functools.cache
+def _warn_once(path: str) -> None:
+    _LOGGER.warning(
+        "%s was exported by flipperctl 0.1, without a checksum: whether it is damaged cannot be "
+        "checked, and of its terrain it says only the name; export it again",
+        path,
+    )
+
+
+def _described(session: InferenceSession, where: str) -> tuple[dict[str, str], _Shapes]:
+    """The metadata, and type and shape of each input and output by name."""
+    try:
+        tensors = (*session.get_inputs(), *session.get_outputs())
+        shapes = {tensor.name: (tensor.type, tensor.shape) for tensor in tensors}
+        return session.get_modelmeta().custom_metadata_map, shapes
+    except (UnicodeDecodeError, RuntimeError) as error:
+        raise PolicyError(f"{where} is damaged: its names or metadata are not text") from error
+
+
+def _failed(path: Path, error: Exception) -> PolicyError:
+    return PolicyError(f"{path}: onnxruntime cannot run the model: {_reason(error)}")
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()).rpartition(" : ")[2]
+
+
+def _check_shapes(found: _Shapes, size: int, where: str) -> None:
     expected = {INPUT: size, OUTPUT: ACTIONS}
-    found = {v.name: (v.type, v.shape) for v in (*session.get_inputs(), *session.get_outputs())}
     fits = found.keys() == expected.keys() and all(
         kind == "tensor(float)" and len(shape) == 2 and shape[1] == expected[name]
         for name, (kind, shape) in found.items()

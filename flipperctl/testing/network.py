@@ -97,7 +97,7 @@ def exportable(network: Network) -> None:
     """It leaves as ONNX and gives the same Q-values there.
 
     Raises:
-        NotChecked: the extra is not installed.
+        NotChecked: a package that ONNX needs is not installed.
     """
     from flipperctl.config import TrainConfig
     from flipperctl.export.policy import compare_onnx

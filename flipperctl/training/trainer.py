@@ -24,6 +24,7 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
+from flipperctl.checkpoint.document import RECENT, Generators, OrderState, State, Validation
 from flipperctl.config import TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
@@ -35,10 +36,9 @@ from flipperctl.rollout.collect import Collector, Crew, InProcess, Order, Pipeli
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.processes import ProcessCrew
 from flipperctl.rollout.seeds import episode_seed
+from flipperctl.training import timing
 from flipperctl.training.events import Listener
-
-RECENT = 100
-"""Episodes over which the running success rate is taken."""
+from flipperctl.training.tensors import run_arrays
 
 
 class Trainer:
@@ -279,23 +279,24 @@ class Trainer:
         ``orders`` are outstanding: a resumed run gives them again.
         """
         self.seconds = time.perf_counter() - self._clock
-        state = {
-            "decision": self.decision,
-            "episode": self.episode,
-            "loss": self.loss,
-            "recent": list(self.recent),
-            "validations": self.validations,
-            "seconds": self.seconds,
-            "started": self.started,
-            "lost": self.lost,
-            "updates": self.updates,
-            "difficulty": self.difficulty,
-            "orders": [
-                [o.episode, o.seed, o.epsilon, o.decision, o.version, o.difficulty] for o in orders
-            ],
-            "replay_added": self.replay.added,
-            "generators": {n: g.bit_generator.state for n, g in self._generators.items()},
-        }
+        generators = {n: g.bit_generator.state for n, g in self._generators.items()}
+        state = State(
+            decision=self.decision,
+            episode=self.episode,
+            loss=self.loss,
+            recent=tuple(self.recent),
+            validations=tuple(Validation(**row) for row in self.validations),
+            started=self.started,
+            lost=self.lost,
+            updates=self.updates,
+            difficulty=self.difficulty,
+            orders=tuple(
+                OrderState(**{name: getattr(order, name) for name in OrderState.model_fields})
+                for order in orders
+            ),
+            replay_added=self.replay.added,
+            generators=Generators.model_validate(generators),
+        )
         tensors = self.agent.tensors()
         for name, array in self.replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
@@ -304,32 +305,33 @@ class Trainer:
                 tensors[f"weights{version}.{name}"] = torch.from_numpy(array)
         document = checkpoint.describe(self.config, "last", state=state)
         checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
+        timing.write(self.directory, self.seconds)
 
     def restore(self, saved: checkpoint.Checkpoint) -> None:
-        """Take back what ``save`` wrote."""
-        state = saved.document["state"]
-        if "orders" not in state:
+        """Take back what ``save`` wrote.
+
+        Raises:
+            CheckpointError: it is of an earlier version, or its tensors are not those of this run.
+        """
+        state = saved.document.state
+        if state is None:
             raise CheckpointError(
                 f"{saved.path} is of an earlier version: its policy can be judged and exported, "
                 "but the run cannot go on"
             )
-        self.agent.restore(saved.tensors, state["updates"])
-        arrays = {name: tensor.numpy() for name, tensor in saved.part("replay").items()}
-        self.replay.restore(arrays, state["replay_added"])
-        for name, generator in state["generators"].items():
+        replay, weights = run_arrays(saved, state, self.agent, self.replay)
+        self.agent.restore(saved.tensors, state.updates)
+        self.replay.restore(replay, state.replay_added)
+        for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
-        self.decision, self.episode = state["decision"], state["episode"]
-        self.started, self.lost = state["started"], state["lost"]
-        self.updates = state["updates"]
-        self.difficulty = state.get("difficulty", self.difficulty)
-        self.loss, self.seconds = state["loss"], state["seconds"]
-        self._resumed = []
-        for episode, seed, epsilon, decision, version, *rest in state["orders"]:
-            weights = {n: t.numpy() for n, t in saved.part(f"weights{version}").items()}
-            order = Order(episode, seed, epsilon, decision, version, weights, *rest)
-            self._resumed.append(order)
-        self.recent.extend(state["recent"])
-        self.validations = state["validations"]
+        self.decision, self.episode = state.decision, state.episode
+        self.started, self.lost = state.started, state.lost
+        self.updates = state.updates
+        self.difficulty, self.loss = state.difficulty, state.loss
+        self.seconds = timing.read(self.directory)
+        self._resumed = [Order(**o.model_dump(), weights=weights[o.version]) for o in state.orders]
+        self.recent.extend(state.recent)
+        self.validations = [validation.model_dump() for validation in state.validations]
 
 
 def _score(validation: dict[str, Any]) -> tuple[float, float]:

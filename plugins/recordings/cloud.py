@@ -4,13 +4,17 @@ In: PCD, PLY and XYZ files in any frame with an axis that points up. Out: height
 the frame with x and y level and z up.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
+from flipperctl_plugins.recordings.claims import pcd_points, ply_vertices
 from flipperctl_plugins.recordings.line import Line
+from flipperctl_plugins.recordings.text import read_lines
 
 from flipperctl.api import FloatArray
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(e[-+]?\d+)?", re.IGNORECASE)
 LEVEL = {
     "z": ("x", "y"),
     "y": ("z", "x"),
@@ -23,25 +27,53 @@ LEVEL = {
 
 
 def read_pcd(path: Path) -> FloatArray:
-    """The points of a PCD file (ASCII, binary or compressed), (P, 3) in the file's unit."""
+    """The points of a PCD file (ASCII, binary or compressed), (P, 3) in the file's unit.
+
+    Raises:
+        ValueError: it holds fewer or more points than its header claims.
+    """
     from pypcd4.pypcd4 import PointCloud
 
+    claimed = pcd_points(path)
     cloud = PointCloud.from_path(path)
-    return np.asarray(cloud.numpy(("x", "y", "z")), dtype=np.float64)
+    return _complete(np.asarray(cloud.numpy(("x", "y", "z")), dtype=np.float64), claimed)
 
 
 def read_ply(path: Path) -> FloatArray:
-    """The vertices of a PLY file (ASCII or binary), (P, 3) in the file's unit."""
+    """The vertices of a PLY file (ASCII or binary), (P, 3) in the file's unit.
+
+    Raises:
+        ValueError: it holds fewer or more vertices than its header claims.
+    """
     from trimesh.exchange.ply import load_ply
 
+    claimed = ply_vertices(path)
     with path.open("rb") as file:
-        return np.asarray(load_ply(file)["vertices"], dtype=np.float64)
+        found = load_ply(file, fix_texture=False, skip_materials=True)
+    return _complete(np.asarray(found["vertices"], dtype=np.float64), claimed)
+
+
+def _complete(points: FloatArray, claimed: int) -> FloatArray:
+    if points.shape != (claimed, 3):
+        raise ValueError(f"its header claims {claimed} points (x, y, z); it holds {points.shape}")
+    return points
 
 
 def read_xyz(path: Path) -> FloatArray:
-    """The first three columns of a text file, parted by blanks or commas, (P, 3)."""
-    lines = (line.replace(",", " ") for line in path.read_text().splitlines())
+    """The first three columns of a text file, (P, 3).
+
+    They are parted by blanks or commas; by semicolons or blanks where the decimal sign is a comma.
+    """
+    lines = (_with_points(line) for line in read_lines(path))
     return np.loadtxt(lines, usecols=(0, 1, 2), ndmin=2)
+
+
+def _with_points(line: str) -> str:
+    """The line with blanks between its columns and decimal points."""
+    columns = line.replace(";", " ").split()
+    if ";" in line or (len(columns) > 2 and all(map(_DECIMAL_COMMA.fullmatch, columns[:3]))):
+        return " ".join(columns).replace(",", ".")
+    return line.replace(",", " ")
 
 
 def upright(points: FloatArray, up: str) -> FloatArray:

@@ -5,49 +5,67 @@ line. The frame: x and y level, z up [m].
 """
 
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from flipperctl_plugins.recordings.line import Line
 
 from flipperctl.api import FloatArray
 
+Part = tuple[slice, slice]
+"""Rows and columns of a grid."""
+MOST_CELLS = 25_000_000
+"""Cells around a line that are read at once: 200 MB."""
+
 
 @dataclass(frozen=True)
 class HeightMap:
-    """A grid of heights."""
+    """A grid of heights, of which only what a line needs is read."""
 
-    heights: FloatArray
-    """(R, C) [m], NaN where unknown"""
+    shape: tuple[int, int]
+    """R rows and C columns"""
     to_cell: FloatArray
     """(2, 3): (row, column) = to_cell · (x, y, 1); a cell's centre has whole numbers"""
+    heights: Callable[[Part], FloatArray]
+    """Heights of a part of the grid [m], NaN where unknown"""
 
     def along(self, line: Line) -> FloatArray:
         """Heights at the line's points, between cells bilinear, (D,) [m]; NaN where unknown.
 
         Raises:
-            ValueError: an end of the line lies outside of the map.
+            ValueError: an end of the line lies outside of the map, or too much lies around it.
         """
         cells = line.points @ self.to_cell[:, :2].T + self.to_cell[:, 2]  # (D, 2)
-        last = np.array(self.heights.shape) - 1
+        last = np.array(self.shape) - 1
         for end, cell in ((line.start, cells[0]), (line.end, cells[-1])):
-            if (cell < -1e-6).any() or (cell > last + 1e-6).any():
+            if not ((cell >= -1e-6) & (cell <= last + 1e-6)).all():
                 raise ValueError(f"{end} lies outside of the map, which covers {self._extent()}")
         cells = np.clip(cells, 0, last)
         low = np.minimum(cells.astype(int), np.maximum(last - 1, 0))
         share = cells - low
+        first, end_cell = low.min(axis=0), np.minimum(low.max(axis=0) + 1, last)
+        if (count := int(np.prod(end_cell - first + 1))) > MOST_CELLS:
+            raise ValueError(
+                f"{count} cells lie around the line from {line.start} to {line.end}; "
+                f"{MOST_CELLS} are allowed: a line along rows or columns needs fewer"
+            )
+        part = slice(first[0], end_cell[0] + 1), slice(first[1], end_cell[1] + 1)
+        heights = self.heights(part)
         total = np.zeros(len(cells))
         for row in (0, 1):
             for column in (0, 1):
                 weight = np.abs(1 - row - share[:, 0]) * np.abs(1 - column - share[:, 1])
-                at = np.minimum(low + np.array([row, column]), last)
+                at = np.minimum(low + np.array([row, column]), last) - first
                 # A cell that has no part in a height may be unknown.
-                total += np.where(weight > 1e-9, weight * self.heights[at[:, 0], at[:, 1]], 0.0)
+                total += np.where(weight > 1e-9, weight * heights[at[:, 0], at[:, 1]], 0.0)
         return total
 
     def _extent(self) -> str:
-        last = np.array(self.heights.shape) - 1
+        last = np.array(self.shape) - 1
         corners = np.array([[0, 0], [0, last[1]], [last[0], 0], last])
         places = np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)  # (2, 4)
         (x0, y0), (x1, y1) = places.min(axis=1), places.max(axis=1)
@@ -63,12 +81,18 @@ def read_npy(path: Path, resolution: float | None, unit: float, rows: int) -> He
     Raises:
         ValueError: it is no grid of numbers, or the resolution is not stated.
     """
-    heights = np.load(path, allow_pickle=False)
-    if heights.ndim != 2 or heights.dtype.kind not in "iuf" or min(heights.shape) < 2:
+    # A map of the file: a header that claims more than the file holds takes no memory.
+    grid = np.lib.format.open_memmap(path, mode="r")
+    if grid.ndim != 2 or grid.dtype.kind not in "iuf" or min(grid.shape) < 2:
         raise ValueError(
-            f"a grid of numbers (rows, columns) is needed; it is {heights.dtype} {heights.shape}"
+            f"a grid of numbers (rows, columns) is needed; it is {grid.dtype} {grid.shape}"
         )
-    return HeightMap(np.asarray(heights, dtype=np.float64) * unit, _stated(resolution, rows))
+    shape = (int(grid.shape[0]), int(grid.shape[1]))
+    return HeightMap(
+        shape,
+        _stated(resolution, rows),
+        lambda part: np.asarray(grid[part], dtype=np.float64) * unit,
+    )
 
 
 def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -> HeightMap:
@@ -77,16 +101,16 @@ def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -
     Raises:
         ValueError: its coordinates are degrees, or the frame is stated twice or not at all.
     """
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
+    with _opened(path) as file:
+        shape, transform, crs = (file.height, file.width), file.transform, file.crs
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, driver="GTiff") as file:
-            heights = file.read(1, masked=True).astype(np.float64).filled(np.nan) * unit
-            transform, crs = file.transform, file.crs
+    def heights(part: Part) -> FloatArray:
+        with _opened(path) as file:
+            found = file.read(1, masked=True, window=part)
+        return np.asarray(found.astype(np.float64).filled(np.nan) * unit)
+
     if transform.is_identity:
-        return HeightMap(heights, _stated(resolution, rows))
+        return HeightMap(shape, _stated(resolution, rows), heights)
     if resolution is not None:
         raise ValueError("the file says where its cells lie; a resolution must not be stated too")
     if crs is not None and crs.is_geographic:
@@ -95,7 +119,18 @@ def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -
     inverse = ~transform  # (x, y) → (column, row) of a cell's corner
     column = [inverse.a / metres, inverse.b / metres, inverse.c - 0.5]
     row = [inverse.d / metres, inverse.e / metres, inverse.f - 0.5]
-    return HeightMap(heights, np.array([row, column]))
+    return HeightMap(shape, np.array([row, column]), heights)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, driver="GTiff") as file:
+            yield file
 
 
 def _stated(resolution: float | None, rows: int) -> FloatArray:

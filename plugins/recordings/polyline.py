@@ -1,40 +1,70 @@
 """Profiles that are written down point by point."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
+from flipperctl_plugins.recordings.text import read_lines
 
 from flipperctl.api import FloatArray
+
+_DELIMITERS = ";\t,"
+"""By rank: a comma may be the decimal sign where another one parts the columns."""
 
 
 def read_csv(path: Path) -> FloatArray:
     """Columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
+    Columns are parted by commas, or by semicolons or tabs with decimal points or commas, as
+    spreadsheets write them.
+
     Raises:
         ValueError: a column is missing, or a line holds no number or goes back in x.
     """
-    with path.open(newline="") as file:
-        reader = csv.DictReader(file, skipinitialspace=True)
-        columns = [name.strip().lower() for name in reader.fieldnames or ()]
-        if not {"x", "z"} <= set(columns):
-            raise ValueError(f"a header with columns x and z is needed; it has {columns}")
-        reader.fieldnames = columns
-        points: list[tuple[float, float]] = []
-        for row in reader:
-            try:
-                x, z = float(row["x"]), float(row["z"])
-            except (TypeError, ValueError) as error:
-                found = (row["x"], row["z"])
-                raise ValueError(
-                    f"line {reader.line_num}: x and z must be numbers; they are {found}"
-                ) from error
-            if points and x < points[-1][0]:
-                raise ValueError(
-                    f"line {reader.line_num}: x goes back from {points[-1][0]:g} to {x:g}; "
-                    "it may only grow or stay"
-                )
-            points.append((x, z))
+    lines = read_lines(path)
+    first = next((at for at, line in enumerate(lines) if line.strip()), 0)
+    if lines and lines[first].lower().startswith("sep="):  # what some spreadsheets begin with
+        first += 1
+    header = lines[first] if first < len(lines) else ""
+    delimiter = next((sign for sign in _DELIMITERS if sign in header), ",")
+    try:
+        rows = list(csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error as error:
+        raise ValueError(f"it is no CSV: {error}") from error
+    columns = [name.strip().lower() for name in rows[0]] if rows else []
+    if columns.count("x") != 1 or columns.count("z") != 1:
+        raise ValueError(f"a header with columns x and z is needed; it has {columns}")
+    places = columns.index("x"), columns.index("z")
+    points: list[tuple[float, float]] = []
+    for number, row in enumerate(rows[1:], start=first + 2):
+        if not any(text.strip() for text in row):
+            continue  # spreadsheets leave such lines behind
+        if len(row) > len(columns) and any(text.strip() for text in row[len(columns) :]):
+            raise ValueError(
+                f"line {number}: it has {len(row)} values for {len(columns)} columns; where the "
+                "decimal sign is a comma, semicolons must part the columns"
+            )
+        found = tuple(row[at] if at < len(row) else "" for at in places)
+        x, z = (_number(text, delimiter) for text in found)
+        if not (math.isfinite(x) and math.isfinite(z)):
+            raise ValueError(f"line {number}: x and z must be numbers; they are {found}")
+        if points and x < points[-1][0]:
+            raise ValueError(
+                f"line {number}: x goes back from {points[-1][0]:g} to {x:g}; "
+                "it may only grow or stay"
+            )
+        points.append((x, z))
     if len(points) < 2:
         raise ValueError(f"at least two points are needed; it has {len(points)}")
     return np.array(points)
+
+
+def _number(text: str, delimiter: str) -> float:
+    """The number that is written, or NaN."""
+    if delimiter != "," and "." not in text:
+        text = text.replace(",", ".")
+    try:
+        return math.nan if "_" in text else float(text)
+    except ValueError:
+        return math.nan

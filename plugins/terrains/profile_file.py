@@ -1,5 +1,10 @@
 """Ground that was recorded: a profile, a height map or a point cloud from a file."""
 
+import logging
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, Self
@@ -18,16 +23,7 @@ SUFFIXES = (".csv", *MAPS, *CLOUDS)
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 FEWEST = 10  # points of a slice
 
-_UNREADABLE = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    IndexError,
-    TypeError,
-    AttributeError,
-    RuntimeError,
-)
+LARGEST = 10_000.0  # metres; farther apart, it is rather the unit that is wrong
 
 
 @terrain("profile_file")
@@ -88,8 +84,13 @@ class ProfileFile(Terrain):
             raise ValueError("start and end belong to maps and clouds; a .csv is the line itself")
         if suffix != ".csv" and not all(given):
             raise ValueError(f"a {suffix} file needs start and end, the line over the ground")
-        if suffix != ".csv" and self.start == self.end:
-            raise ValueError(f"start and end are both {self.start}; the line has no length")
+        if self.start is not None and self.end is not None:
+            length = math.dist(self.start, self.end)
+            if not 0 < length <= LARGEST:
+                raise ValueError(
+                    f"the line from start {self.start} to end {self.end} is {length:g} m long; "
+                    f"above 0 and up to {LARGEST:g} m is allowed"
+                )
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
@@ -98,7 +99,10 @@ class ProfileFile(Terrain):
 
     @property
     def _file(self) -> Path:
-        return EXAMPLE if self.path is None else Path(self.path).expanduser()
+        try:
+            return EXAMPLE if self.path is None else Path(self.path).expanduser()
+        except RuntimeError as error:  # there is no such user
+            raise ValueError(f"path {self.path}: {error}") from error
 
     @cached_property
     def _points(self) -> FloatArray:
@@ -108,17 +112,28 @@ class ProfileFile(Terrain):
             ValueError: the file is missing, unreadable or does not fit its settings.
         """
         file = self._file
-        if not file.is_file():
-            raise ValueError(f"{file}: there is no such file")
         try:
-            return self._read(file, file.suffix.lower())
+            with file.open("rb"):  # the system's own words for what is missing or forbidden
+                pass
+            with _quiet():
+                points = self._read(file, file.suffix.lower())
         except ImportError as error:
             raise ValueError(
                 f"{file}: {file.suffix} files need the package {error.name}; "
                 "install flipperctl[profiles]"
             ) from error
-        except _UNREADABLE as error:
-            raise ValueError(f"{file}: {' '.join(str(error).split())}") from error
+        except FileNotFoundError as error:
+            raise ValueError(f"{file}: there is no such file") from error
+        except Exception as error:  # a reader of damaged files raises whatever its parser does
+            reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
+        extent = np.ptp(points, axis=0)
+        if not (np.isfinite(points).all() and extent.max() <= LARGEST):
+            raise ValueError(
+                f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
+                f"{LARGEST:g} m is allowed: is its unit {self.unit!r}?"
+            )
+        return points
 
     def _read(self, file: Path, suffix: str) -> FloatArray:
         unit = UNITS[self.unit]
@@ -132,3 +147,19 @@ class ProfileFile(Terrain):
             points = cloud.upright(CLOUDS[suffix](file) * unit, self.up)
             found = cloud.slice_along(points, line, self.thickness, self.quantile, FEWEST)
         return line.profile(found, self.largest_gap)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let readers say what is wrong by errors: their warnings are errors, their logs are unheard.
+
+    A logger with a handler of its own does not write on stderr.
+    """
+    for name in ("rasterio", "trimesh"):
+        logger = logging.getLogger(name)
+        if not logger.handlers:
+            logger.addHandler(logging.NullHandler())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", PendingDeprecationWarning)  # of libraries to libraries
+        yield

@@ -35,6 +35,6 @@ def test_a_process_that_fails_says_why() -> None:
     code = "import sys; print('first'); sys.exit('out of paper')"
     with pytest.raises(FlipperctlError, match="printing failed: out of paper"):
         process.output([sys.executable, "-c", code], "printing")
-    wanting = "import sys; print('install flipperctl[onnx]', file=sys.stderr); sys.exit(2)"
+    wanting = "import sys; print('install flipperctl[robot]', file=sys.stderr); sys.exit(2)"
     with pytest.raises(MissingExtraError):
         process.output([sys.executable, "-c", wanting], "printing")

@@ -69,13 +69,14 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "flipperctl train --resume r" in err
-    stopped = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document["state"]["decision"]
+    stopped = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document.state.decision
     assert 0 < stopped < 100_000
 
     done = call("train", "--resume", "r", f"train.decisions={stopped + 50}", cwd=tmp_path)
     assert done.code == 0, done.err
-    state = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document["state"]
-    assert state["decision"] == stopped + 50
+    state = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document.state
+    assert state is not None
+    assert state.decision == stopped + 50
     decisions = [int(row["decision"]) for row in read_rows(metrics)]
     assert decisions == sorted(decisions)
 

@@ -10,7 +10,7 @@ import onnxruntime
 import pytest
 import torch
 
-from flipperctl import checkpoint
+from flipperctl import checkpoint, plugins
 from flipperctl.api import ObservationLayout
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.export import policy as export
@@ -46,7 +46,7 @@ def test_onnx_takes_si_units_in_any_batch(saved: checkpoint.Checkpoint, onnx_fil
         assert actual == pytest.approx(expected, abs=1e-5)
 
 
-def test_onnx_says_what_it_is(onnx_file: Path) -> None:
+def test_onnx_says_what_it_is(saved: checkpoint.Checkpoint, onnx_file: Path) -> None:
     model = onnx.load(onnx_file)
     properties = {p.key: p.value for p in model.metadata_props}
     layout = json.loads(properties["flipperctl.observation"])
@@ -59,6 +59,8 @@ def test_onnx_says_what_it_is(onnx_file: Path) -> None:
     assert float(properties["flipperctl.decision_period"]) == pytest.approx(0.6)
     assert json.loads(properties["flipperctl.robot"])["chassis_length"] == 0.76
     assert properties["flipperctl.terrain"] == "step"
+    terrain = plugins.container(saved.config().terrain)
+    assert json.loads(properties["flipperctl.terrain_config"]) == terrain
     assert properties["flipperctl.seed"] == "7"
     assert float(properties["flipperctl.bin_width"]) == 0.15
     assert {"flipperctl.format_version", "flipperctl.package_version"} <= properties.keys()
@@ -102,9 +104,9 @@ def test_a_mismatch_fails_and_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_extra_is_named(
+def test_a_missing_package_is_named(
     saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
-    with pytest.raises(MissingExtraError, match=r"flipperctl\[onnx\]"):
+    with pytest.raises(MissingExtraError, match=r"needs the package onnxruntime.*pip install"):
         export.export(saved, "onnx", tmp_path / "x.onnx")

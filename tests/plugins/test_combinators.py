@@ -107,10 +107,13 @@ def test_bounds_of_a_part_are_told() -> None:
 def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain]) -> None:
     mirror = {"name": "mirror", "terrain": {"name": "spike", "tall": 0.1}}
     config = TrainConfig(terrain=made("mix", parts=["flat", mirror]), network="mlp")
-    document = checkpoint.describe(config, "best")
-    names = [p["name"] for p in document["plugins"] if p["kind"] == "terrain"]
+    result = {"success_rate": 1.0, "t_cost": 9.0, "pitch_variation": 1.0}
+    validation = {"decision": 5, **result}
+    document = checkpoint.describe(config, "best", decision=5, validation=validation)
+    names = [p.name for p in document.plugins if p.kind == "terrain"]
     assert names == ["mix", "flat", "mirror", "spike"]
-    assert plugins.create("terrain", document["config"]["terrain"], "terrain") == config.terrain
+    terrain = document.config.terrain.model_dump()
+    assert plugins.create("terrain", terrain, "terrain") == config.terrain
 
 
 def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrain]) -> None:

@@ -155,6 +155,14 @@ def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
         ("bad.csv", "x,z\n0,0\n1,up\n", "line 3: x and z must be numbers; they are ('1', 'up')"),
         ("bad.csv", "x,z\n0,0\n1,0\n0.5,0\n", "line 4: x goes back from 1 to 0.5"),
         ("bad.csv", "x,z\n0,0\n", "at least two points are needed"),
+        ("bad.csv", "x,z\n0,0\n1,nan\n", "line 3: x and z must be numbers; they are ('1', 'nan')"),
+        ("bad.csv", "x,z\n0,0\n1_0,0\n", "line 3: x and z must be numbers"),
+        ("bad.csv", "x,z\n0,0\n0,5,0,1\n", "line 3: it has 4 values for 2 columns; where the dec"),
+        ("bad.csv", "x;z\n0;0\n1.234,5;0\n", "line 3: x and z must be numbers"),
+        ("bad.csv", "x,z,x\n0,0,0\n", "columns x and z is needed; it has ['x', 'z', 'x']"),
+        ("bad.csv", "x,z\n0,0\n1e300,0\n", "it covers 1e+300 m in x"),
+        ("bad.csv", "x,z\n0\0,0\n", "it is no text"),
+        ("bad.csv", "", "columns x and z is needed; it has []"),
         ("bad.npy", "no array", "bad.npy: "),
         ("bad.tif", "no picture", "bad.tif: "),
         ("bad.ply", "no cloud", "bad.ply: "),
@@ -180,7 +188,12 @@ def test_a_bad_file_is_named_in_one_line(
         ({"path": "scan.las"}, "one of .csv, .npy"),
         ({"path": "scan.ply"}, "needs start and end"),
         ({"path": "scan.csv", **WAY}, "belong to maps and clouds"),
-        ({"path": "scan.ply", "start": (1, 1), "end": (1, 1)}, "has no length"),
+        (
+            {"path": "scan.ply", "start": (1, 1), "end": (1, 1)},
+            "is 0 m long; above 0",
+        ),
+        ({"path": "a.ply", "start": (0, 0), "end": (1e15, 0)}, r"is 1e\+15 m long; above 0"),
+        ({"path": "~nobody-here/a.csv"}, "path ~nobody-here/a.csv: Could not determine"),
     ],
 )
 def test_settings_must_fit_the_file(fields: dict[str, Any], said: str) -> None:

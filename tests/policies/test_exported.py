@@ -35,11 +35,24 @@ def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: 
     config = exported_config(exported)
     assert config.terrain.plugin_name == "step"
     robot = {"chassis_length": 0.9, "flipper_length": 0.5}
-    path = linear.write(tmp_path / "p.onnx", terrain="flat", robot=robot, bin_width=0.1)
+    flat = {"terrain": "flat", "terrain_config": {"name": "flat"}}
+    path = linear.write(tmp_path / "p.onnx", robot=robot, bin_width=0.1, **flat)
     config = exported_config(path)
     assert config.terrain.plugin_name == "flat"
     assert config.robot.chassis_length == 0.9
     assert config.perception.bin_width == 0.1
+
+
+def test_a_policy_of_a_mix_is_judged_on_that_mix(tmp_path: Path) -> None:
+    mix = {
+        "name": "mix",
+        "parts": [{"name": "step", "low": 0.1, "high": 0.2}, {"name": "ramp", "length_low": 0.9}],
+        "weights": [1.0, 2.0],
+    }
+    path = linear.write(tmp_path / "p.onnx", terrain="mix", terrain_config=mix)
+    assert exported_config(path).terrain == EnvConfig(terrain=mix).terrain
+    old = linear.write(tmp_path / "old.onnx", **{**linear.FORMAT_1, "terrain": "mix"})
+    assert exported_config(old).terrain == EnvConfig(terrain="mix").terrain
 
 
 def test_another_layout_is_refused(exported: Path) -> None:
@@ -49,7 +62,7 @@ def test_another_layout_is_refused(exported: Path) -> None:
 
 
 def test_a_terrain_that_is_not_installed_is_named(tmp_path: Path) -> None:
-    path = linear.write(tmp_path / "p.onnx", terrain="moon")
+    path = linear.write(tmp_path / "p.onnx", terrain="moon", terrain_config={"name": "moon"})
     with pytest.raises(PolicyError, match="there is no terrain plugin 'moon'"):
         exported_config(path)
 
@@ -61,5 +74,5 @@ def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
     (tmp_path / "no.onnx").write_text("no")
     done = call("eval", "--checkpoint", "no.onnx", cwd=tmp_path)
     assert done.code == 2
-    assert done.err.startswith("error: no.onnx is damaged or no ONNX model: ")
+    assert done.err.startswith("error: no.onnx is damaged, or not a file of flipperctl export")
     assert done.err.count("\n") == 1

@@ -5,8 +5,9 @@ import math
 from pathlib import Path
 
 import numpy as np
-import onnx
 from onnx import TensorProto, helper, numpy_helper
+
+from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
 
 HEIGHTS = [{"name": f"h_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"} for i in range(15)]
 ANGLES = [
@@ -16,7 +17,7 @@ ANGLES = [
 ]
 STEP = math.pi / 12
 METADATA = {
-    "format_version": 1,
+    "format_version": 2,
     "package_version": "0.1.0",
     "observation": HEIGHTS + ANGLES,
     "bins": 15,
@@ -25,13 +26,22 @@ METADATA = {
     "decision_period": 0.6,
     "robot": {"chassis_length": 0.76, "flipper_length": 0.536, "angle_step": STEP},
     "terrain": "stair",
+    "terrain_config": {"name": "stair", "rise": 0.15},
     "seed": 7,
 }
 """As ``flipperctl export onnx`` writes it."""
+FORMAT_1 = {"format_version": 1, "terrain_config": None, "seal": False}
+"""What makes ``write`` leave a file of format 1."""
 
 
 def write(
-    path: Path, *, size: int = 18, output: str = "q_values", scale: float = 1.0, **changes: object
+    path: Path,
+    *,
+    size: int = 18,
+    output: str = "q_values",
+    scale: float = 1.0,
+    seal: bool = True,
+    **changes: object,
 ) -> Path:
     """Write the policy; ``changes`` replace metadata, and None drops them."""
     weights = numpy_helper.from_array(np.eye(size, 9, dtype=np.float32) * np.float32(scale), "w")
@@ -44,9 +54,10 @@ def write(
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     entries = {k: v for k, v in {**METADATA, **changes}.items() if v is not None}
-    helper.set_model_props(
-        model,
-        {f"flipperctl.{k}": v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()},
-    )
-    onnx.save(model, path)
+    texts = {
+        f"flipperctl.{k}": v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()
+    }
+    helper.set_model_props(model, texts | ({CHECKSUM: PLACEHOLDER} if seal else {}))
+    data = model.SerializeToString()
+    path.write_bytes(sealed(data) if seal else data)
     return path

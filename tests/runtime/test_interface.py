@@ -22,6 +22,7 @@ def test_a_file_says_what_it_takes_and_gives(tmp_path: Path) -> None:
     assert says.decision_period == 0.6
     assert says.robot["chassis_length"] == 0.76
     assert (says.terrain, says.seed, says.package_version) == ("stair", 7, "0.1.0")
+    assert dict(says.terrain_config) == {"name": "stair", "rise": 0.15}
 
 
 def test_nobody_changes_what_a_file_says(tmp_path: Path) -> None:
@@ -42,8 +43,13 @@ def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        (dict.fromkeys(METADATA), r"not one of flipperctl export onnx.*flipperctl\.format_version"),
-        ({"format_version": 2}, r"format version 2; this version of flipperctl reads 1"),
+        (
+            {**dict.fromkeys(METADATA), "seal": False},
+            r"not a file of flipperctl export onnx.*no flipperctl\.format_version",
+        ),
+        ({"format_version": 3}, r"format version '3'; this version of flipperctl reads 1 and 2"),
+        ({"format_version": 3, "seal": False}, r"format version '3', or is damaged; this version"),
+        ({"format_version": None}, r"format version None; this version of flipperctl reads 1 and"),
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
         ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),
         ({"bin_width": -0.15}, r"flipperctl\.bin_width is '-0\.15'.*above 0"),
@@ -53,6 +59,11 @@ def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
         ({"decision_period": math.nan}, r"flipperctl\.decision_period is 'NaN'"),
         ({"actions": [[0.0, 0.1]] * 8}, r"flipperctl\.actions is .*9 pairs of angles"),
         ({"robot": {"mass": "heavy"}}, r"flipperctl\.robot is .*names to numbers"),
+        ({"robot": {"mass": 10**400}}, r"flipperctl\.robot is .*names to numbers"),
+        ({"robot": "[" * 100_000}, r"flipperctl\.robot is .*names to numbers"),
+        ({"seed": True}, r"flipperctl\.seed is 'true'.*a whole number"),
+        ({"terrain_config": None}, r"flipperctl\.terrain_config is ''.*the name 'stair'"),
+        ({"terrain_config": {"name": "step"}}, r"flipperctl\.terrain_config is .*'stair'"),
         ({"size": 20}, r"observation tensor\(float\) \['batch', 20\].*\[batch, 18\]"),
         ({"output": "values"}, r"values tensor\(float\).*q_values tensor\(float\) \[batch, 9\]"),
     ],

@@ -48,7 +48,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(trained: Path, tmp_path: Pat
     first = trainer(whole.config(), tmp_path)
     first.run(stop=lambda: first.decision >= 120)
     stopped = checkpoint.read(tmp_path / checkpoint.LAST)
-    assert 0 < stopped.document["state"]["updates"] < whole.document["state"]["updates"]
+    assert 0 < stopped.document.state.updates < whole.document.state.updates
     second = trainer(stopped.config(), tmp_path)
     second.restore(stopped)
     second.run()
@@ -57,7 +57,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(trained: Path, tmp_path: Pat
     for name, tensor in whole.tensors.items():
         assert torch.equal(resumed.tensors[name], tensor), name
     for key in ("validations", "generators"):
-        assert resumed.document["state"][key] == whole.document["state"][key]
+        assert getattr(resumed.document.state, key) == getattr(whole.document.state, key)
 
 
 def test_the_exported_policy_drives_as_the_trained_one(

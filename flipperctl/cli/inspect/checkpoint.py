@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 HELP = """Say what a checkpoint is. Nothing in the file is executed, and no plugin is needed.
 
+The content's SHA-256 covers configuration, results, state and weights: it is equal for equal runs,
+whatever versions of the packages wrote them.
+
 [bold]Examples[/]
 
   flipperctl inspect checkpoint runs/stair/2026-01-31_12-00-00
@@ -47,7 +50,7 @@ def show(
 
 def describe(saved: Checkpoint) -> dict[str, Any]:
     """The checkpoint as plain data; the state of the run without its random generators."""
-    document = dict(saved.document)
+    document = saved.document.plain()
     state = document.pop("state", None)
     if state:
         document["state"] = {k: v for k, v in state.items() if k not in ("generators", "recent")}
@@ -56,6 +59,7 @@ def describe(saved: Checkpoint) -> dict[str, Any]:
     return {
         "path": str(saved.path),
         "bytes": saved.path.stat().st_size,
+        "content_sha256": saved.content,
         "numbers": numbers,
         **document,
     }
@@ -75,6 +79,7 @@ def _print(found: dict[str, Any]) -> None:
     )
     lines = {
         "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
+        "content": f"SHA-256 {found['content_sha256']}",
         "holds": f"{kind}, format {found['format']}",
         "trained on": f"{config['terrain']['name']}, seed {config['seed']}",
         "network": f"{config['network']['name']}",

@@ -1,7 +1,7 @@
 """Checkpoints: safetensors files that describe themselves and run no code.
 
-A file holds tensors and, in its metadata, one JSON document (configuration, versions, plugins,
-format number) and a SHA-256 of everything, so that any flipped bit is found at load.
+A file holds tensors and, in its metadata, one JSON document (see ``document``) and a SHA-256 of
+everything, so that any flipped bit is found at load. Equal contents are equal files, byte for byte.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -19,12 +19,13 @@ from safetensors.torch import save
 
 from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
+from flipperctl.checkpoint import document as documents
+from flipperctl.checkpoint.document import Document, State
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match
 
-FORMAT = 1
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
 
@@ -33,9 +34,7 @@ class Checkpoint:
     """A checkpoint in memory, checked."""
 
     path: Path
-    document: dict[str, Any]
-    """``format``, ``kind`` (best or last), ``config``, ``versions``, ``plugins`` and, with
-    ``kind``, the validation or the state of the run."""
+    document: Document
     tensors: dict[str, torch.Tensor]
 
     def config(self) -> TrainConfig:
@@ -45,15 +44,15 @@ class Checkpoint:
             CheckpointError: a plugin that it needs is not installed, or the configuration is not
                 one of this version.
         """
-        for plugin in self.document["plugins"]:
-            if (plugin["kind"], plugin["name"]) not in registry:
+        for plugin in self.document.plugins:
+            if (plugin.kind, plugin.name) not in registry:
                 raise CheckpointError(
-                    f"{self.path}: the checkpoint needs the {plugin['kind']} plugin "
-                    f"{plugin['name']!r} (from {plugin['module']}), which is not installed; "
+                    f"{self.path}: the checkpoint needs the {plugin.kind} plugin "
+                    f"{plugin.name!r} (from {plugin.module}), which is not installed; "
                     "install it or name its file with --plugins"
                 )
         try:
-            return parse(TrainConfig, self.document["config"])
+            return parse(TrainConfig, self.document.config.model_dump(mode="json"))
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration does not fit: {error}"
@@ -64,38 +63,66 @@ class Checkpoint:
         start = f"{prefix}."
         return {k[len(start) :]: v for k, v in self.tensors.items() if k.startswith(start)}
 
+    @property
+    def content(self) -> str:
+        """SHA-256 of configuration, results, state and tensors, whatever program wrote them."""
+        plain = self.document.plain()
+        kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
+        return _digest(json.dumps(kept, sort_keys=True), self.tensors)
 
-def describe(config: TrainConfig, kind: str, **more: Any) -> dict[str, Any]:
-    """The document of a checkpoint."""
+
+def describe(
+    config: TrainConfig,
+    kind: Literal["best", "last"],
+    *,
+    decision: int | None = None,
+    validation: Mapping[str, Any] | None = None,
+    state: State | None = None,
+) -> Document:
+    """The document of a checkpoint; what belongs to which kind is said by ``Document``."""
     import gymnasium
     import numpy as np
 
     chosen: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     chosen += config.rewards.values()
     used = [part for plugin in chosen for part in plugins.nested(plugin)]
-    return {
-        "format": FORMAT,
-        "kind": kind,
-        "config": container(config),
-        "versions": {
+    return Document(
+        format=documents.FORMAT,
+        kind=kind,
+        config=documents.ConfigOutline.model_validate(container(config)),
+        versions={
             "flipperctl": __version__,
             "torch": torch.__version__,
             "numpy": np.__version__,
             "gymnasium": gymnasium.__version__,
             **config.sim.versions(),
         },
-        "plugins": [
-            {"kind": p.kind, "name": p.plugin_name, "module": type(p).__module__} for p in used
-        ],
-        **more,
-    }
+        plugins=tuple(
+            documents.PluginReference(kind=p.kind, name=p.plugin_name, module=type(p).__module__)
+            for p in used
+        ),
+        decision=decision,
+        validation=None if validation is None else documents.Validation(**validation),
+        state=state,
+    )
 
 
-def write(path: Path, document: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> None:
+def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
     """Write a checkpoint, whole or not at all."""
+    write_bytes(path, signed(document.text(), tensors))
+
+
+def signed(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
+    """The bytes of a checkpoint with a document's text; equal arguments give equal bytes."""
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    text = json.dumps(document, allow_nan=False)  # order kept: rewards are summed in it
-    write_bytes(path, save(held, {"flipperctl": text, "sha256": _digest(text, held)}))
+    data = save(held, {"flipperctl": text, "sha256": _digest(text, held)})
+    # safetensors writes its metadata in an order that changes from process to process.
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    ordered = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    text = json.dumps(ordered, separators=(",", ":"))
+    text += " " * (-len(text) % 8)  # tensors lie at multiples of 8 bytes
+    return len(text).to_bytes(8, "little") + text.encode() + data[8 + length :]
 
 
 def read(path: Path) -> Checkpoint:
@@ -120,7 +147,8 @@ def read(path: Path) -> Checkpoint:
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
-            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+            # Copies: a tensor of safetensors is a window on the file, and changes with it.
+            tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
     if "flipperctl" not in metadata:
@@ -128,12 +156,24 @@ def read(path: Path) -> Checkpoint:
     text = metadata["flipperctl"]
     if metadata.get("sha256") != _digest(text, tensors):
         raise CheckpointError(f"{path} is damaged: its SHA-256 does not match its contents")
-    document = json.loads(text)
-    if document.get("format") != FORMAT:
-        raise CheckpointError(
-            f"{path} has checkpoint format {document.get('format')!r}; this version reads {FORMAT}"
-        )
+    try:
+        document = documents.parse(text)
+        _check_names(document, tensors)
+    except ValueError as error:
+        raise CheckpointError(f"{path}: its document is wrong: {error}") from error
     return Checkpoint(path, document, tensors)
+
+
+def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Every tensor belongs to a part that a checkpoint of this kind has."""
+    parts = {"policy"} if document.kind == "best" else {"online", "target", "optimiser", "replay"}
+    orders = document.state.orders if document.state else ()
+    parts |= {f"weights{order.version}" for order in orders}
+    older = document.kind == "last" and document.state is None
+    for name in tensors:
+        part = name.partition(".")[0]
+        if part not in parts and not (older and part.startswith("weights")):
+            raise ValueError(f"a tensor is called {name!r:.60}; the parts are {sorted(parts)}")
 
 
 def find(run_or_file: Path, prefer: Path = BEST) -> Path:
@@ -160,7 +200,7 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
 
 def shipped() -> dict[str, Path]:
     """The policies that come with the package, by name."""
-    folder = Path(__file__).parent / "policies"
+    folder = Path(__file__).parents[1] / "policies"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 

@@ -1,0 +1,84 @@
+"""The SHA-256 of an exported policy: written into the file that it covers.
+
+In: the bytes of a file. Out: the bytes with their checksum in place, or a verdict before any other
+code parses them. The checksum is that of the whole file with its own 64 hexadecimal digits set to
+0, so that it covers graph and metadata to the last bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+from flipperctl.errors import PolicyError
+
+FORMAT_VERSION = 2
+"""Of the metadata under ``flipperctl.*``; 1 had no checksum and only the terrain's name."""
+PREFIX = "flipperctl."
+CHECKSUM = f"{PREFIX}sha256"
+PLACEHOLDER = "0" * 64
+"""Value of the checksum's entry while the checksum is computed."""
+_FORMAT = f"{PREFIX}format_version"
+_SINCE_2 = (CHECKSUM.encode(), f"{PREFIX}terrain_config".encode())
+
+
+def sealed(data: bytes) -> bytes:
+    """The model's bytes with their checksum; ``CHECKSUM`` must be ``PLACEHOLDER`` in them.
+
+    Raises:
+        ValueError: they do not hold the placeholder exactly once.
+    """
+    start = _entry(data, CHECKSUM, len(PLACEHOLDER))
+    if start is None or data[start : start + len(PLACEHOLDER)] != PLACEHOLDER.encode():
+        raise ValueError(f"the model's metadata must hold {CHECKSUM} once, as the placeholder")
+    return _replaced(data, start, hashlib.sha256(data).hexdigest())
+
+
+def verify(data: bytes, where: str) -> bool:
+    """Whether the bytes carry a checksum, which then fits them; False for a file of format 1.
+
+    Raises:
+        PolicyError: the bytes were changed since the export, or ``flipperctl export onnx`` did not
+            write them.
+    """
+    start = _entry(data, CHECKSUM, len(PLACEHOLDER))
+    if start is not None:
+        found = data[start : start + len(PLACEHOLDER)]
+        expected = hashlib.sha256(_replaced(data, start, PLACEHOLDER)).hexdigest()
+        if found != expected.encode():
+            raise PolicyError(
+                f"{where} is damaged, or was changed since its export: "
+                "its SHA-256 does not match its contents"
+            )
+        return True
+    version = _entry(data, _FORMAT, 1)
+    if version is None:
+        raise PolicyError(
+            f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
+        )
+    found_version = data[version : version + 1]
+    if found_version == b"1" and not any(name in data for name in _SINCE_2):
+        return False
+    # Format 2 always has a checksum, so its entry was destroyed; no other format is known.
+    if found_version in (b"1", b"%d" % FORMAT_VERSION):
+        raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
+    raise PolicyError(
+        f"{where} has format version {found_version.decode(errors='replace')!r}, or is damaged; "
+        f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
+    )
+
+
+def _entry(data: bytes, key: str, length: int) -> int | None:
+    """Where the value of a metadata entry begins, if there is exactly one of that length.
+
+    An entry is a protobuf message of two strings: tag 1, length, key, tag 2, length, value.
+    """
+    marker = b"\x0a%c%b\x12%c" % (len(key), key.encode(), length)
+    at = data.find(marker)
+    start = at + len(marker)
+    if at < 0 or data.find(marker, start) >= 0 or start + length > len(data):
+        return None
+    return start
+
+
+def _replaced(data: bytes, start: int, value: str) -> bytes:
+    return data[:start] + value.encode() + data[start + len(value) :]

@@ -1,0 +1,51 @@
+"""The tensors of a whole run, checked against what the run is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.replay import Replay
+from flipperctl.api import ACTIONS
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.checkpoint.document import State
+from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.errors import CheckpointError
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+def run_arrays(
+    saved: Checkpoint, state: State, agent: D3qn, replay: Replay
+) -> tuple[Arrays, dict[int, Arrays]]:
+    """The replay's arrays and the weights of each order's version, after a check of all tensors.
+
+    Raises:
+        CheckpointError: a tensor is missing, too many, or of another shape, type or range.
+    """
+    network = agent.online.state_dict()
+    blank = {n: torch.from_numpy(array) for n, array in replay.blank(state.replay_added).items()}
+    versions = {order.version for order in state.orders}
+    expected: dict[str, Mapping[str, torch.Tensor]] = {
+        **{"online": network, "target": network},
+        **{"optimiser": agent.optimiser.moments, "replay": blank},
+        **{f"weights{version}": network for version in versions},
+    }
+    for part, tensors in expected.items():
+        try:
+            require_equal_layout(saved.part(part), tensors)
+        except ValueError as error:
+            raise CheckpointError(f"{saved.path}: its part {part} is wrong: {error}") from error
+    found = _arrays(saved, "replay")
+    for name, most in (("action", len(ACTIONS) - 1), ("discount", 1)):
+        if ((found[name] < 0) | (found[name] > most)).any():  # type: ignore[operator]
+            raise CheckpointError(f"{saved.path}: replay.{name} lies outside of 0 to {most}")
+    return found, {version: _arrays(saved, f"weights{version}") for version in versions}
+
+
+def _arrays(saved: Checkpoint, part: str) -> Arrays:
+    return {name: tensor.numpy() for name, tensor in saved.part(part).items()}

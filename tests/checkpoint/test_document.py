@@ -1,0 +1,190 @@
+"""Documents of any origin: what is wrong in one is named by its path, in one error."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tests.checkpoint.test_file import resign
+
+from flipperctl import checkpoint
+from flipperctl.errors import CheckpointError
+from flipperctl.policies.trained import policy_module
+from flipperctl.training import timing
+from tests.cli.call import call
+from tests.short import short_config, trainer
+
+
+@pytest.fixture
+def best(short_run: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(short_run / checkpoint.BEST, tmp_path / "best.safetensors"))
+
+
+@pytest.fixture
+def last(short_run: Path, tmp_path: Path) -> Path:
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    return Path(shutil.copy(short_run / checkpoint.LAST, tmp_path / "run" / checkpoint.LAST))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"config": ...}, "document.config: Field required"),
+        ({"config.terrain": "step"}, "document.config.terrain: "),
+        ({"config.terrain.name": 3}, "document.config.terrain.name: Input should be a valid str"),
+        ({"config.rewards.end.weight": None}, "document.config.rewards.end.weight: "),
+        ({"config.seed": True}, "document.config.seed: Input should be a valid integer"),
+        ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
+        ({"plugins.0": "step"}, "document.plugins.0: "),
+        ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
+        ({"versions": []}, "document.versions: "),
+        ({"versions.torch": 2}, "document.versions.torch: "),
+        ({"padding": "x"}, "document.padding: there is no such key"),
+        ({"decision": -1}, "document.decision: "),
+        ({"decision": 1 << 70}, "document.decision: "),
+        ({"validation": ...}, "belong to the kind 'best'"),
+        ({"validation.success_rate": 1.5}, "document.validation.success_rate: "),
+        ({"validation.t_cost": "long"}, "document.validation.t_cost: "),
+        ({"validation.max_pitch": [1]}, "document.validation.max_pitch: "),
+        ({"state": {}}, "document.state"),
+    ],
+)
+def test_a_wrong_document_is_named_by_its_path(
+    changes: dict[str, Any], said: str, best: Path
+) -> None:
+    resign(best, changes)
+    for read in (checkpoint.read, lambda path: policy_module(checkpoint.read(path))):
+        with pytest.raises(CheckpointError) as caught:
+            read(best)
+        assert said in str(caught.value)
+        assert str(best) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[]", "it must be a mapping; it is a list"),
+        ("", "Expecting value"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"format": 2, "format": 2}', "the key 'format' twice"),
+        ('{"format": true}', "its format is True"),
+        ('{"format": NaN}', "it holds NaN"),
+        ('{"format": 1e999}', "it holds 1e999"),
+        ('{"format": ' + "9" * 5000 + "}", "digits"),
+        ('{"format": 2, "kind": "\\ud800"}', "document: Invalid JSON"),
+        ('{"format": 2, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
+    ],
+)
+def test_what_is_no_document_is_refused(text: str, said: str, best: Path) -> None:
+    best.write_bytes(checkpoint.signed(text, checkpoint.read(best).tensors))
+    with pytest.raises(CheckpointError, match="its document is wrong") as caught:
+        checkpoint.read(best)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"state": ...}, "needs a state"),
+        ({"state.generators.noise": ...}, "document.state.generators.noise: Field required"),
+        ({"state.generators.explore.state.inc": -1}, "generators.explore.state.inc: "),
+        ({"state.generators.explore.state.state": 1 << 128}, "explore.state.state: "),
+        ({"state.recent": [True] * 101}, "document.state.recent: "),
+        ({"state.recent.0": 1}, "document.state.recent.0: "),
+        ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
+        ({"state.lost": 10**6}, "lost is 1000000, above started"),
+        ({"state.replay_added": 601}, "replay_added is 601, above decision"),
+        ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
+        ({"state.difficulty": 2.0}, "document.state.difficulty: "),
+    ],
+)
+def test_a_wrong_state_is_named_by_its_path(changes: dict[str, Any], said: str, last: Path) -> None:
+    resign(last, changes)
+    with pytest.raises(CheckpointError) as caught:
+        checkpoint.read(last)
+    assert said in str(caught.value)
+
+
+def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Checkpoint:
+    saved = checkpoint.read(last)
+    tensors = {k: v for k, v in saved.tensors.items() if k != name}
+    if tensor is not None:
+        tensors[name] = tensor
+    checkpoint.write(last, saved.document, tensors)
+    return checkpoint.read(last)
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor", "said"),
+    [
+        ("replay.reward", None, "replay is wrong: reward is missing"),
+        ("replay.reward", torch.zeros(3), r"replay is wrong: reward is float32 \(3,\); float32 \("),
+        ("replay.action", torch.full((600,), 9), r"replay is wrong: action is int64 \(600,\)"),
+        ("optimiser.third", torch.zeros(3), "there is no tensor 'third'"),
+        ("online.1.joined.0.bias", torch.zeros(1), r"online is wrong: 1\.joined\.0\.bias is "),
+    ],
+)
+def test_a_run_goes_on_only_from_its_own_tensors(
+    name: str, tensor: torch.Tensor | None, said: str, last: Path
+) -> None:
+    saved = changed(last, name, tensor)
+    with pytest.raises(CheckpointError, match=said):
+        trainer(short_config(), last.parents[1]).restore(saved)
+
+
+def test_a_replay_with_an_action_that_does_not_exist_is_refused(last: Path) -> None:
+    actions = checkpoint.read(last).tensors["replay.action"].clone()
+    actions[5] = 9
+    saved = changed(last, "replay.action", actions)
+    with pytest.raises(CheckpointError, match=r"replay\.action lies outside of 0 to 8"):
+        trainer(short_config(), last.parents[1]).restore(saved)
+
+
+def test_a_tensor_of_no_part_is_refused(best: Path) -> None:
+    saved = checkpoint.read(best)
+    checkpoint.write(best, saved.document, {**saved.tensors, "more.x": torch.zeros(1)})
+    with pytest.raises(CheckpointError, match=r"a tensor is called 'more\.x'"):
+        checkpoint.read(best)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_refused(best: Path, value: float) -> None:
+    saved = checkpoint.read(best)
+    name = "policy.1.joined.0.bias"
+    tensors = {**saved.tensors, name: torch.full_like(saved.tensors[name], value)}
+    checkpoint.write(best, saved.document, tensors)
+    with pytest.raises(CheckpointError, match=r"1\.joined\.0\.bias holds numbers that are not"):
+        policy_module(checkpoint.read(best))
+
+
+def test_a_run_of_format_1_is_judged_but_does_not_go_on(last: Path) -> None:
+    saved = checkpoint.read(last)
+    document = saved.document.plain()
+    state = {"decision": 600, "seconds": 12.5, "orders": [[0, 1, 0.5, 0, 0, 1.0]]}
+    text = json.dumps({**document, "format": 1, "state": state})
+    last.write_bytes(checkpoint.signed(text, saved.tensors))
+    old = checkpoint.read(last)
+    assert old.document.decision == 600
+    observation = torch.ones(1, 18)
+    assert torch.equal(policy_module(old)(observation), policy_module(saved)(observation))
+    with pytest.raises(CheckpointError, match="of an earlier version"):
+        trainer(short_config(), last.parents[1]).restore(old)
+    done = call("inspect", "checkpoint", str(last), cwd=last.parent)
+    assert (done.code, done.err) == (0, "")
+
+
+def test_the_clock_goes_on_beside_the_checkpoint(last: Path) -> None:
+    run = last.parents[1]
+    timing.write(run, 100.0)
+    learner = trainer(short_config(**{"train.decisions": 650}), run)
+    learner.restore(checkpoint.read(last))
+    summary = learner.run()
+    assert 100 < summary["seconds"] < 160
+    assert timing.read(run) == pytest.approx(summary["seconds"], abs=1)
+    for text in ("", "[]", '{"seconds": "x"}', '{"seconds": -1}', '{"seconds": NaN}'):
+        (run / timing.NAME).write_text(text)
+        assert timing.read(run) == 0.0
