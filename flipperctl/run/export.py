@@ -26,6 +26,7 @@ from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
+from flipperctl.guard import fault
 from flipperctl.run.checkpoint import Checkpoint
 from flipperctl.run.files import write_bytes
 from flipperctl.run.policy import QPolicy, policy_module
@@ -54,10 +55,11 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
     module = policy_module(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
     details = properties(checkpoint)
-    if format == "onnx":
-        data, run = _onnx(module, config, details)
-    else:
-        data, run = _pt2(module, config, details)
+    write = _onnx if format == "onnx" else _pt2
+    try:
+        data, run = write(module, config, details)
+    except BaseException as error:  # the exporters run the network's code, and wrap what it raises
+        raise fault(error, config.network, "forward", ExportError, while_=" (export)") from error
     found = compare(module, run, observations)
     write_bytes(output, data)
     return {"format": format, "output": str(output), "bytes": len(data), **found}

@@ -9,10 +9,13 @@ from typing import Any, Protocol
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.acting import greedy
+from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Simulator
-from flipperctl.errors import CheckpointError
+from flipperctl.env.actions import ALLOWED, action_index
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.guard import fault, refusal, shown
 from flipperctl.run.checkpoint import Checkpoint, read
 from flipperctl.run.exported import ExportedPolicy, is_exported
 
@@ -25,6 +28,39 @@ class Acts(Protocol):
 
     def act(self, p: Perception, /) -> int:
         """Index into ``ACTIONS``."""
+
+
+class Rule:
+    """A controller plugin: what it raises names it, and so does an answer that is no action."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+
+    def begin(self, simulator: Simulator) -> None:
+        """Hand over the scene.
+
+        Raises:
+            PluginFailedError: the controller's code failed.
+        """
+        try:
+            self.controller.begin(simulator)
+        except BaseException as error:
+            raise fault(error, self.controller, "begin") from error
+
+    def act(self, p: Perception) -> int:
+        """The controller's action.
+
+        Raises:
+            PluginFailedError: the controller's code failed, or its answer is no action.
+        """
+        try:
+            answer: object = self.controller.act(p)
+            index = action_index(answer)
+        except BaseException as error:
+            raise fault(error, self.controller, "act") from error
+        if index is None:
+            raise refusal(self.controller, "act", f"returned {shown(answer)}; {ALLOWED}")
+        return index
 
 
 class QPolicy:
@@ -52,7 +88,10 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         CheckpointError: the weights do not fit the network.
     """
     config = checkpoint.config()
-    module = build_network(config.network, config.perception, len(ACTIONS))
+    try:
+        module = build_network(config.network, config.perception, len(ACTIONS))
+    except ConfigError as error:
+        raise CheckpointError(f"{checkpoint.path}: {error}") from error
     kind = checkpoint.document["kind"]
     weights = checkpoint.part("policy" if kind == "best" else config.agent.act_with)
     try:
@@ -87,8 +126,7 @@ class ControllerSource:
             CheckpointError: the policy was trained on another observation layout.
         """
         if self.checkpoint is None:
-            controller: Controller = plugins.create("controller", self.settings, "controller")
-            return controller
+            return Rule(plugins.create("controller", self.settings, "controller"))
         bins, bin_width, policy = _opened(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from flipperctl.api import ACTIONS, RobotState
+from flipperctl.api import RobotState
+from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.run.policy import Acts
@@ -29,11 +30,8 @@ def play(
         if trace is not None:
             trace.append(env.state)
         action = controller.act(env.perception)
-        if action not in range(len(ACTIONS)):
-            raise FlipperctlError(
-                f"{type(controller).__name__}.act returned {action!r}; "
-                f"0 to {len(ACTIONS) - 1} is allowed"
-            )
+        if action_index(action) is None:
+            raise FlipperctlError(f"{type(controller).__name__}.act returned {action!r}; {ALLOWED}")
         _, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             if trace is not None:
