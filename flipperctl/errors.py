@@ -2,6 +2,12 @@
 
 ``RequestError`` and its children mean that the request was wrong (exit code 2); any other
 ``FlipperctlError`` means that the work failed (exit code 1).
+
+Plugins: one that is refused before it works (it does not import, cannot be made from its settings,
+builds no network that fits, generates no profile that a robot can start on) is a wrong request;
+one that fails at work, by what it raises or returns, is failed work.
+
+Each takes its text and nothing else, so that it comes back whole from a worker process.
 """
 
 from __future__ import annotations
@@ -24,7 +30,7 @@ class ConfigError(RequestError):
 
 
 class PluginError(RequestError):
-    """A plugin is missing, does not import, or takes a name twice."""
+    """A plugin is missing, does not import, takes a name twice, or cannot be made."""
 
 
 class TerrainError(RequestError):
@@ -45,6 +51,10 @@ class OutputError(RequestError):
 
 class MissingExtraError(RequestError):
     """An optional dependency is not installed; the text names the extra."""
+
+
+class PluginFailedError(FlipperctlError):
+    """A plugin's code raised, or returned what the contract does not allow."""
 
 
 class NonFiniteError(FlipperctlError):

@@ -9,11 +9,8 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
-import inspect
 import os
 import sys
-import sysconfig
-import traceback
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -21,7 +18,9 @@ from types import ModuleType
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError
 
+from flipperctl import guard
 from flipperctl.api import Plugin, registry
 from flipperctl.errors import ConfigError, PluginError
 from flipperctl.messages import close_match, explain
@@ -94,10 +93,12 @@ def _importing(name: str, shown: str, file: Path | None, run: Callable[[], objec
     fresh = name not in sys.modules
     try:
         run()
-    except Exception as error:
+    except BaseException as error:  # SystemExit too: to leave is not a plugin's business
         registry.clear()
         registry.update(before)
         sys.modules.pop(name, None)
+        if isinstance(error, KeyboardInterrupt):
+            raise
         raise PluginError(f"plugin {shown} does not import: {_where(error, file)}") from error
     if fresh and len(registry) == len(before):
         sys.modules.pop(name, None)
@@ -108,18 +109,12 @@ def _importing(name: str, shown: str, file: Path | None, run: Callable[[], objec
     _loaded.add(name)
 
 
-def _where(error: Exception, file: Path | None) -> str:
+def _where(error: BaseException, file: Path | None) -> str:
     """File and line of the plugin's own that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
-    libraries = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
-    here = (__file__, str(Path(__file__).with_name("api")))
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [f for f in frames if file is not None and f.filename == str(file)]
-    own = own or [f for f in frames if not f.filename.startswith((*here, "<"))]
-    own = [f for f in own if not f.filename.startswith(libraries)] or own
-    place = f"{own[-1].filename}:{own[-1].lineno}: " if own else ""
-    return f"{place}{type(error).__name__}: {error}"
+    found = guard.import_place(error, file)
+    return f"{found}: {guard.words(error)}" if found else guard.words(error)
 
 
 def names(kind: str) -> list[str]:
@@ -165,17 +160,58 @@ def create(kind: str, settings: object, where: str) -> Any:
     fields = {k: v for k, v in settings.items() if k != "name"}
     cls = get(kind, settings["name"], where)
     try:
-        return cls(**fields)
+        return construct(cls, fields)
     except ValidationError as error:
         raise ConfigError(explain(error, where, cls, fields)) from error
+
+
+def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
+    """An instance of a plugin.
+
+    Raises:
+        ValidationError: a field is unknown, of the wrong type or out of bounds.
+        PluginError: the plugin's own code raised anything else.
+    """
+    try:
+        return cls(**fields)
+    except ValidationError:
+        raise
+    except BaseException as error:
+        raise guard.fault(error, cls, "its construction", PluginError) from error
 
 
 def container(plugin: Plugin, *, brief: bool = False) -> dict[str, Any]:
     """The mapping from which ``create`` makes an equal instance.
 
     ``brief``: a plugin within it that has all its defaults is its name alone.
+
+    Raises:
+        PluginError: a field cannot be written as JSON.
     """
-    return {"name": plugin.plugin_name, **plugin.model_dump(mode="json", context={"brief": brief})}
+    try:
+        fields = plugin.model_dump(mode="json", context={"brief": brief})
+    except BaseException as error:
+        # pydantic wraps what a serialiser raises, that of a plugin within this one too.
+        wrapped = isinstance(error, PydanticSerializationError) and error.__cause__
+        cause = wrapped or error
+        raise guard.fault(cause, plugin, "its serialisation", PluginError) from error
+    return {"name": plugin.plugin_name, **fields}
+
+
+def defaults(cls: type[Plugin]) -> dict[str, Any]:
+    """The brief container of a plugin that is given nothing but its name.
+
+    Raises:
+        ConfigError: a field has no default, or a default that is not valid.
+        PluginError: the plugin's own code raised anything else.
+    """
+    try:
+        return container(construct(cls, {}), brief=True)
+    except ValidationError as error:
+        raise ConfigError(
+            f"{guard.called(cls)}: its defaults are not valid: "
+            f"{explain(error, '', cls)} ({guard.definition(cls)})"
+        ) from error
 
 
 def nested(plugin: Plugin) -> list[Plugin]:
@@ -194,7 +230,4 @@ def nested(plugin: Plugin) -> list[Plugin]:
 
 def source(cls: type[Plugin]) -> str:
     """Where a plugin was defined: its file, or its module for what has none."""
-    try:
-        return f"{inspect.getsourcefile(cls)}:{inspect.getsourcelines(cls)[1]}"
-    except (OSError, TypeError):
-        return cls.__module__
+    return guard.definition(cls)

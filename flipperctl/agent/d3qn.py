@@ -11,76 +11,31 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from flipperctl.agent.acting import greedy
 from flipperctl.agent.adam import Adam
-from flipperctl.agent.frames import input_size
-from flipperctl.agent.heads import Distributional, head
+from flipperctl.agent.building import TRAINED, belongs, blamed, build_network
+from flipperctl.agent.heads import head
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
-from flipperctl.api import MEMORY, Network, ObservationLayout
+from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError, NonFiniteError
+from flipperctl.guard import fault, refusal
 
-_CPU = torch.device("cpu")
-
-
-def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-    """The network, after a check of its output's shape.
-
-    Raises:
-        ConfigError: it does not map (B, frames · (N + 3)) to (B, n_actions) finite float32 numbers.
-    """
-    name = f"network {network.plugin_name!r}"
-    if not 1 <= network.frames <= MEMORY:
-        raise ConfigError(f"{name}: frames is {network.frames}; 1 to {MEMORY} is allowed")
-    module = network.build(layout, n_actions)
-    if not isinstance(module, torch.nn.Module):
-        raise ConfigError(f"{name}: build must return a torch module; got {type(module).__name__}")
-    probe = torch.zeros(2, input_size(network, layout))
-    try:
-        with torch.no_grad():
-            output = module(probe)
-    except RuntimeError as error:
-        raise ConfigError(
-            f"{name} fails on observations of shape {tuple(probe.shape)}: "
-            f"{str(error).splitlines()[0]}"
-        ) from error
-    shape = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-    if shape != (2, n_actions):
-        raise ConfigError(
-            f"{name}: observations {tuple(probe.shape)} must give Q-values (2, {n_actions}); "
-            f"the output is {shape}"
-        )
-    if output.dtype != torch.float32 or not bool(output.isfinite().all()):
-        raise ConfigError(
-            f"{name}: the Q-values must be finite float32 numbers; "
-            f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
-        )
-    if isinstance(module, Distributional):
-        shape = tuple(module.quantiles(probe).shape)
-        if len(shape) != 3 or shape[:2] != (2, n_actions) or not shape[2]:
-            raise ConfigError(
-                f"{name}: observations {tuple(probe.shape)} must give quantiles "
-                f"(2, {n_actions}, K); they are {shape}"
-            )
-    return module
-
-
-def greedy(
-    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
-) -> int:
-    """The action of the largest Q-value of a network on ``device``.
-
-    ``observation``: what the network sees, (frames · (N + 3),).
-    """
-    with torch.inference_mode():
-        return int(module(torch.from_numpy(observation).to(device).unsqueeze(0)).argmax())
+__all__ = ["D3qn", "arrays", "build_network", "greedy"]
 
 
 def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
     """A copy of a network's weights, for those who play elsewhere."""
     state = module.state_dict()
     return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
+
+
+def _persistent_buffers(module: torch.nn.Module) -> list[str]:
+    """The names of the buffers that a checkpoint holds: statistics, but no noise."""
+    saved = module.state_dict().keys()
+    return [name for name, _ in module.named_buffers() if name in saved]
 
 
 def _joined(module: torch.nn.Module) -> torch.Tensor:
@@ -110,11 +65,20 @@ class D3qn:
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            self.online = build_network(network, layout, n_actions).to(self.device)
-        self.target = copy.deepcopy(self.online).requires_grad_(False)
-        # Each network's parameters lie in one vector, so that the optimiser, the clipping and the
-        # soft update are one operation each instead of one a layer.
-        self._online, self._target = _joined(self.online), _joined(self.target)
+            built = build_network(network, layout, n_actions, copies=TRAINED)
+        if not any(p.requires_grad for p in built.parameters()):
+            raise refusal(network, "build", "made a network with nothing to learn", ConfigError)
+        try:
+            self.online = built.to(self.device)
+            self.target = copy.deepcopy(self.online).requires_grad_(False)
+            # Each network's parameters lie in one vector, so that the optimiser, the clipping and
+            # the soft update are one operation each instead of one a layer.
+            self._online, self._target = _joined(self.online), _joined(self.target)
+            self._buffers = _persistent_buffers(self.online)
+        except BaseException as error:
+            raise fault(error, network, "build", ConfigError) from error
+        for module in (self.online, self.target):
+            belongs(module, network)
         self._parameters = list(self.online.parameters())
         self.optimiser = Adam(self._online)
         self._head = head(self.online)
@@ -143,7 +107,14 @@ class D3qn:
 
         Raises:
             NonFiniteError: a loss is not finite.
+            PluginFailedError: the network's code failed.
         """
+        try:
+            return self._update(batch, share)
+        except BaseException as error:  # all that is done to them, the networks' code does
+            raise blamed(error, self.online, "forward") from error
+
+    def _update(self, batch: Batch, share: float) -> float:
         s = self.settings
         rate = linear(s.learning_rate, s.learning_rate_end, share)
         batch = batch.to(self.device)
@@ -179,7 +150,17 @@ class D3qn:
                 gradient.mul_(self.settings.gradient_norm / norm)
             self.optimiser.step(gradient, rate)
             self._target.lerp_(self._online, self.settings.target_rate)
+            self._follow_buffers()
         return value
+
+    def _follow_buffers(self) -> None:
+        """Let the target's statistics follow as its weights do; counts are copied."""
+        for name in self._buffers:
+            online, target = self.online.get_buffer(name), self.target.get_buffer(name)
+            if online.is_floating_point():
+                target.lerp_(online, self.settings.target_rate)
+            else:
+                target.copy_(online)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """All that learning needs to go on: both networks and the optimiser's moments."""

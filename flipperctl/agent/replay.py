@@ -14,6 +14,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from flipperctl.agent.memory import gigabytes
+from flipperctl.errors import ConfigError
+
+
+def row_bytes(size: int) -> int:
+    """Memory of one transition whose observations have ``size`` numbers [B]."""
+    return 2 * 4 * size + 8 + 4 + 4
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -43,15 +51,25 @@ class Replay:
     FIELDS = ("observation", "action", "reward", "next_observation", "discount")
 
     def __init__(self, capacity: int, size: int, n_step: int, gamma: float) -> None:
-        """``size``: length of an observation."""
+        """``size``: length of an observation.
+
+        Raises:
+            ConfigError: the system has not as much memory to give.
+        """
         self.capacity = capacity
-        self.arrays: dict[str, NDArray[Any]] = {
-            "observation": np.zeros((capacity, size), np.float32),
-            "action": np.zeros(capacity, np.int64),
-            "reward": np.zeros(capacity, np.float32),
-            "next_observation": np.zeros((capacity, size), np.float32),
-            "discount": np.zeros(capacity, np.float32),
-        }
+        try:
+            self.arrays: dict[str, NDArray[Any]] = {
+                "observation": np.zeros((capacity, size), np.float32),
+                "action": np.zeros(capacity, np.int64),
+                "reward": np.zeros(capacity, np.float32),
+                "next_observation": np.zeros((capacity, size), np.float32),
+                "discount": np.zeros(capacity, np.float32),
+            }
+        except MemoryError as error:
+            raise ConfigError(
+                f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
+                f"{gigabytes(capacity * row_bytes(size))} of memory, more than there is; keep fewer"
+            ) from error
         self.added = 0
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float]] = deque()

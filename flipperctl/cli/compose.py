@@ -44,6 +44,7 @@ CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _GROUP_KEYS = ("terrain", "rewards", "network", "collector", "sim", "perception")
+_CHOICES = (*_GROUP_KEYS, "controller", "experiment")  # keys whose value brings other keys
 _CALLED = {"rewards": "preset"}  # what an entry of a group is called, if not as the group
 
 
@@ -51,17 +52,7 @@ def offer_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
     for (kind, name), cls in registry.items():
-        fields = {
-            field: info.get_default(call_default_factory=True)
-            for field, info in cls.model_fields.items()
-        }
-        try:
-            node = plugins.container(cls(**fields), brief=True)
-        except ValueError as error:
-            raise ConfigError(
-                f"{kind} plugin {name!r}: its defaults are not valid: {error}"
-            ) from error
-        store.store(group=kind, name=name, node=node)
+        store.store(group=kind, name=name, node=plugins.defaults(cls))
     for collector in (LocalCollector(), RayCollector()):
         store.store(group="collector", name=collector.name, node=container(collector))
     for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
@@ -129,7 +120,26 @@ def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, 
                 raise _unknown_key(error, primary, combination) from error
 
 
+def check_mappings(overrides: Sequence[str]) -> None:
+    """Refuse an empty mapping: Hydra merges it into what is there, so that nothing would change.
+
+    Raises:
+        ConfigError: with what drops what is there.
+    """
+    with translated():
+        parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
+    for override in parsed:
+        if not override.is_delete() and override.value() == {}:
+            key = override.get_key_element()
+            drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
+            raise ConfigError(
+                f"{override.input_line}: a mapping is merged into what is there, and an empty one "
+                f"changes nothing; {drop}"
+            )
+
+
 def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
+    check_mappings(overrides)
     parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
     choices: list[list[str]] = []
     for override in parsed:
@@ -185,7 +195,8 @@ def _plain(composed: DictConfig) -> dict[str, Any]:
         plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     if not isinstance(plain, dict):
         raise ConfigError("the configuration is no mapping")
-    return {str(k): v for k, v in plain.items() if k != "hydra"}
+    # Without a key, the model's defaults would take the place of what ~rewards dropped.
+    return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}
 
 
 def _flat(error: Exception) -> str:
@@ -219,7 +230,7 @@ def _unknown_key(
     if not named:
         return ConfigError(text)
     key = named[1].split("@")[0]
-    choices = [o for o in overrides if o.partition("=")[0] in (*_GROUP_KEYS, "experiment")]
+    choices = [o for o in overrides if o.partition("=")[0] in _CHOICES]
     node: Any = _plain(compose(primary, choices))
     *parents, leaf = key.split(".")
     inside = ""  # the innermost section on the way to the key that is there

@@ -81,7 +81,9 @@ def _run(arguments: list[str]) -> int:
     except BrokenPipeError:
         sys.stdout = None  # nobody reads it any more
         return 1
-    except Exception as error:
+    except SystemExit:
+        raise  # Hydra's own options leave so; a plugin's is an error of the plugin by now
+    except BaseException as error:
         if debug:
             raise
         _say(f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)")

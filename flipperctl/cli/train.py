@@ -84,6 +84,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     sweeper.offer()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
+    compose.check_mappings([o for o in overrides if not o.startswith("-")])
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if check and not any(a.startswith("-") for a in overrides):
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
@@ -91,6 +92,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             for config in compose.compose_train([*own, *probe]):  # before Hydra makes a directory
                 _check_device(config)
                 _check_terrain(config)
+                _check_network(config)
     errors: list[FlipperctlError] = []
     paths = loader.given()  # a worker on a running cluster has another environment
 
@@ -173,6 +175,15 @@ def _check_terrain(config: TrainConfig) -> None:
     from flipperctl.env.flipper_env import FlipperEnv
 
     FlipperEnv(config=config.environment()).reset(seed=0)
+
+
+def _check_network(config: TrainConfig) -> None:
+    from flipperctl.agent.demand import check_demand
+    from flipperctl.api import ACTIONS
+
+    check_demand(
+        config.network, config.perception, len(ACTIONS), config.agent, config.train.decisions
+    )
 
 
 def _resume(run: Path, overrides: list[str]) -> None:

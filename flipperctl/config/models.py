@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError, model_validator
+from pydantic_core import PydanticSerializationError
 
 from flipperctl import plugins
 from flipperctl.api import (
@@ -31,7 +32,7 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
-from flipperctl.errors import ConfigError
+from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.messages import close_match, explain
 
 
@@ -168,6 +169,16 @@ class TrainConfig(EnvConfig):
         return self
 
     @model_validator(mode="after")
+    def _something_is_paid(self) -> TrainConfig:
+        if not any(term.weight for term in self.rewards.values()):
+            there = ", ".join(self.rewards) if self.rewards else "none"
+            raise ConfigError(
+                f"rewards: a training needs a term whose weight is not 0 (terms: {there}); add one "
+                "with +reward@rewards.pitch=pitch, or leave rewards=paper as it is"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _shaping_changes_no_policy(self) -> TrainConfig:
         agent = self.agent
         for name, term in self.rewards.items():
@@ -204,17 +215,29 @@ def parse(model: type[ConfigT], container: Mapping[str, Any]) -> ConfigT:
 
 
 def container(config: Settings) -> dict[str, Any]:
-    """The plain container from which ``parse`` makes an equal configuration."""
-    return config.model_dump(mode="json")
+    """The plain container from which ``parse`` makes an equal configuration.
+
+    Raises:
+        PluginError: a plugin in it cannot be written as JSON.
+    """
+    try:
+        return config.model_dump(mode="json")
+    except PydanticSerializationError as error:
+        if isinstance(error.__cause__, FlipperctlError):  # pydantic wraps what a plugin raises
+            raise error.__cause__ from error
+        raise
 
 
 def merged(config: Settings, overrides: Mapping[str, Any]) -> dict[str, Any]:
     """The container of ``config`` with nested or dotted overrides laid over it.
 
-    A reward term set to None is dropped.
+    A reward term set to None is dropped, and so are all by an empty mapping of rewards.
     """
     result = container(config)
     for key, value in overrides.items():
+        if key == "rewards" and value == {}:  # nothing to lay over what is there
+            result[key] = {}
+            continue
         *parents, leaf = key.split(".")
         node = result
         for parent in parents:

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from numbers import Real
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from flipperctl import plugins
@@ -22,18 +24,20 @@ from flipperctl.api import (
     SAMPLE_PERIOD,
     Outcome,
     Perception,
-    Profile,
     RobotState,
     Start,
     Transition,
 )
 from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.env import ground
+from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
-from flipperctl.errors import NonFiniteError, TerrainError
+from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
+from flipperctl.messages import close_match
 
 Observation = NDArray[np.float32]
 
@@ -64,8 +68,19 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """``terrain``: a name, a mapping with ``name`` and fields, or an instance.
 
         ``overrides``: sections of the configuration, nested (``episode={"slack": 2}``) or dotted
-        (``**{"rewards.pitch.lambda_2": 8}``). ``config`` replaces both.
+        (``**{"rewards.pitch.lambda_2": 8}``); ``rewards={}`` drops every term. ``config`` replaces
+        both.
+
+        Raises:
+            ConfigError: there is no such setting, value, plugin or render mode.
         """
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ConfigError(
+                f"render_mode: there is no mode {render_mode!r}"
+                f"{close_match(str(render_mode), modes)}; "
+                f"None or {', '.join(map(repr, modes))} is allowed"
+            )
         if config is None:
             plugins.load()
             config = parse(EnvConfig, merged(EnvConfig(terrain=terrain), overrides))
@@ -83,6 +98,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._renderer: Any = None
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
+        self._running = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -90,7 +106,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """Draw a terrain and put the robot before it; equal seeds give equal episodes.
 
         ``options``: ``difficulty`` from 0 to 1, for terrains that have one; else it is 1.
+
+        Raises:
+            ValueError: there is no such difficulty.
+            TerrainError: the terrain gives no ground that a robot can start on.
+            PluginFailedError: the terrain's code failed.
         """
+        difficulty = (options or {}).get("difficulty", 1.0)
+        if not (isinstance(difficulty, Real) and 0 <= float(difficulty) <= 1):
+            raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
+        self._running = False
         super().reset(seed=seed)
         # One stream each, so that sensing noise never changes the terrain that is drawn.
         terrain_rng, start_rng, self._sensor_rng, self._controller_rng, draw_rng = (
@@ -100,7 +125,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         drawn = config.randomise.draw(draw_rng)
         sections = config.drawn(drawn)
         _, self.robot, perception = sections
-        self.profile = self._draw(terrain_rng, (options or {}).get("difficulty", 1.0))
+        self.profile = ground.draw(config.terrain, terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
         )
@@ -122,6 +147,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._metrics = EpisodeMetrics(self.state)
         self._recent: deque[Observation] = deque(maxlen=MEMORY)
         self.perception = self._perceive(self.drive.seen)
+        self._running = True
         return self.perception.observation, {}
 
     def _drive(self) -> Drive:
@@ -141,23 +167,22 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """The robot's true state."""
         return self.drive.state
 
-    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
-        terrain = self.config.terrain
-        try:
-            return terrain.at(difficulty).labelled(rng)
-        except ValueError as error:
-            raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
-
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision.
 
         Raises:
             ValueError: there is no such action.
+            ResetNeeded: no episode runs; Gymnasium's exception.
+            PluginFailedError: a reward term's code failed.
+            NonFiniteError: the state or a reward is not a finite number.
         """
-        if not 0 <= int(action) < len(ACTIONS):
-            raise ValueError(f"there is no action {action!r}; 0 to {len(ACTIONS) - 1} are allowed")
-        move, before = ACTIONS[int(action)], self.state
-        outcome = self.drive.decide(int(action))
+        index = action_index(action)
+        if index is None:
+            raise ValueError(f"there is no action {action!r}; {ALLOWED}")
+        if not self._running:
+            raise ResetNeeded("no episode runs: call reset before the first step and after the end")
+        move, before = ACTIONS[index], self.state
+        outcome = self.drive.decide(index)
         after = self._checked(self.state)
         self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
@@ -181,6 +206,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.perception = self._perceive(self.drive.seen)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
+            self._running = False
             info["outcome"] = outcome
             info["metrics"] = {
                 "terrain": self.profile.label,

@@ -28,6 +28,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
 from flipperctl.files import write_bytes
+from flipperctl.guard import fault
 from flipperctl.policies.trained import QPolicy, policy_module
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
@@ -54,11 +55,14 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
     module = policy_module(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
     details = properties(checkpoint)
-    if format == "onnx":
-        data, run = _onnx(module, config, {**details, CHECKSUM: PLACEHOLDER})
-        data = sealed(data)
-    else:
-        data, run = _pt2(module, config, details)
+    try:
+        if format == "onnx":
+            data, run = _onnx(module, config, {**details, CHECKSUM: PLACEHOLDER})
+            data = sealed(data)
+        else:
+            data, run = _pt2(module, config, details)
+    except BaseException as error:  # the exporters run the network's code, and wrap what it raises
+        raise fault(error, config.network, "forward", ExportError, while_=" (export)") from error
     found = compare(module, run, observations)
     write_bytes(output, data)
     return {"format": format, "output": str(output), "bytes": len(data), **found}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from flipperctl.agent.d3qn import greedy
+from flipperctl.agent.acting import greedy
 from flipperctl.agent.frames import stacked
 from flipperctl.agent.noise import Noise
 from flipperctl.api import ACTIONS, Perception, Simulator

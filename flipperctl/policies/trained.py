@@ -9,13 +9,15 @@ from typing import Any
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import build_network, greedy
+from flipperctl.agent.acting import greedy
+from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import stacked
-from flipperctl.api import ACTIONS, Controller, ObservationLayout, Perception, Policy, Simulator
+from flipperctl.api import ACTIONS, ObservationLayout, Perception, Policy, Simulator
 from flipperctl.checkpoint import Checkpoint, read
 from flipperctl.checkpoint.layout import require_equal_layout
-from flipperctl.errors import CheckpointError
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.plugin import PluginPolicy
 
 
 class QPolicy:
@@ -43,7 +45,10 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         CheckpointError: the weights do not fit the network.
     """
     config = checkpoint.config()
-    module = build_network(config.network, config.perception, len(ACTIONS))
+    try:
+        module = build_network(config.network, config.perception, len(ACTIONS))
+    except ConfigError as error:
+        raise CheckpointError(f"{checkpoint.path}: {error}") from error
     best = checkpoint.document.kind == "best"
     weights = checkpoint.part("policy" if best else config.agent.act_with)
     try:
@@ -79,8 +84,7 @@ class ControllerSource:
             CheckpointError: the policy was trained on another observation layout.
         """
         if self.checkpoint is None:
-            controller: Controller = plugins.create("controller", self.settings, "controller")
-            return controller.build()
+            return PluginPolicy(plugins.create("controller", self.settings, "controller"))
         bins, bin_width, policy = _opened(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(

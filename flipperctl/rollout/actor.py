@@ -9,11 +9,12 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import build_network
+from flipperctl.agent.building import blamed, build_network
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.trained import QPolicy
 from flipperctl.rollout.collect import Order, Played, Weights
@@ -59,4 +60,32 @@ class Actor:
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}
-        self._module.load_state_dict(state)
+        try:
+            self._module.load_state_dict(state)
+        except BaseException as error:  # a module that changed its shapes, say
+            raise blamed(error, self._module, "load_state_dict") from error
+
+
+class StartedActor:
+    """An actor, or why there is none: told with each answer, since a start has nobody to tell."""
+
+    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        """As ``Actor``; raises nothing of flipperctl's own."""
+        self._actor: Actor | FlipperctlError
+        try:
+            self._actor = Actor(config, plugin_paths)
+        except FlipperctlError as error:
+            self._actor = error
+
+    def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+        """As ``Actor.judge``."""
+        return self._ready().judge(weights, seeds)
+
+    def play(self, order: Order, weights: Weights) -> Played:
+        """As ``Actor.play``."""
+        return self._ready().play(order, weights)
+
+    def _ready(self) -> Actor:
+        if isinstance(self._actor, FlipperctlError):
+            raise self._actor
+        return self._actor

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, FloatArray, Perception, Policy, Transition
+from flipperctl.api import FloatArray, Perception, Policy, Transition
+from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 
@@ -70,11 +71,8 @@ def decisions(
             pace(env.state.time)
         perception = env.perception
         action = policy.act(perception)
-        if action not in range(len(ACTIONS)):
-            raise FlipperctlError(
-                f"{type(policy).__name__}.act returned {action!r}; "
-                f"0 to {len(ACTIONS) - 1} is allowed"
-            )
+        if action_index(action) is None:
+            raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
         _, reward, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}

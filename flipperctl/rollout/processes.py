@@ -206,25 +206,16 @@ _actor: Any = None  # one a worker process
 
 def _begin(config: dict[str, Any], plugin_paths: list[str]) -> None:
     global _actor
-    from flipperctl.rollout.actor import Actor
+    from flipperctl.rollout.actor import StartedActor
 
-    try:
-        _actor = Actor(config, plugin_paths)
-    except FlipperctlError as error:  # an initialiser's error would only break the pool
-        _actor = error
-
-
-def _ready() -> Any:
-    if isinstance(_actor, FlipperctlError):
-        raise _actor
-    return _actor
+    _actor = StartedActor(config, plugin_paths)
 
 
 def _play(order: Order, weights: Path) -> Played:
-    played: Played = _ready().play(order, load_file(weights))
+    played: Played = _actor.play(order, load_file(weights))
     return played
 
 
 def _judge(weights: Path, seeds: Sequence[int]) -> list[Row]:
-    rows: list[Row] = _ready().judge(load_file(weights), seeds)
+    rows: list[Row] = _actor.judge(load_file(weights), seeds)
     return rows

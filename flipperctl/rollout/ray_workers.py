@@ -38,9 +38,9 @@ class RayCrew:
         self._owned = not ray.is_initialized()
         if self._owned:
             _connect(settings)
-        from flipperctl.rollout.actor import Actor
+        from flipperctl.rollout.actor import StartedActor
 
-        remote: Any = ray.remote(Actor)
+        remote: Any = ray.remote(StartedActor)
         actor = remote.options(num_cpus=1, max_restarts=-1)
         self._actors: list[Any] = [
             actor.remote(config, plugin_paths) for _ in range(settings.workers)
@@ -87,6 +87,8 @@ class RayCrew:
         try:
             return self._ray.get(reference, timeout=self._settings.patience)
         except errors.RayTaskError as error:
+            if isinstance(error.cause, FlipperctlError):  # as it was raised, without Ray's own text
+                raise error.cause from None
             raise error.as_instanceof_cause() from None
         except (
             errors.RayActorError,

@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 def shape(network: Network) -> None:
     """Observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
-    from flipperctl.agent.d3qn import build_network
+    from flipperctl.agent.building import build_network
 
     for layout in LAYOUTS:
         _seed()

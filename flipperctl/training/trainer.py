@@ -1,7 +1,7 @@
 """The training loop: collect → store → update, with validation and checkpoints.
 
-In: a validated configuration and an empty run directory, or one to go on in. Out: the files of
-``design``: config.yaml, metrics.csv, events, checkpoints, summary.json.
+In: a validated configuration and an empty run directory, or one to go on in. Out: checkpoints and
+summary.json; config.yaml is the command line's, metrics.csv and events are the listeners'.
 
 A full checkpoint is taken between episodes only: there the world holds no state, so a resumed
 run repeats the uninterrupted one bit for bit.
@@ -20,12 +20,14 @@ import torch
 
 from flipperctl import checkpoint, plugins
 from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.checkpoint.document import RECENT, Generators, OrderState, State, Validation
 from flipperctl.config import TrainConfig, container
+from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.statistics import reached
@@ -57,6 +59,7 @@ class Trainer:
         agent = config.agent
         self._validation_env = FlipperEnv(config=config.environment())
         layout = self._validation_env.layout
+        check_demand(config.network, layout, len(ACTIONS), agent, config.train.decisions)
         init, explore, sample = np.random.SeedSequence(config.seed).spawn(3)
         self.agent = D3qn(
             config.network,
@@ -79,7 +82,7 @@ class Trainer:
         """Episodes begun or ordered; each has a seed of its own."""
         self.lost = 0
         """Episodes whose worker died."""
-        self.difficulty = config.terrain.first_difficulty
+        self.difficulty = ground.first_difficulty(config.terrain)
         """Of the terrain in the next episode that begins or is ordered."""
         self.updates = 0
         self.loss = 0.0
@@ -211,7 +214,7 @@ class Trainer:
         self.episode += 1
         success = ending["outcome"] == Outcome.REACHED
         self.recent.append(success)
-        self.difficulty = config.terrain.next_difficulty(self.difficulty, success)
+        self.difficulty = ground.next_difficulty(config.terrain, self.difficulty, success)
         self._tell("episode", {"lag": self._lag, **ending})
 
     def _validate(self, collector: Collector) -> None:

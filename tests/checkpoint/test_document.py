@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 import torch
-from tests.checkpoint.test_file import resign
 
 from flipperctl import checkpoint
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.trained import policy_module
 from flipperctl.training import timing
+from tests.checkpoint.test_file import resign
 from tests.cli.call import call
 from tests.short import short_config, trainer
 

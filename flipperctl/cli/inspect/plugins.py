@@ -77,7 +77,7 @@ def describe(kind: str, name: str) -> dict[str, Any]:
     from flipperctl.messages import bounds
 
     cls = registry[kind, name]
-    defaults = loader.container(cls(), brief=True)
+    defaults = loader.defaults(cls)
     fields = []
     for field, info in cls.model_fields.items():
         text, _, unit = (info.description or "").rpartition(" [")

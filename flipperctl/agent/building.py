@@ -1,0 +1,184 @@
+"""A Q-network from its plugin, after a check that it is one and fits into memory.
+
+In: a network plugin and the observations' layout. Out: a torch module that was tried as it will be
+used: on a batch and on one observation, in ``train()`` and in ``eval()`` mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import torch
+
+from flipperctl.agent import memory
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.heads import Distributional
+from flipperctl.api import MEMORY, Network, ObservationLayout
+from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.guard import called, definition, fault, refusal, shown
+
+TRAINED = 6
+"""Copies of the parameters in a training: online and target network, two moments, two gradients."""
+
+_plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
+
+
+def build_network(
+    network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
+) -> torch.nn.Module:
+    """The network, checked. ``copies``: how often its parameters will lie in memory.
+
+    Raises:
+        ConfigError: it does not map (B, frames · (N + 3)) to (B, n_actions) finite float32
+            numbers, raises, or does not fit into memory.
+    """
+    try:
+        frames = network.frames
+    except BaseException as error:
+        raise fault(error, network, "frames", ConfigError) from error
+    if not isinstance(frames, int) or not 1 <= frames <= MEMORY:
+        text = f"is {shown(frames)}; 1 to {MEMORY} is allowed"
+        raise refusal(network, "frames", text, ConfigError)
+    module = _built(network, layout, n_actions, copies)
+    if not isinstance(module, torch.nn.Module):
+        text = f"must return a torch module; got {type(module).__name__}"
+        raise refusal(network, "build", text, ConfigError)
+    belongs(module, network)
+    with torch.random.fork_rng(devices=[]), torch.no_grad(), _as_it_was(module):
+        _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
+    return module
+
+
+def belongs(module: torch.nn.Module, network: Network) -> None:
+    """Note that a module is a plugin's, so that the plugin can be named when the module fails."""
+    _plugins[module] = network
+
+
+def blamed(error: BaseException, module: torch.nn.Module, method: str) -> FlipperctlError:
+    """The exception to raise for what came out of a module; see ``guard.fault``."""
+    network = _plugins.get(module)
+    if network is None or isinstance(error, KeyboardInterrupt):
+        raise error
+    return fault(error, network, method)
+
+
+def told(module: torch.nn.Module, method: str, text: str) -> str:
+    """A text on what a module returned, with its plugin's name and place."""
+    network = _plugins.get(module)
+    if network is None:
+        return f"a {type(module).__name__}: {method} {text}"
+    return f"{called(network)}: {method} {text} ({definition(network, 'build')})"
+
+
+def _built(network: Network, layout: ObservationLayout, n_actions: int, copies: int) -> Any:
+    counted: dict[int, int] = {}
+
+    def count(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter | None) -> None:
+        """Called after a parameter's memory was promised and before it is filled."""
+        if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
+            counted[id(parameter)] = parameter.numel() * parameter.element_size()
+            free = memory.available()
+            if free is not None and copies * sum(counted.values()) > free:
+                raise _TooLargeError
+
+    hook = torch.nn.modules.module.register_module_parameter_registration_hook(count)
+    try:
+        return network.build(layout, n_actions)
+    except BaseException as error:
+        if not (isinstance(error, MemoryError | _TooLargeError) or _is_out_of_memory(error)):
+            raise fault(error, network, "build", ConfigError) from error
+    finally:
+        hook.remove()
+    raise _too_large(network, layout, n_actions, copies, sum(counted.values()))
+
+
+class _TooLargeError(Exception):
+    """The parameters counted so far do not fit."""
+
+
+def _too_large(
+    network: Network, layout: ObservationLayout, n_actions: int, copies: int, least: int
+) -> FlipperctlError:
+    try:
+        with torch.device("meta"):  # on which tensors have a shape and no memory
+            module = network.build(layout, n_actions)
+        sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
+    except Exception:  # noqa: BLE001  # plugin code that cannot do without numbers
+        sizes = []
+    count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
+    parameters = f"{count:,} parameters" if count else "parameters"
+    each = f" ({copies} times {memory.gigabytes(size)})" if copies > 1 else ""
+    free = memory.available()
+    left = "more than there is" if free is None else f"but {memory.gigabytes(free)} are free"
+    return refusal(
+        network,
+        "build",
+        f"makes a network whose {parameters} take {'' if sizes else 'at least '}"
+        f"{memory.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
+        ConfigError,
+    )
+
+
+def _is_out_of_memory(error: BaseException) -> bool:
+    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+
+
+def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
+    """Raise ConfigError unless the module gives Q-values in every way in which it will be used."""
+    shape = tuple(probe.shape)
+    output = _called(network, module, probe, f" fails on observations of shape {shape}")
+    found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+    if found != (2, n_actions):
+        text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {found}"
+        raise refusal(network, "build", text, ConfigError)
+    if output.dtype != torch.float32 or not bool(output.isfinite().all()):
+        text = (
+            "the Q-values must be finite float32 numbers; "
+            f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
+        )
+        raise refusal(network, "build", text, ConfigError)
+    if isinstance(module, Distributional):
+        quantiles = _called(network, module, probe, "", "quantiles")
+        found = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
+        if len(found) != 3 or found[:2] != (2, n_actions) or not found[2]:
+            text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
+            raise refusal(network, "build", text, ConfigError)
+    uses = (
+        ("train", 1, "in train() mode, in which a training acts"),
+        ("eval", 1, "in eval() mode, in which a policy is evaluated and exported"),
+        ("eval", 2, "in eval() mode, in which a policy is compared with what is exported"),
+    )
+    for mode, rows, use in uses:
+        module.train(mode == "train")
+        number = "one observation" if rows == 1 else "a batch"
+        output = _called(network, module, probe[:rows], f" fails on {number} {use}")
+        found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+        if found != (rows, n_actions):
+            text = f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {found}"
+            raise refusal(network, "build", text, ConfigError)
+
+
+def _called(
+    network: Network, module: Any, probe: torch.Tensor, use: str, method: str = "forward"
+) -> Any:
+    try:
+        return module(probe) if method == "forward" else getattr(module, method)(probe)
+    except BaseException as error:
+        raise fault(error, network, method, ConfigError, while_=use) from error
+
+
+@contextmanager
+def _as_it_was(module: torch.nn.Module) -> Iterator[None]:
+    """Put back what a trial changes: the modes, and buffers such as running statistics."""
+    modes = {part: part.training for part in module.modules()}
+    lazy = torch.nn.parameter.is_lazy
+    buffers = {name: b.clone() for name, b in module.named_buffers() if not lazy(b)}
+    yield
+    for part, training in modes.items():
+        part.training = training
+    for name, buffer in module.named_buffers():
+        if name in buffers and buffer.shape == buffers[name].shape:
+            buffer.copy_(buffers[name])

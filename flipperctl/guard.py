@@ -1,0 +1,174 @@
+"""Whose fault it is: what a plugin's code raises, told with plugin, method, file and line.
+
+In: what was raised while the core called a plugin. Out: one of the package's own exceptions, with
+one line of text. Every such call stands in a ``try``, which costs nothing until something is
+raised:
+
+    try:
+        profile = terrain.generate(rng)
+    except BaseException as error:
+        raise fault(error, terrain, "generate") from error
+
+``SystemExit`` and the like are a plugin's errors too; only ``KeyboardInterrupt`` is the user's.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sysconfig
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from flipperctl.api import Plugin
+from flipperctl.errors import FlipperctlError, PluginFailedError
+
+_LONGEST = 300  # characters of what an exception says
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+_CORE = "flipperctl"
+
+
+def fault(
+    error: BaseException,
+    plugin: Plugin | type[Plugin],
+    method: str,
+    raised: type[FlipperctlError] = PluginFailedError,
+    *,
+    while_: str = "",
+    plain: bool = False,
+) -> FlipperctlError:
+    """The exception to raise for ``error``, which came out of a plugin's method.
+
+    A plugin that was called by this one takes the blame for what it raised itself. ``while_`` says
+    what the method was called for; ``plain`` leaves out the exception's type, where raising it is
+    how a plugin says no. Raises ``error`` as it is where it is no fault of a plugin: an interrupt,
+    or an error of the core that the plugin only passed on.
+    """
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    if isinstance(error, KeyboardInterrupt):
+        raise error
+    if isinstance(error, FlipperctlError) and frames and _is_core(frames[-1]):
+        raise error
+    plugin, method = _culprit(frames, plugin, method)
+    where = place(error, plugin, method)
+    what = _text(error) if plain else f"{method} raised {words(error)}"
+    place_of = f"{method}, {where}" if plain else where
+    return raised(f"{called(plugin)}{while_}: {what} ({place_of})")
+
+
+def refusal(
+    plugin: Plugin | type[Plugin],
+    method: str,
+    text: str,
+    raised: type[FlipperctlError] = PluginFailedError,
+) -> FlipperctlError:
+    """The exception for what a plugin's method returned, as ``text`` says."""
+    return raised(f"{called(plugin)}: {method} {text} ({definition(plugin, method)})")
+
+
+def called(plugin: Plugin | type[Plugin]) -> str:
+    """How an error names a plugin: its kind and its name."""
+    cls = _class(plugin)
+    return f"{cls.kind} {getattr(cls, 'plugin_name', cls.__name__)!r}"
+
+
+def words(error: BaseException) -> str:
+    """An exception in one line: its type and what it says."""
+    text = _text(error)
+    return f"{_flat(type(error).__name__, 60)}{': ' if text else ''}{text}"
+
+
+def shown(value: object) -> str:
+    """A value in one short line, whatever its ``repr`` does."""
+    return _flat(_careful(repr, value), 60)
+
+
+def place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
+    """File and line of the plugin's own that led to the error; without one, of the method."""
+    steps = list(traceback.walk_tb(error.__traceback__))
+    package = _package(_class(plugin).__module__)
+    own = [s for s in steps if not _is_core(s[0]) and _package(_module(s[0])) == package]
+    return _last(own or [s for s in steps if _is_foreign(s[0])]) or definition(plugin, method)
+
+
+def import_place(error: BaseException, file: Path | None) -> str:
+    """File and line in a plugin's ``file``, or else outside the core, that led to the error."""
+    steps = list(traceback.walk_tb(error.__traceback__))
+    own = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
+    outside = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
+    outside = [s for s in outside if not _is_core(s[0])]
+    return _last(own or [s for s in outside if _is_foreign(s[0])] or outside)
+
+
+def definition(plugin: Plugin | type[Plugin], method: str = "") -> str:
+    """File and line at which a method is defined, or its plugin; its module for what has none."""
+    cls = _class(plugin)
+    found = inspect.getattr_static(cls, method, None) if method else None
+    code = getattr(getattr(found, "fget", found), "__code__", None)
+    if code is not None:
+        return f"{_flat(code.co_filename, 400)}:{code.co_firstlineno}"
+    try:
+        return f"{inspect.getsourcefile(cls)}:{inspect.getsourcelines(cls)[1]}"
+    except (OSError, TypeError):
+        return cls.__module__
+
+
+def _culprit(
+    frames: list[FrameType], plugin: Plugin | type[Plugin], method: str
+) -> tuple[Plugin | type[Plugin], str]:
+    """The innermost plugin that was at work, and which of its methods the others called."""
+    seen: object = None
+    for frame in frames:
+        for name in ("self", "cls"):
+            owner: Any = frame.f_locals.get(name)
+            cls = owner if isinstance(owner, type) else type(owner)
+            if issubclass(cls, Plugin) and not _is_core(frame) and owner is not seen:
+                seen, plugin, method = owner, owner, frame.f_code.co_name
+    return plugin, method
+
+
+def _text(error: BaseException) -> str:
+    return _flat(_careful(str, error), _LONGEST)
+
+
+def _class(plugin: Plugin | type[Plugin]) -> type[Plugin]:
+    return plugin if isinstance(plugin, type) else type(plugin)
+
+
+def _last(steps: list[tuple[FrameType, int]]) -> str:
+    return f"{_flat(steps[-1][0].f_code.co_filename, 400)}:{steps[-1][1]}" if steps else ""
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _module(frame: FrameType) -> str:
+    return str(frame.f_globals.get("__name__", ""))
+
+
+def _is_core(frame: FrameType) -> bool:
+    return _package(_module(frame)) == _CORE
+
+
+def _is_foreign(frame: FrameType) -> bool:
+    """Whether the code is neither of flipperctl's core nor of a library."""
+    file = frame.f_code.co_filename
+    return not (_is_core(frame) or file.startswith(("<", *_LIBRARIES)))
+
+
+def _careful(how: Callable[[Any], str], value: object) -> str:
+    try:
+        return how(value)
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001  # a plugin's own __str__ may do anything
+        return f"<{type(value).__name__}>"
+
+
+def _flat(text: str, longest: int) -> str:
+    line = " ".join(text[: 20 * longest].split())
+    line = "".join(c if c.isprintable() else "?" for c in line)
+    return line if len(line) <= longest else line[: longest - 3] + "..."
