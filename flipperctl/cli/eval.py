@@ -189,24 +189,20 @@ def _cross(
 def _play(
     config: EvalConfig, source: ControllerSource, label: str, only: list[int] | None = None
 ) -> list[dict[str, Any]]:
-    from rich.console import Console
-    from rich.progress import Progress
-
+    from flipperctl.cli.progress import episodes_progress
     from flipperctl.run.evaluate import evaluate as run
 
     s = config.eval
     played = list(range(s.episodes)) if only is None else only
-    console = Console(stderr=True)
     rows: list[dict[str, Any]] = []
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(label, total=len(played))
+    with episodes_progress(label, len(played)) as report:
 
-        def tell(share: float) -> None:
-            progress.update(task, completed=len(rows) + share)
+        def search(share: float) -> None:
+            report(len(rows) + share)
 
-        for row in run(config, source, episodes=played, seed=s.seed, jobs=s.jobs, tell=tell):
+        for row in run(config, source, episodes=played, seed=s.seed, jobs=s.jobs, tell=search):
             rows.append(row)
-            tell(0.0)
+            report(len(rows))
     return rows
 
 
@@ -226,11 +222,13 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
 
 def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
     """A picture of the scene's first episode."""
+    from flipperctl.cli.progress import episodes_progress
     from flipperctl.report.episode import episode_figure
     from flipperctl.report.figure import save
     from flipperctl.run.evaluate import Player
 
     terrain = config.terrain.plugin_name
-    states, profile = Player(config, source, config.eval.seed).trace(0)
+    with episodes_progress(f"{terrain}, picture", 1) as report:
+        states, profile = Player(config, source, config.eval.seed, report).trace(0)
     figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
     save(figure, folder / f"{terrain}.png")

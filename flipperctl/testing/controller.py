@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from statistics import median
 from time import perf_counter
 
-from flipperctl.api import ACTIONS, Controller, Plugin
+from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Simulator
+from flipperctl.run.rollout import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
 
@@ -54,21 +56,33 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
 def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
     """What it answers, and the time that each answer took [s]."""
     env = _scenes(controller)[scene].environment()
-    env.reset(seed=scene)
-    controller.begin(env.simulator())
-    answers: list[int] = []
-    taken: list[float] = []
-    over = False
-    while not over and len(answers) < DECISIONS:
+    watched = _Watched(controller, scene)
+    for _ in islice(decisions(env, watched, seed=scene), DECISIONS):
+        pass
+    return watched.answers, watched.taken
+
+
+class _Watched:
+    """A controller whose answers are checked and timed."""
+
+    def __init__(self, controller: Controller, scene: int) -> None:
+        self._controller, self._scene = controller, scene
+        self.answers: list[int] = []
+        self.taken: list[float] = []  # [s]
+
+    def begin(self, simulator: Simulator) -> None:
+        """Begin the controller's episode."""
+        self._controller.begin(simulator)
+
+    def act(self, p: Perception) -> int:
+        """The controller's answer."""
         begun = perf_counter()
-        action = controller.act(env.perception)
-        taken.append(perf_counter() - begun)
+        action = self._controller.act(p)
+        self.taken.append(perf_counter() - begun)
         require(
             isinstance(action, int) and action in range(len(ACTIONS)),
-            f"act returned {action!r} at {env.state.time:.1f} s of scene {scene}; "
+            f"act returned {action!r} at decision {len(self.answers)} of scene {self._scene}; "
             f"an int from 0 to {len(ACTIONS) - 1} is allowed",
         )
-        answers.append(action)
-        _, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-    return answers, taken
+        self.answers.append(action)
+        return action

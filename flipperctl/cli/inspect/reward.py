@@ -45,12 +45,15 @@ def show(
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
     from flipperctl.cli.eval import scenes
+    from flipperctl.cli.progress import episodes_progress
     from flipperctl.run.audit import audit
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
     (config, source), *_ = scenes(list(overrides or []), checkpoint, chosen)
-    found = audit(config, source, episodes=episodes, seed=config.eval.seed)
+    label = f"{config.terrain.plugin_name}, {source.label()}"
+    with episodes_progress(label, episodes) as report:
+        found = audit(config, source, episodes=episodes, seed=config.eval.seed, report=report)
     if as_json:
         print(json.dumps(found, indent=2))
         return
