@@ -27,7 +27,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
-from flipperctl.api import registry
+from flipperctl.api import ObservationLayout, registry
+from flipperctl.cli import conditions
 from flipperctl.config import (
     EnvConfig,
     EvalConfig,
@@ -42,9 +43,14 @@ from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_BY_RULE, _BY_CHECKPOINT, _BY_EXPORT = "eval", "flipperctl_eval_trained", "flipperctl_eval_exported"
+"""Primary configurations of an evaluation."""
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_GROUP_KEYS = ("terrain", "rewards", "network", "collector")
-_CALLED = {"rewards": "preset"}  # what an entry of a group is called, if not as the group
+_GROUP_KEYS = ("terrain", "rewards", "network", "collector", "conditions")
+_CALLED = {
+    "rewards": "preset",
+    "conditions": "set",
+}  # what an entry of a group is called, if not as the group
 
 
 def offer_defaults() -> None:
@@ -74,17 +80,35 @@ def offer_defaults() -> None:
 
 
 def offer_trained(config: TrainConfig | EvalConfig) -> str:
-    """Offer a policy's own environment as the primary configuration; returns its name."""
+    """Offer an evaluation of a policy as the primary configuration; returns its name.
+
+    The policy brings its terrain, rewards, robot and observation layout, and how often it is
+    evaluated. Its other sections are ``conditions=trained``, unless it is an exported file
+    (``config`` is then an ``EvalConfig``), which does not hold them.
+    """
     store = ConfigStore.instance()
-    whole = container(config.environment())
-    whole["terrain"] = plugins.container(config.terrain, brief=True)
+    own = container(config.environment())
+    own["terrain"] = plugins.container(config.terrain, brief=True)
     groups = ("terrain", "rewards")
     for group in groups:
-        store.store(group=group, name=_TRAINED, node=whole.pop(group))
-    name = "flipperctl_eval_trained"
-    defaults = [*({group: _TRAINED} for group in groups), "_self_"]
-    store.store(name=name, node={"defaults": defaults, **whole, "eval": container(config.eval)})
-    return name
+        store.store(group=group, name=_TRAINED, node=own.pop(group))
+    nominal = container(EvalConfig(terrain=config.terrain))
+    nominal["perception"] |= {
+        name: own["perception"][name] for name in ObservationLayout.model_fields
+    }
+    whole = {name: nominal[name] for name in own} | {"robot": own.pop("robot")}
+    primary = _BY_EXPORT
+    if isinstance(config, TrainConfig):
+        primary = _BY_CHECKPOINT
+        store.store(group="conditions", name=conditions.TRAINED, node=own, package="_global_")
+    # Conditions come after the sections that they are laid over.
+    defaults = [
+        "_self_",
+        *({group: _TRAINED} for group in groups),
+        {"conditions": conditions.NOMINAL},
+    ]
+    store.store(name=primary, node={"defaults": defaults, **whole, "eval": container(config.eval)})
+    return primary
 
 
 def validated(composed: DictConfig) -> TrainConfig:
@@ -98,17 +122,20 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
     Raises:
         ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
     """
-    return [parse(TrainConfig, plain) for plain in _compositions("train", overrides)]
+    return [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
 
 
 def compose_eval(
-    overrides: Sequence[str], primary: str = "eval"
+    overrides: Sequence[str], primary: str = _BY_RULE
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """For each combination of sweeps, the configuration and the controller's settings, if any."""
     found = []
-    for plain in _compositions(primary, overrides):
+    for combination, plain in _compositions(primary, overrides):
         settings = plain.pop("controller", None)
-        found.append((parse(EvalConfig, plain), settings))
+        plain["conditions"] = conditions.chosen(combination)
+        config = parse(EvalConfig, plain)
+        conditions.check_effect(config, combination)
+        found.append((config, settings))
     return found
 
 
@@ -118,11 +145,16 @@ def compose_environment(overrides: Sequence[str]) -> EnvConfig:
     return config
 
 
-def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, Any]]:
+def _compositions(
+    primary: str, overrides: Sequence[str]
+) -> Iterator[tuple[list[str], dict[str, Any]]]:
+    """Each combination of the sweeps, and what it composes to."""
     with translated(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in _combinations(overrides):
+            if primary != _BY_CHECKPOINT and conditions.chosen(combination) == conditions.TRAINED:
+                raise ConfigError(conditions.no_training(exported=primary == _BY_EXPORT))
             try:
-                yield _plain(compose(primary, combination))
+                yield combination, _plain(compose(primary, combination))
             except MissingConfigException as error:
                 raise _missing(error) from error
             except ConfigCompositionException as error:
@@ -133,6 +165,8 @@ def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
     parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
     choices: list[list[str]] = []
     for override in parsed:
+        if override.key_or_group in _GROUP_KEYS and str(override.input_line).endswith("=null"):
+            raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
         if override.is_interval_sweep():
             continue  # a sweeper draws from it; the job checks what was drawn
         if override.is_sweep_override():

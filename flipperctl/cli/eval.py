@@ -76,6 +76,8 @@ def evaluate(
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
     from flipperctl import plugins as loader
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.run.conditions import Conditions
     from flipperctl.run.files import make_folder
 
     loader.load(plugins or ())
@@ -91,45 +93,22 @@ def evaluate(
     rows = [_judge(document, config, source, against, others) for config, source in found]
     if folder:
         _write(folder, document, [row for group in rows for row in group])
-        for config, source in found:
-            _draw(folder, config, source)
+        for name, (config, source) in zip(_picture_names(document), found, strict=True):
+            _draw(folder / name, config, source)
     if as_json:
         print(json.dumps(document, indent=2))
         return
     from rich.console import Console
 
+    from flipperctl.cli.conditions import lines
     from flipperctl.cli.judged import comparison, table
 
     console = Console(width=None if sys.stdout.isatty() else 120)
     console.print(table(document))
     if baseline:
         console.print(comparison(document, baseline))
-
-
-def scenes(
-    overrides: list[str], checkpoint: Path | None, controller: str | None
-) -> list[tuple[EvalConfig, ControllerSource]]:
-    """What to judge: a configuration a scene, and the controller; one of the two is given."""
-    from flipperctl import plugins as loader
-    from flipperctl.cli import compose
-    from flipperctl.run.policy import ControllerSource
-
-    compose.offer_defaults()
-    if checkpoint is None:
-        loader.get("controller", controller, "--controller")
-        found = compose.compose_eval([f"controller={controller}", *overrides])
-        return [(config, ControllerSource(settings=settings)) for config, settings in found]
-    from flipperctl.run import checkpoint as checkpoints
-    from flipperctl.run.exported import exported_config, is_exported
-
-    file = checkpoints.find(checkpoint)
-    trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
-    primary = compose.offer_trained(trained)
-    source = ControllerSource(checkpoint=file)
-    configs = [config for config, _ in compose.compose_eval(overrides, primary)]
-    for config in configs:
-        source.make(config.perception)  # a wrong layout is found before the first episode
-    return [(config, source) for config in configs]
+    for line in lines(document, [Conditions.of(config).line() for config, _ in found]):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _plugin(name: str, option: str) -> ControllerSource:
@@ -147,14 +126,18 @@ def _judge(
     baseline: ControllerSource | None,
     others: list[ControllerSource],
 ) -> list[dict[str, Any]]:
+    from flipperctl.run.conditions import Conditions
     from flipperctl.run.statistics import differences, scene_summary
 
+    conditions = Conditions.of(config)
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
     if others:
         _cross(config, source, others, rows)
     scene = scene_summary(terrain, rows)
-    named = [{"scene": terrain, "controller": source.label(), **row} for row in rows]
+    scene |= {"seed": config.eval.seed, "conditions": conditions.container()}
+    noted = {"conditions": conditions.name, "conditions_hash": conditions.hash}
+    named = [{"scene": terrain, "controller": source.label(), **row, **noted} for row in rows]
     if baseline:
         other = _play(config, baseline, f"{terrain}, {baseline.label()}")
         scene["baseline"] = {
@@ -162,7 +145,9 @@ def _judge(
             **scene_summary(terrain, other),
             "difference": differences(rows, other),
         }
-        named += [{"scene": terrain, "controller": baseline.label(), **row} for row in other]
+        named += [
+            {"scene": terrain, "controller": baseline.label(), **row, **noted} for row in other
+        ]
     document["scenes"].append(scene)
     return named
 
@@ -220,7 +205,17 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
     write_json(folder / "summary.json", document)
 
 
-def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
+def _picture_names(document: dict[str, Any]) -> list[str]:
+    """A file name a scene: its terrain, numbered from the second scene on it."""
+    terrains = [scene["terrain"] for scene in document["scenes"]]
+    counts = [terrains[:index].count(terrain) for index, terrain in enumerate(terrains)]
+    return [
+        f"{terrain}_{before + 1}.png" if before else f"{terrain}.png"
+        for terrain, before in zip(terrains, counts, strict=True)
+    ]
+
+
+def _draw(file: Path, config: EvalConfig, source: ControllerSource) -> None:
     """A picture of the scene's first episode."""
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.report.episode import episode_figure
@@ -231,4 +226,4 @@ def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
     with episodes_progress(f"{terrain}, picture", 1) as report:
         states, profile = Player(config, source, config.eval.seed, report).trace(0)
     figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
-    save(figure, folder / f"{terrain}.png")
+    save(figure, file)

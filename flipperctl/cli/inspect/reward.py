@@ -44,9 +44,11 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
-    from flipperctl.cli.eval import scenes
+    from flipperctl.cli.conditions import lines
     from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.scenes import scenes
     from flipperctl.run.audit import audit
+    from flipperctl.run.conditions import Conditions
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
@@ -54,10 +56,14 @@ def show(
     label = f"{config.terrain.plugin_name}, {source.label()}"
     with episodes_progress(label, episodes) as report:
         found = audit(config, source, episodes=episodes, seed=config.eval.seed, report=report)
+    conditions = Conditions.of(config)
+    found |= {"seed": config.eval.seed, "conditions": conditions.container()}
     if as_json:
         print(json.dumps(found, indent=2))
         return
     _print(found)
+    for line in lines({"scenes": [found]}, [conditions.line()]):
+        print(line)
 
 
 def _print(found: dict[str, Any]) -> None:
