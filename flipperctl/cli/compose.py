@@ -47,6 +47,7 @@ _BY_RULE, _BY_CHECKPOINT, _BY_EXPORT = "eval", "flipperctl_eval_trained", "flipp
 """Primary configurations of an evaluation."""
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _GROUP_KEYS = ("terrain", "rewards", "network", "collector", "conditions")
+_CHOICES = (*_GROUP_KEYS, "controller", "experiment")
 _CALLED = {
     "rewards": "preset",
     "conditions": "set",
@@ -165,7 +166,7 @@ def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
     parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
     choices: list[list[str]] = []
     for override in parsed:
-        if override.key_or_group in _GROUP_KEYS and str(override.input_line).endswith("=null"):
+        if override.key_or_group in _CHOICES and str(override.input_line).endswith("=null"):
             raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
         if override.is_interval_sweep():
             continue  # a sweeper draws from it; the job checks what was drawn
@@ -253,7 +254,7 @@ def _unknown_key(
     if not named:
         return ConfigError(text)
     key = named[1].split("@")[0]
-    choices = [o for o in overrides if o.partition("=")[0] in (*_GROUP_KEYS, "experiment")]
+    choices = [o for o in overrides if o.partition("=")[0] in _CHOICES]
     node: Any = _plain(compose(primary, choices))
     *parents, leaf = key.split(".")
     inside = ""  # the innermost section on the way to the key that is there
