@@ -49,7 +49,7 @@ PLACES = {
 
 
 class Randomise(Settings):
-    """What is drawn anew for every episode, in training and evaluation alike.
+    """What is drawn anew for every episode, of a training or of an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
     and must lie within its bounds. The start is drawn by ``episode.start_noise`` and

@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from flipperctl.config import EvalConfig
     from flipperctl.run.policy import ControllerSource
 
-HELP = """Judge a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
+HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
-OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b judges on both.
-A checkpoint is judged on the terrain it was trained on unless terrain=… says otherwise, and so is
-an exported .onnx file, as the robot would run it.
+OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
+A checkpoint is evaluated on the terrain it was trained on unless terrain=… says otherwise, and so
+is an exported .onnx file, as the robot would run it.
+
+conditions=… says under which physics, sensing, start and randomisation: nominal (the default, for
+policies and rules alike), varied, or trained (those of the checkpoint). Overrides lie on top.
 
 [bold]Examples[/]
 
@@ -30,7 +33,7 @@ an exported .onnx file, as the robot would run it.
 
   flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
 
-  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada
+  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
 """
 
 

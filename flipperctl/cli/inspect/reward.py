@@ -14,6 +14,7 @@ from flipperctl.errors import RequestError
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
 A term with a small share of the return is inert; one that saturates at most steps says nothing.
+The episodes are those of an evaluation, and conditions=… chooses them as for eval.
 
 [bold]Examples[/]
 
