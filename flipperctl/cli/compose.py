@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -42,6 +42,7 @@ from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, R
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
+Composed = TypeVar("Composed")
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _BY_RULE, _BY_CHECKPOINT, _BY_EXPORT = "eval", "flipperctl_eval_trained", "flipperctl_eval_exported"
 """Primary configurations of an evaluation."""
@@ -142,8 +143,22 @@ def compose_eval(
 
 def compose_environment(overrides: Sequence[str]) -> EnvConfig:
     """The environment of an evaluation with these overrides."""
-    (config, _), *_ = compose_eval(overrides)
+    config, _ = only(compose_eval(overrides))
     return config
+
+
+def only(found: Sequence[Composed]) -> Composed:
+    """The one configuration, for commands that look at one.
+
+    Raises:
+        ConfigError: lists among the overrides gave several.
+    """
+    if len(found) > 1:
+        raise ConfigError(
+            f"the lists among the overrides give {len(found)} configurations; this command looks "
+            "at one"
+        )
+    return found[0]
 
 
 def _compositions(

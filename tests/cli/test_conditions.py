@@ -122,3 +122,12 @@ def test_others_are_refused(wrong: str, words: str, tmp_path: Path) -> None:
         assert done.code == 2
         assert words in done.err
         assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [["reward"], ["config"], ["terrain", "step"]])
+def test_a_command_that_looks_at_one_configuration_refuses_several(
+    command: list[str], tmp_path: Path
+) -> None:
+    done = call("inspect", *command, "conditions=nominal,varied", cwd=tmp_path)
+    assert done.code == 2
+    assert "give 2 configurations; this command looks at one" in done.err

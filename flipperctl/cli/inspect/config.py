@@ -50,7 +50,7 @@ def show(
 
     loader.load(plugins or ())
     compose.offer_defaults()
-    config, *_ = compose.compose_train(overrides or [])
+    config = compose.only(compose.compose_train(overrides or []))
     if describe:
         (default,) = compose.compose_train([])
         found = described(config, default)

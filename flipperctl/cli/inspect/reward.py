@@ -45,6 +45,7 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
+    from flipperctl.cli.compose import only
     from flipperctl.cli.conditions import lines
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
@@ -53,7 +54,7 @@ def show(
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
-    (config, source), *_ = scenes(list(overrides or []), checkpoint, chosen)
+    config, source = only(scenes(list(overrides or []), checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
     with episodes_progress(label, episodes) as report:
         found = audit(config, source, episodes=episodes, seed=config.eval.seed, report=report)
