@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -28,6 +29,22 @@ def bounds(model: type[BaseModel], field: str) -> str:
             if value is not None:
                 parts.append(f"{sign} {value:g}")
     return ", ".join(parts)
+
+
+def unit(model: type[BaseModel], field: str) -> str:
+    """The unit in which a field's description ends, as in ``m``; empty without one."""
+    return _split(model, field)[1]
+
+
+def meaning(model: type[BaseModel], field: str) -> str:
+    """A field's description without its unit."""
+    return _split(model, field)[0]
+
+
+def _split(model: type[BaseModel], field: str) -> tuple[str, str]:
+    text = model.model_fields[field].description or ""
+    found = re.fullmatch(r"(.*) \[([^\]]*)\]", text, flags=re.DOTALL)
+    return (found[1], found[2]) if found else (text, "")
 
 
 def explain(

@@ -84,6 +84,8 @@ class Engine(Plugin, ABC):
     """Simulates the robot; equal arguments give equal worlds, bit for bit."""
 
     kind: ClassVar[str] = "sim"
+    without_effect: ClassVar[frozenset[str]] = frozenset()
+    """Settings that change how fast a world runs, and nothing that comes out."""
 
     @abstractmethod
     def place(self, profile: Profile, robot: Robot, start: Start) -> World:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -27,8 +27,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
-from flipperctl.api import registry
+from flipperctl.api import ObservationLayout, registry
+from flipperctl.cli import conditions
 from flipperctl.config import (
+    DEFAULT_ENGINE,
     EnvConfig,
     EvalConfig,
     LocalCollector,
@@ -41,11 +43,20 @@ from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, R
 from flipperctl.messages import close_match
 
 CONFIGS = str(files("flipperctl.configs"))
+Composed = TypeVar("Composed")
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_BY_RULE, _BY_CHECKPOINT, _BY_EXPORT = "eval", "flipperctl_eval_trained", "flipperctl_eval_exported"
+"""Primary configurations of an evaluation."""
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_GROUP_KEYS = ("terrain", "rewards", "network", "collector", "sim", "perception")
+_GROUP_KEYS = (
+    *("terrain", "rewards", "network", "collector"),
+    *("sim", "perception", "conditions"),
+)
 _CHOICES = (*_GROUP_KEYS, "controller", "experiment")  # keys whose value brings other keys
-_CALLED = {"rewards": "preset"}  # what an entry of a group is called, if not as the group
+_CALLED = {
+    "rewards": "preset",
+    "conditions": "set",
+}  # what an entry of a group is called, if not as the group
 
 
 def offer_defaults() -> None:
@@ -65,17 +76,34 @@ def offer_defaults() -> None:
 
 
 def offer_trained(config: TrainConfig | EvalConfig) -> str:
-    """Offer a policy's own environment as the primary configuration; returns its name."""
+    """Offer an evaluation of a policy as the primary configuration; returns its name.
+
+    The policy brings its terrain, rewards, robot and observation layout, and how often it is
+    evaluated. Its other sections are ``conditions=trained``, unless it is an exported file
+    (``config`` is then an ``EvalConfig``), which does not hold them.
+    """
     store = ConfigStore.instance()
-    whole = container(config.environment())
-    whole["terrain"] = plugins.container(config.terrain, brief=True)
-    groups = ("terrain", "rewards", "sim", "perception")
-    for group in groups:
-        store.store(group=group, name=_TRAINED, node=whole.pop(group))
-    name = "flipperctl_eval_trained"
-    defaults = [*({group: _TRAINED} for group in groups), "_self_"]
-    store.store(name=name, node={"defaults": defaults, **whole, "eval": container(config.eval)})
-    return name
+    own = container(config.environment())
+    own["terrain"] = plugins.container(config.terrain, brief=True)
+    layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+    for group in ("terrain", "rewards", "sim", "perception"):
+        store.store(group=group, name=_TRAINED, node=own.pop(group))
+    kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
+    nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
+    primary = _BY_EXPORT
+    if isinstance(config, TrainConfig):
+        primary = _BY_CHECKPOINT
+        choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
+        node = {"defaults": choices, **own}
+        store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
+    # What is laid over others comes after them.
+    defaults = [
+        *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
+        *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
+        *("_self_", {"conditions": conditions.NOMINAL}),
+    ]
+    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    return primary
 
 
 def validated(composed: DictConfig) -> TrainConfig:
@@ -89,31 +117,53 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
     Raises:
         ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
     """
-    return [parse(TrainConfig, plain) for plain in _compositions("train", overrides)]
+    return [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
 
 
 def compose_eval(
-    overrides: Sequence[str], primary: str = "eval"
+    overrides: Sequence[str], primary: str = _BY_RULE
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """For each combination of sweeps, the configuration and the controller's settings, if any."""
     found = []
-    for plain in _compositions(primary, overrides):
+    for combination, plain in _compositions(primary, overrides):
         settings = plain.pop("controller", None)
-        found.append((parse(EvalConfig, plain), settings))
+        plain["conditions"] = conditions.chosen(combination)
+        config = parse(EvalConfig, plain)
+        conditions.check_effect(config, combination)
+        found.append((config, settings))
     return found
 
 
 def compose_environment(overrides: Sequence[str]) -> EnvConfig:
     """The environment of an evaluation with these overrides."""
-    (config, _), *_ = compose_eval(overrides)
+    config, _ = only(compose_eval(overrides))
     return config
 
 
-def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, Any]]:
+def only(found: Sequence[Composed]) -> Composed:
+    """The one configuration, for commands that look at one.
+
+    Raises:
+        ConfigError: lists among the overrides gave several.
+    """
+    if len(found) > 1:
+        raise ConfigError(
+            f"the lists among the overrides give {len(found)} configurations; this command looks "
+            "at one"
+        )
+    return found[0]
+
+
+def _compositions(
+    primary: str, overrides: Sequence[str]
+) -> Iterator[tuple[list[str], dict[str, Any]]]:
+    """Each combination of the sweeps, and what it composes to."""
     with translated(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in _combinations(overrides):
+            if primary != _BY_CHECKPOINT and conditions.chosen(combination) == conditions.TRAINED:
+                raise ConfigError(conditions.no_training(exported=primary == _BY_EXPORT))
             try:
-                yield _plain(compose(primary, combination))
+                yield combination, _plain(compose(primary, combination))
             except MissingConfigException as error:
                 raise _missing(error) from error
             except ConfigCompositionException as error:
@@ -143,6 +193,8 @@ def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
     parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
     choices: list[list[str]] = []
     for override in parsed:
+        if override.key_or_group in _CHOICES and str(override.input_line).endswith("=null"):
+            raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
         if override.is_interval_sweep():
             continue  # a sweeper draws from it; the job checks what was drawn
         if override.is_sweep_override():

@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from flipperctl.config import EvalConfig
     from flipperctl.policies.trained import ControllerSource
 
-HELP = """Judge a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
+HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
-OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b judges on both.
-A checkpoint is judged on the terrain it was trained on unless terrain=… says otherwise, and so is
-an exported .onnx file, as the robot would run it.
+OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
+A checkpoint is evaluated on the terrain it was trained on unless terrain=… says otherwise, and so
+is an exported .onnx file, as the robot would run it.
+
+conditions=… says under which physics, sensing, start and randomisation: nominal (the default, for
+policies and rules alike), varied, or trained (those of the checkpoint). Overrides lie on top.
 
 [bold]Examples[/]
 
@@ -30,7 +33,7 @@ an exported .onnx file, as the robot would run it.
 
   flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
 
-  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada
+  flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
 """
 
 
@@ -76,6 +79,8 @@ def evaluate(
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
     from flipperctl import plugins as loader
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.evaluation.conditions import Conditions
     from flipperctl.files import make_folder
 
     loader.load(plugins or ())
@@ -91,45 +96,22 @@ def evaluate(
     rows = [_judge(document, config, source, against, others) for config, source in found]
     if folder:
         _write(folder, document, [row for group in rows for row in group])
-        for config, source in found:
-            _draw(folder, config, source)
+        for name, (config, source) in zip(_picture_names(document), found, strict=True):
+            _draw(folder / name, config, source)
     if as_json:
         print(json.dumps(document, indent=2))
         return
     from rich.console import Console
 
+    from flipperctl.cli.conditions import lines
     from flipperctl.cli.judged import comparison, table
 
     console = Console(width=None if sys.stdout.isatty() else 120)
     console.print(table(document))
     if baseline:
         console.print(comparison(document, baseline))
-
-
-def scenes(
-    overrides: list[str], checkpoint: Path | None, controller: str | None
-) -> list[tuple[EvalConfig, ControllerSource]]:
-    """What to judge: a configuration a scene, and the controller; one of the two is given."""
-    from flipperctl import plugins as loader
-    from flipperctl.cli import compose
-    from flipperctl.policies.trained import ControllerSource
-
-    compose.offer_defaults()
-    if checkpoint is None:
-        loader.get("controller", controller, "--controller")
-        found = compose.compose_eval([f"controller={controller}", *overrides])
-        return [(config, ControllerSource(settings=settings)) for config, settings in found]
-    from flipperctl import checkpoint as checkpoints
-    from flipperctl.policies.exported import exported_config, is_exported
-
-    file = checkpoints.find(checkpoint)
-    trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
-    primary = compose.offer_trained(trained)
-    source = ControllerSource(checkpoint=file)
-    configs = [config for config, _ in compose.compose_eval(overrides, primary)]
-    for config in configs:
-        source.make(config.perception)  # a wrong layout is found before the first episode
-    return [(config, source) for config in configs]
+    for line in lines(document, [Conditions.of(config).line() for config, _ in found]):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _plugin(name: str, option: str) -> ControllerSource:
@@ -147,14 +129,18 @@ def _judge(
     baseline: ControllerSource | None,
     others: list[ControllerSource],
 ) -> list[dict[str, Any]]:
+    from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.statistics import differences, scene_summary
 
+    conditions = Conditions.of(config)
     terrain = config.terrain.plugin_name
     rows = _play(config, source, f"{terrain}")
     if others:
         _cross(config, source, others, rows)
     scene = scene_summary(terrain, rows)
-    named = [{"scene": terrain, "controller": source.label(), **row} for row in rows]
+    scene |= {"seed": config.eval.seed, "conditions": conditions.container()}
+    noted = {"conditions": conditions.name, "conditions_hash": conditions.hash}
+    named = [{"scene": terrain, "controller": source.label(), **row, **noted} for row in rows]
     if baseline:
         other = _play(config, baseline, f"{terrain}, {baseline.label()}")
         scene["baseline"] = {
@@ -162,7 +148,9 @@ def _judge(
             **scene_summary(terrain, other),
             "difference": differences(rows, other),
         }
-        named += [{"scene": terrain, "controller": baseline.label(), **row} for row in other]
+        named += [
+            {"scene": terrain, "controller": baseline.label(), **row, **noted} for row in other
+        ]
     document["scenes"].append(scene)
     return named
 
@@ -189,26 +177,22 @@ def _cross(
 def _play(
     config: EvalConfig, source: ControllerSource, label: str, only: list[int] | None = None
 ) -> list[dict[str, Any]]:
-    from rich.console import Console
-    from rich.progress import Progress
-
+    from flipperctl.cli.progress import episodes_progress
     from flipperctl.evaluation.episodes import evaluate as run
 
     s = config.eval
     played = list(range(s.episodes)) if only is None else only
-    console = Console(stderr=True)
     rows: list[dict[str, Any]] = []
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(label, total=len(played))
+    with episodes_progress(label, len(played)) as report:
 
-        def tell(share: float) -> None:
-            progress.update(task, completed=len(rows) + share)
+        def search(share: float) -> None:
+            report(len(rows) + share)
 
         for row in run(
-            config, source, episodes=played, seed=s.seed, jobs=s.jobs, report_progress=tell
+            config, source, episodes=played, seed=s.seed, jobs=s.jobs, report_progress=search
         ):
             rows.append(row)
-            tell(0.0)
+            report(len(rows))
     return rows
 
 
@@ -226,13 +210,25 @@ def _write(folder: Path, document: dict[str, Any], rows: list[dict[str, Any]]) -
     write_json(folder / "summary.json", document)
 
 
-def _draw(folder: Path, config: EvalConfig, source: ControllerSource) -> None:
+def _picture_names(document: dict[str, Any]) -> list[str]:
+    """A file name a scene: its terrain, numbered from the second scene on it."""
+    terrains = [scene["terrain"] for scene in document["scenes"]]
+    counts = [terrains[:index].count(terrain) for index, terrain in enumerate(terrains)]
+    return [
+        f"{terrain}_{before + 1}.png" if before else f"{terrain}.png"
+        for terrain, before in zip(terrains, counts, strict=True)
+    ]
+
+
+def _draw(file: Path, config: EvalConfig, source: ControllerSource) -> None:
     """A picture of the scene's first episode."""
+    from flipperctl.cli.progress import episodes_progress
     from flipperctl.evaluation.episodes import Player
     from flipperctl.report.episode import episode_figure
     from flipperctl.report.figure import save
 
     terrain = config.terrain.plugin_name
-    states, profile = Player(config, source, config.eval.seed).trace(0)
+    with episodes_progress(f"{terrain}, picture", 1) as report:
+        states, profile = Player(config, source, config.eval.seed, report).trace(0)
     figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
-    save(figure, folder / f"{terrain}.png")
+    save(figure, file)

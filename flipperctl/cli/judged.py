@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from rich.markup import escape
@@ -17,11 +18,20 @@ def table(document: dict[str, Any]) -> Table:
         result.add_column(escape(heading))
     for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
         result.add_column(escape(heading))
-    for scene in document["scenes"]:
-        result.add_row(*_cells(scene["terrain"], scene))
+    for name, scene in _named(document):
+        result.add_row(*_cells(name, scene))
         for label, part in scene.get("parts", {}).items():
             result.add_row(*_cells(f"  {label}", part), style="dim")
     return result
+
+
+def _named(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each scene and its terrain; with the hash of its conditions where several are on it."""
+    scenes = document["scenes"]
+    terrains = [scene["terrain"] for scene in scenes]
+    for terrain, scene in zip(terrains, scenes, strict=True):
+        alone = terrains.count(terrain) == 1
+        yield terrain if alone else f"{terrain} {scene['conditions']['hash']}", scene
 
 
 def _cells(name: str, summary: dict[str, Any]) -> list[str]:
@@ -44,9 +54,9 @@ def comparison(document: dict[str, Any], baseline: str) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
         table.add_column(escape(heading))
-    for scene in document["scenes"]:
+    for name, scene in _named(document):
         other = scene["baseline"]
-        table.add_row(*_difference_cells(scene["terrain"], other, other["difference"]))
+        table.add_row(*_difference_cells(name, other, other["difference"]))
         for label, part in other["difference"].get("parts", {}).items():
             cells = _difference_cells(f"  {label}", other["parts"][label], part)
             table.add_row(*cells, style="dim")

@@ -1,13 +1,15 @@
-"""Live progress of a training run: a bar on a terminal, plain lines elsewhere."""
+"""Live progress of a training and of episodes: a bar on a terminal, for a training else lines."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from flipperctl.training.events import Listener
@@ -18,6 +20,22 @@ _PLAIN_EVERY = 10.0  # [s]
 def progress(total: int, done: int) -> Listener:
     """The listener that suits stderr. ``total``, ``done``: decisions."""
     return Bar(total, done) if sys.stderr.isatty() else Lines(total, done)
+
+
+@contextmanager
+def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
+    """A bar with the time left on a terminal; yields what takes the number of episodes done.
+
+    A controller's search before an episode counts as a part of that episode.
+    """
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(escape(label), total=total)
+
+        def report(done: float) -> None:
+            bar.update(task, completed=done)
+
+        yield report
 
 
 class _Rate:

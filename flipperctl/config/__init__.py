@@ -5,6 +5,7 @@ configurations.
 """
 
 from flipperctl.config.models import (
+    DEFAULT_ENGINE,
     PAPER_REWARDS,
     EnvConfig,
     EvalConfig,
@@ -24,6 +25,7 @@ from flipperctl.config.sections import (
 )
 
 __all__ = [
+    "DEFAULT_ENGINE",
     "PAPER_REWARDS",
     "Agent",
     "EnvConfig",

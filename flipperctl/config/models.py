@@ -143,8 +143,11 @@ class EnvConfig(Settings):
 
 
 class EvalConfig(EnvConfig):
-    """An evaluation: the environment and how often."""
+    """An evaluation: the environment, how often, and what its conditions are called."""
 
+    conditions: str = Field(
+        "nominal", description="the named conditions that overrides were laid over [-]"
+    )
     eval: Eval = Eval()
 
 

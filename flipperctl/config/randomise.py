@@ -29,7 +29,7 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 Range = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)] | None
 """Drawn uniformly between both; None leaves the setting as it is."""
 
-_PLACES = {
+PLACES = {
     "friction": "sim",
     "chassis_mass": "robot",
     "flipper_mass": "robot",
@@ -49,7 +49,7 @@ _PLACES = {
 
 
 class Randomise(Settings):
-    """What is drawn anew for every episode, in training and evaluation alike.
+    """What is drawn anew for every episode, of a training or of an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
     and must lie within its bounds. The start is drawn by ``episode.start_noise`` and
@@ -76,7 +76,7 @@ class Randomise(Settings):
 
     def ranges(self) -> Iterator[tuple[str, str, tuple[float, float]]]:
         """Section, setting and range of all that is drawn."""
-        for name, section in _PLACES.items():
+        for name, section in PLACES.items():
             if (found := getattr(self, name)) is not None:
                 yield section, name, found
 
@@ -94,6 +94,6 @@ def replaced(sections: Mapping[str, Any], drawn: Mapping[str, float]) -> dict[st
     """The sections with the drawn values in place of their own."""
     result = dict(sections)
     for name, value in drawn.items():
-        section = _PLACES[name]
+        section = PLACES[name]
         result[section] = result[section].model_copy(update={name: value})
     return result

@@ -48,7 +48,7 @@ class Episode(Settings):
         description="t_max as a multiple of the time the level drive needs; paper silent [-]",
     )
     stuck_window: int = Field(
-        20, ge=2, le=1000, description="decisions over which progress is judged [-]"
+        20, ge=2, le=1000, description="decisions over which progress counts; paper silent [-]"
     )
     stuck_progress: float = Field(
         0.1, ge=0, le=10, description="less progress in the window is stuck; paper silent [m]"

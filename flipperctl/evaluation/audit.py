@@ -7,6 +7,7 @@ that saturates at most steps.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,21 @@ import numpy as np
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.trained import ControllerSource
+from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import episode_seed
 
 
 def audit(
-    config: EnvConfig, source: ControllerSource, *, episodes: int, seed: int
+    config: EnvConfig,
+    source: ControllerSource,
+    *,
+    episodes: int,
+    seed: int,
+    report: Callable[[float], None] = lambda done: None,
 ) -> dict[str, Any]:
-    """Play episodes and sum up each term.
+    """Play the episodes of an evaluation and sum up each term.
+
+    ``report`` is told how many episodes are done, a search before an episode as a part of it.
 
     For each: ``mean``, ``lowest`` and ``highest`` weighted value of a decision; ``share``, its
     part of the sum of all terms' absolute values; ``saturated``, the fraction of decisions at
@@ -30,13 +39,15 @@ def audit(
     controller = source.make(config.perception)
     paid: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
-        env.reset(seed=episode_seed("evaluation", seed, index))
-        over = False
-        while not over:
-            _, _, terminated, truncated, info = env.step(controller.act(env.perception))
-            over = terminated or truncated
-            for name, value in info["rewards"].items():
+
+        def search(share: float, before: int = index) -> None:
+            report(before + share)
+
+        drawn = episode_seed("evaluation", seed, index)
+        for decision in decisions(env, controller, drawn, report_progress=search):
+            for name, value in decision.rewards.items():
                 paid[name].append(value)
+        report(index + 1.0)
     values = {name: np.array(column) for name, column in paid.items()}
     whole = sum(float(np.abs(column).sum()) for column in values.values())
     terms: dict[str, Any] = {}

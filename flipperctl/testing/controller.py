@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from statistics import median
 from time import perf_counter
 
-from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Policy, Simulator
+from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Simulator
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
@@ -55,36 +56,33 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
 def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
     """What it answers, and the time that each answer took [s]."""
     env = _scenes(controller)[scene].environment()
-    policy = Timed(controller.build())
-    answers: list[int] = []
-    for decision in decisions(env, policy, scene):
-        action = decision.action
-        require(
-            isinstance(action, int),
-            f"act returned {action!r} at {decision.transition.before.time:.1f} s of scene {scene}; "
-            f"an int from 0 to {len(ACTIONS) - 1} is allowed",
-        )
-        answers.append(action)
-        if len(answers) == DECISIONS:
-            break
-    return answers, policy.taken
+    watched = _Watched(controller, scene)
+    for _ in islice(decisions(env, watched, scene), DECISIONS):
+        pass
+    return watched.answers, watched.taken
 
 
-class Timed:
-    """A policy, and the time that each of its decisions takes."""
+class _Watched:
+    """A controller's policy whose answers are checked and timed."""
 
-    def __init__(self, policy: Policy) -> None:
-        self._policy = policy
-        self.taken: list[float] = []
-        """[s]"""
+    def __init__(self, controller: Controller, scene: int) -> None:
+        self._policy, self._scene = controller.build(), scene
+        self.answers: list[int] = []
+        self.taken: list[float] = []  # [s]
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode."""
+        """Begin the policy's episode."""
         self._policy.reset(simulator)
 
     def act(self, p: Perception) -> int:
-        """Return what the policy decides."""
+        """Return the policy's answer."""
         begun = perf_counter()
         action = self._policy.act(p)
         self.taken.append(perf_counter() - begun)
+        require(
+            isinstance(action, int) and action in range(len(ACTIONS)),
+            f"act returned {action!r} at decision {len(self.answers)} of scene {self._scene}; "
+            f"an int from 0 to {len(ACTIONS) - 1} is allowed",
+        )
+        self.answers.append(action)
         return action

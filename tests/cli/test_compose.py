@@ -5,6 +5,7 @@ import pytest
 from flipperctl.api import Shaping
 from flipperctl.cli import compose
 from flipperctl.config import EnvConfig, TrainConfig, merged, parse
+from flipperctl.sim.planar import PlanarSensor
 
 
 @pytest.fixture(autouse=True)
@@ -24,20 +25,36 @@ def test_an_interval_is_the_sweepers_business() -> None:
     assert config.agent.gamma == 0.99  # the default: no value was drawn
 
 
-def test_a_checkpoints_settings_are_the_defaults_of_its_evaluation() -> None:
+def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() -> None:
     base = TrainConfig(terrain="stair", network="at_d3qn")
-    changes = {"terrain.fewest": 2, "sim.friction": 0.8, "eval.episodes": 7}
-    primary = compose.offer_trained(parse(TrainConfig, merged(base, changes)))
-    ((same, controller),) = compose.compose_eval([], primary)
+    changes = {
+        "terrain.fewest": 2,
+        "robot.chassis_mass": 60,
+        "perception.bins": 21,
+        "perception.noise": 0.02,
+        "sim.friction": 0.8,
+        "episode.start_noise": 0.2,
+        "randomise.delay": [0.0, 0.1],
+        "eval.episodes": 7,
+    }
+    trained = parse(TrainConfig, merged(base, changes))
+    primary = compose.offer_trained(trained)
+    ((nominal, controller),) = compose.compose_eval([], primary)
     assert controller is None
-    assert (same.terrain.model_dump()["fewest"], same.sim.friction, same.eval.episodes) == (
-        2,
-        0.8,
-        7,
-    )
-    ((other, _),) = compose.compose_eval(["terrain=paper_stair", "sim.friction=0.9"], primary)
+    assert nominal.conditions == "nominal"
+    assert (nominal.terrain, nominal.robot) == (trained.terrain, trained.robot)
+    assert nominal.perception == PlanarSensor(bins=21)
+    defaults = EnvConfig(terrain="stair")
+    assert (nominal.sim, nominal.episode) == (defaults.sim, defaults.episode)
+    assert (nominal.randomise, nominal.eval.episodes) == (defaults.randomise, 7)
+
+    ((same, _),) = compose.compose_eval(["conditions=trained"], primary)
+    assert same.conditions == "trained"
+    assert same.environment() == trained.environment()
+    changed = ["terrain=paper_stair", "conditions=trained", "sim.friction=0.9"]
+    ((other, _),) = compose.compose_eval(changed, primary)
     assert other.terrain.plugin_name == "paper_stair"
-    assert (other.sim.friction, other.eval.episodes) == (0.9, 7)
+    assert (other.sim.friction, other.perception.noise, other.eval.episodes) == (0.9, 0.02, 7)
 
 
 def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:

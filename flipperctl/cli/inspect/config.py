@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
+if TYPE_CHECKING:
+    from flipperctl.config import TrainConfig
+
 HELP = """Print the composed, validated training configuration as YAML.
+
+With [bold]--describe[/], list every setting of it instead: value, default, bounds, unit, meaning.
 
 [bold]Examples[/]
 
   flipperctl inspect config terrain=stair
 
   flipperctl inspect config experiment=wide_stair agent.gamma=0.98 --json
+
+  flipperctl inspect config terrain=ramp rewards=tuned --describe
 """
 
 
@@ -23,7 +33,14 @@ def add_to(app: typer.Typer) -> None:
     app.command("config", help=HELP)(show)
 
 
-def show(overrides: Overrides = None, as_json: AsJson = False, plugins: PluginPaths = None) -> None:
+def show(
+    overrides: Overrides = None,
+    describe: Annotated[
+        bool, typer.Option("--describe", help="Every setting with default, bounds and unit.")
+    ] = False,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
     """See HELP."""
     from omegaconf import OmegaConf
 
@@ -33,6 +50,70 @@ def show(overrides: Overrides = None, as_json: AsJson = False, plugins: PluginPa
 
     loader.load(plugins or ())
     compose.offer_defaults()
-    config, *_ = compose.compose_train(overrides or [])
+    config = compose.only(compose.compose_train(overrides or []))
+    if describe:
+        (default,) = compose.compose_train([])
+        found = described(config, default)
+        if as_json:
+            print(json.dumps(found, indent=2))
+        else:
+            _print(found)
+        return
     plain = container(config)
     print(json.dumps(plain, indent=2) if as_json else OmegaConf.to_yaml(plain).rstrip())
+
+
+def described(config: TrainConfig, default: TrainConfig) -> list[dict[str, Any]]:
+    """Every setting as plain data; the choices of ``default`` are the choices' defaults."""
+    from flipperctl.config.describe import settings
+
+    choices = {s.path: s.value for s in settings(default)}
+    return [
+        {
+            "section": s.section,
+            "path": s.path,
+            "value": s.value,
+            "default": choices.get(s.path) if s.path == s.section else s.field.default,
+            "bounds": s.field.bounds,
+            "unit": s.field.unit,
+            "type": s.field.type,
+            "description": s.field.description,
+        }
+        for s in settings(config)
+    ]
+
+
+def _print(found: Iterable[dict[str, Any]]) -> None:
+    """A table a section; values that are not the default stand out."""
+    from itertools import groupby
+
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(width=None if sys.stdout.isatty() else 120)
+    for section, settings in groupby(found, key=lambda s: str(s["section"])):
+        table = Table(box=None, padding=(0, 2), header_style="dim")
+        for heading in ("setting", "value", "default", "bounds", "unit", "meaning"):
+            table.add_column(heading, overflow="fold")
+        for s in settings:
+            value, default = _shown(s["value"]), _shown(s["default"])
+            path = s["path"].removeprefix(f"{section}.")
+            table.add_row(
+                Text(path),
+                Text(value, "" if value == default else "bold"),
+                *map(Text, (default, s["bounds"], s["unit"], str(s["description"]))),
+            )
+        console.print(Text(section or "top level", "bold"))
+        console.print(table)
+        console.print()
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value))}]"
+    if isinstance(value, dict):
+        return str(value.get("name", value))  # a plugin's fields have rows of their own
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

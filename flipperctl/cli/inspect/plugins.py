@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,30 +75,16 @@ def describe(kind: str, name: str) -> dict[str, Any]:
     """A plugin and its fields as plain data."""
     from flipperctl import plugins as loader
     from flipperctl.api import registry
-    from flipperctl.messages import bounds
+    from flipperctl.config.describe import fields
 
     cls = registry[kind, name]
-    defaults = loader.defaults(cls)
-    fields = []
-    for field, info in cls.model_fields.items():
-        text, _, unit = (info.description or "").rpartition(" [")
-        fields.append(
-            {
-                "name": field,
-                "type": str(getattr(info.annotation, "__name__", info.annotation)),
-                "default": defaults[field],
-                "bounds": bounds(cls, field),
-                "unit": unit.rstrip("]"),
-                "description": text or info.description,
-            }
-        )
     return {
         "kind": kind,
         "name": name,
         "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
         "module": cls.__module__,
         "source": loader.source(cls),
-        "fields": fields,
+        "fields": [asdict(field) for field in fields(cls)],
     }
 
 

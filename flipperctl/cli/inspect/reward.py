@@ -14,6 +14,7 @@ from flipperctl.errors import RequestError
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
 A term with a small share of the return is inert; one that saturates at most steps says nothing.
+The episodes are those of an evaluation, and conditions=… chooses them as for eval.
 
 [bold]Examples[/]
 
@@ -44,17 +45,27 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
-    from flipperctl.cli.eval import scenes
+    from flipperctl.cli.compose import only
+    from flipperctl.cli.conditions import lines
+    from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.audit import audit
+    from flipperctl.evaluation.conditions import Conditions
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
-    (config, source), *_ = scenes(list(overrides or []), checkpoint, chosen)
-    found = audit(config, source, episodes=episodes, seed=config.eval.seed)
+    config, source = only(scenes(list(overrides or []), checkpoint, chosen))
+    label = f"{config.terrain.plugin_name}, {source.label()}"
+    with episodes_progress(label, episodes) as report:
+        found = audit(config, source, episodes=episodes, seed=config.eval.seed, report=report)
+    conditions = Conditions.of(config)
+    found |= {"seed": config.eval.seed, "conditions": conditions.container()}
     if as_json:
         print(json.dumps(found, indent=2))
         return
     _print(found)
+    for line in lines({"scenes": [found]}, [conditions.line()]):
+        print(line)
 
 
 def _print(found: dict[str, Any]) -> None:

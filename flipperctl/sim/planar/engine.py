@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,6 +14,7 @@ from flipperctl.errors import ConfigError
 class Planar(Engine):
     """Rigid bodies in the robot's side plane, by pymunk (Chipmunk)."""
 
+    without_effect: ClassVar[frozenset[str]] = frozenset({"engine"})
     substep: float = Field(
         0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
     )

@@ -1,0 +1,67 @@
+"""The group ``conditions`` on the command line: which were chosen, and the lines below a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from flipperctl.config import EvalConfig
+from flipperctl.errors import ConfigError
+
+NOMINAL, TRAINED = "nominal", "trained"
+
+
+def chosen(overrides: Sequence[str]) -> str:
+    """The name of the conditions that the overrides choose."""
+    name = NOMINAL
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        if override.key_or_group == "conditions":
+            name = NOMINAL if override.is_delete() else str(override.value() or NOMINAL)
+    return name
+
+
+def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
+    """Refuse an override of a setting that is drawn anew for every episode.
+
+    Raises:
+        ConfigError: with the range that it is drawn from.
+    """
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        for section, name, ends in config.randomise.ranges():
+            # The nominal turning rate stays the one that decisions are timed by.
+            if override.key_or_group == f"{section}.{name}" and name != "flipper_speed":
+                shown = "[{:g},{:g}]".format(*ends)
+                raise ConfigError(
+                    f"{override.input_line}: it has no effect, since randomise.{name}={shown} "
+                    f"draws it for every episode; add randomise.{name}=null, or change that range"
+                )
+
+
+def no_training(exported: bool) -> str:
+    """What to say where the conditions of a training are asked for, and there are none."""
+    cause = (
+        "an exported file does not hold those of its training; evaluate the checkpoint instead"
+        if exported
+        else "they are those of a checkpoint's training and need --checkpoint"
+    )
+    folder = files("flipperctl.configs.conditions")
+    known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
+    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+
+
+def lines(document: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
+    """One line for each set of conditions of the scenes: name, seed, hashes, what they are.
+
+    ``shown``: each scene's conditions in words (``Conditions.line``).
+    """
+    groups: dict[tuple[str, int, str], list[str]] = {}
+    for scene, words in zip(document["scenes"], shown, strict=True):
+        conditions = scene["conditions"]
+        key = (conditions["name"], scene["seed"], words)
+        groups.setdefault(key, []).append(f"{scene['terrain']} {conditions['hash']}")
+    for (name, seed, words), hashes in groups.items():
+        unique = ", ".join(dict.fromkeys(hashes))
+        yield f"conditions {name}, seed {seed}, {unique}: {words}"

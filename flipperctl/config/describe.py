@@ -1,0 +1,135 @@
+"""Every setting of a configuration in words: path, value, default, bounds, unit, meaning.
+
+In: frozen settings, plugins among them at any depth. Out: one ``Setting`` for each field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Literal, get_args, get_origin
+
+from flipperctl import plugins
+from flipperctl.api import Plugin, Robot, Settings
+from flipperctl.config import DEFAULT_ENGINE, Randomise
+from flipperctl.config.randomise import PLACES
+from flipperctl.messages import bounds, meaning, unit
+
+_CHOICE = "name"
+"""The field by which a section says which of several it is."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field of a class of settings."""
+
+    name: str
+    type: str
+    default: Any
+    """As plain data; None where there is none."""
+    bounds: str
+    """As in ``> 0, ≤ 0.4``, or the values that are allowed; empty without any."""
+    unit: str
+    """Empty without one, ``-`` for what has no dimension."""
+    description: str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A field where it stands in a configuration, with its value there."""
+
+    section: str
+    """The path of what it belongs to; empty at the top."""
+    path: str
+    """What an override calls it; items of a list, which are overridden as a whole, have ``[i]``."""
+    value: Any
+    """As plain data."""
+    field: Field
+
+
+def fields(cls: type[Settings]) -> list[Field]:
+    """The fields of a class of settings."""
+    complete = not any(info.is_required() for info in cls.model_fields.values())
+    defaults = _plain(cls()) if complete else {}
+    found = []
+    for name, info in cls.model_fields.items():
+        default = defaults.get(name) if complete or info.is_required() else info.get_default()
+        shown = str(getattr(info.annotation, "__name__", info.annotation))
+        words = _allowed(cls, name), unit(cls, name), meaning(cls, name)
+        found.append(Field(name, shown, default, *words))
+    return found
+
+
+def settings(config: Settings, path: str = "") -> Iterator[Setting]:
+    """Every setting of ``config``, which stands at ``path``.
+
+    First its own fields; then what lies within it, plugins and those within plugins too. What is
+    one of several (a plugin, a collector) begins with a setting that says which.
+    """
+    plain = _plain(config)
+    inside: list[tuple[str, Settings]] = []
+    for field in fields(type(config)):
+        if field.name == _CHOICE and not isinstance(config, Plugin):
+            continue  # said by the setting of the choice
+        where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
+        nested = list(_nested(value, where))
+        if not nested or isinstance(value, tuple | list):
+            yield Setting(path, where, plain[field.name], field)
+        inside += nested
+    for where, part in inside:
+        yield from _choice(where, part)
+        yield from settings(part, where)
+
+
+def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
+    """The settings in a field's value, and where."""
+    if isinstance(value, Settings):
+        yield path, value
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _nested(item, f"{path}.{name}")
+    elif isinstance(value, tuple | list):
+        for index, item in enumerate(value):
+            yield from _nested(item, f"{path}[{index}]")
+
+
+def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
+    """Which of several ``chosen`` is, where there are several."""
+    cls = type(chosen)
+    summary = (cls.__doc__ or "").strip().partition("\n")[0]
+    if isinstance(chosen, Plugin):
+        field = Field(_CHOICE, f"{chosen.kind} plugin", None, "", "", summary)
+        yield Setting(path, path, chosen.plugin_name, field)
+    elif _CHOICE in cls.model_fields:
+        field = Field(_CHOICE, "section", None, "", "", summary)
+        yield Setting(path, path, getattr(chosen, _CHOICE), field)
+
+
+def _allowed(cls: type[Settings], name: str) -> str:
+    """The bounds of a field, or the values that it may take."""
+    if issubclass(cls, Randomise) and name in PLACES:
+        section = PLACES[name]
+        drawn_from = Robot if section == "robot" else plugins.get(section, DEFAULT_ENGINE, section)
+        return bounds(drawn_from, name)
+    info = cls.model_fields[name]
+    lengths = [getattr(item, "min_length", None) for item in info.metadata]
+    least = "".join(f"length ≥ {length}" for length in lengths if length is not None)
+    return bounds(cls, name) or ", ".join(_values(info.annotation)) or least
+
+
+def _values(annotation: Any) -> Iterator[str]:
+    """The values of the literals and enumerations in an annotation."""
+    if get_origin(annotation) is Literal:
+        yield from map(str, get_args(annotation))
+    elif isinstance(annotation, type) and issubclass(annotation, Enum):
+        yield from (str(member.value) for member in annotation)
+    else:
+        for inner in get_args(annotation):
+            yield from _values(inner)
+
+
+def _plain(config: Settings) -> dict[str, Any]:
+    if isinstance(config, Plugin):
+        return plugins.container(config, brief=True)
+    return config.model_dump(mode="json", context={"brief": True})

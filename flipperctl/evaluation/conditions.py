@@ -1,0 +1,105 @@
+"""The conditions of an evaluation: what decides its draws and its physics, and a short hash of it.
+
+In: an evaluation's configuration. Out: plain data for files, a line for people, and eight digits
+that are equal where two evaluations are comparable.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from flipperctl.api import ObservationLayout, Settings
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container
+from flipperctl.messages import unit
+
+_SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
+_START = ("start_noise", "start_angle_noise")
+_DIGITS = 8
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Under what an evaluation's episodes are drawn and driven."""
+
+    name: str
+    """The named conditions that overrides were laid over."""
+    settings: Mapping[str, Any]
+    """``terrain`` with all its fields, ``robot``, ``sim``, ``perception``, ``episode`` and
+    ``randomise``, without what has no influence."""
+    defaults: Mapping[str, Settings]
+    """Each section at its defaults, as the engine and the sensor that were chosen have them."""
+
+    @classmethod
+    def of(cls, config: EvalConfig) -> Conditions:
+        """The conditions of an evaluation."""
+        whole = container(config.environment())
+        left_out = {
+            "sim": config.sim.without_effect,
+            "perception": set(ObservationLayout.model_fields),  # that is the policy's own
+        }
+        sections = {
+            section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
+            for section in _SECTIONS
+        }
+        defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
+        return cls(config.conditions, {"terrain": whole["terrain"], **sections}, defaults)
+
+    @property
+    def hash(self) -> str:
+        """The first eight hexadecimal digits of the SHA-256 of the settings as canonical JSON.
+
+        Keys are sorted, nothing is between the tokens, characters beyond ASCII are escaped. Equal
+        hashes: episodes of the same distribution. Equal seeds beside it: the same draws, one by
+        one, whoever drives.
+        """
+        text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+
+    def container(self) -> dict[str, Any]:
+        """As plain data: ``name``, ``hash`` and what was hashed."""
+        return {"name": self.name, "hash": self.hash, **self.settings}
+
+    def line(self) -> str:
+        """What is randomised and where the settings differ from the defaults, in one line.
+
+        The terrain, which tables name, is not in it.
+        """
+        drawn = [
+            _shown(Randomise, name, value)
+            for name, value in self.settings["randomise"].items()
+            if value is not None
+        ]
+        shift, turn = (self.settings["episode"][name] for name in _START)
+        sections = {
+            "sensing": self._differences("perception"),
+            "physics": self._differences("sim"),
+            "robot": self._differences("robot"),
+            "episode": self._differences("episode", *_START),
+        }
+        default = [name for name, said in sections.items() if not said]
+        parts = [
+            f"randomised {', '.join(drawn)}" if drawn else "nothing randomised",
+            f"start ±{shift:g} m" + (f", flippers ±{turn:g} rad" if turn else ""),
+            *(f"{name} {said}" for name, said in sections.items() if said),
+            *([f"default {', '.join(default)}"] if default else []),
+        ]
+        return "; ".join(parts)
+
+    def _differences(self, section: str, *apart: str) -> str:
+        default, values = self.defaults[section], self.settings[section]
+        plain = {"name": values.get("name"), **container(default)}
+        changed = [k for k, v in values.items() if v != plain[k] and k not in apart]
+        model = type(default)
+        chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
+        return ", ".join([*chosen, *(_shown(model, name, values[name]) for name in changed)])
+
+
+def _shown(model: type[Settings], name: str, value: Any) -> str:
+    ends = value if isinstance(value, list | tuple) else [value]
+    number = " to ".join(f"{end:.4g}" if isinstance(end, int | float) else str(end) for end in ends)
+    of = unit(model, name)
+    return f"{name} {number}{'' if of in ('', '-') else f' {of}'}"

@@ -1,0 +1,133 @@
+"""``conditions=…``: the same for policies and rules, shown with every result."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl.cli.scenes import scenes
+from flipperctl.env.flipper_env import FlipperEnv
+from tests.cli.call import call
+from tests.runtime import linear
+
+GENERALIST = Path("generalist")
+DRAWS = ["terrain=ramp", "--seed", "77", "--episodes", "2"]
+
+
+@pytest.mark.parametrize("conditions", ["nominal", "varied"])
+def test_equal_seeds_give_policies_and_rules_equal_draws(conditions: str, tmp_path: Path) -> None:
+    documents, draws = [], []
+    for folder, who in (("policy", "--checkpoint=generalist"), ("rule", "--controller=okada")):
+        options = [f"conditions={conditions}", "--json", "--output", folder]
+        done = call("eval", who, *DRAWS, *options, cwd=tmp_path)
+        assert done.code == 0, done.err
+        documents.append(json.loads(done.out)["scenes"][0])
+        rows = list(csv.DictReader((tmp_path / folder / "episodes.csv").read_text().splitlines()))
+        draws.append([[row[k] for k in ("seed", "start_shift", "start_front")] for row in rows])
+        noted = {(row["conditions"], row["conditions_hash"]) for row in rows}
+        assert noted == {(conditions, documents[-1]["conditions"]["hash"])}
+    policy, rule = documents
+    assert draws[0] == draws[1]
+    assert policy["conditions"] == rule["conditions"]
+    assert policy["seed"] == rule["seed"] == 77
+    assert policy["conditions"]["name"] == conditions
+
+
+def test_the_default_is_nominal_for_both() -> None:
+    found = [scenes(["terrain=step"], *who)[0][0] for who in ((GENERALIST, None), (None, "okada"))]
+    policy, rule = found
+    assert policy.conditions == rule.conditions == "nominal"
+    for section in ("terrain", "robot", "sim", "perception", "episode", "randomise"):
+        assert getattr(policy, section) == getattr(rule, section)
+    assert policy.rewards != rule.rewards  # a policy keeps those of its training
+
+
+def test_the_generalists_training_is_varied_and_moves_neither_ground_nor_start() -> None:
+    words = ["nominal", "varied", "trained"]
+    found = scenes(["terrain=rubble", f"conditions={','.join(words)}"], GENERALIST, None)
+    nominal, varied, trained = (config for config, _ in found)
+    assert [config.conditions for config, _ in found] == words
+    assert varied.environment() == trained.environment()
+    exact, drawn = FlipperEnv(config=nominal), FlipperEnv(config=varied)
+    for seed in range(3):
+        exact.reset(seed=seed)
+        drawn.reset(seed=seed)
+        assert np.array_equal(exact.profile.points, drawn.profile.points)
+        # The same place of the unit interval: ± 0.05 m, and ± 0.1 m.
+        shifts = (env._draws["start_shift"] for env in (exact, drawn))
+        one, two = shifts
+        assert two == pytest.approx(2 * one)
+
+
+def test_overrides_lie_over_the_conditions_and_one_without_effect_is_refused(
+    tmp_path: Path,
+) -> None:
+    ((config, _),) = scenes(["conditions=varied", "sim.gravity=3.7"], None, "okada")
+    assert (config.sim.gravity, config.episode.start_noise) == (3.7, 0.1)
+    noise = ["eval", "--controller", "okada", "conditions=varied", "perception.noise=0.05"]
+    done = call(*noise, cwd=tmp_path)
+    assert done.code == 2
+    assert "perception.noise=0.05: it has no effect, since randomise.noise=[0,0.01]" in done.err
+    ((config, _),) = scenes([*noise[3:], "randomise.noise=null"], None, "okada")
+    assert (config.perception.noise, config.randomise.noise) == (0.05, None)
+
+
+def test_the_table_says_them_in_a_line_for_each_set(tmp_path: Path) -> None:
+    both = ["conditions=nominal,varied", "terrain=flat", "--episodes", "1", "--output", "out"]
+    done = call("eval", "--controller", "okada", "--baseline", "level", *both, cwd=tmp_path)
+    assert done.code == 0, done.err
+    scenes = json.loads((tmp_path / "out" / "summary.json").read_text())["scenes"]
+    lines = [line for line in done.out.splitlines() if line.startswith("conditions ")]
+    assert len(lines) == 2
+    for scene, line, name in zip(scenes, lines, ("nominal", "varied"), strict=True):
+        short = scene["conditions"]["hash"]
+        assert line.startswith(f"conditions {name}, seed 0, flat {short}: ")
+        assert f"flat {short}" in done.out.replace(line, "")  # the row that it is about
+    assert "randomised friction 0.8 to 1.2" in lines[1]
+    assert {p.name for p in (tmp_path / "out").glob("*.png")} == {"flat.png", "flat_2.png"}
+
+
+def test_the_audit_is_under_the_same_conditions(tmp_path: Path) -> None:
+    options = ["--checkpoint", "generalist", "terrain=flat", "--episodes", "1", "--json"]
+    found = [
+        json.loads(call(*command, *options, cwd=tmp_path).out)
+        for command in (["inspect", "reward"], ["eval"])
+    ]
+    assert found[0]["conditions"] == found[1]["scenes"][0]["conditions"]
+    done = call("inspect", "reward", "terrain=flat", "--episodes", "1", cwd=tmp_path)
+    assert done.out.splitlines()[-1].startswith("conditions nominal, seed 0, flat ")
+
+
+def test_trained_needs_a_checkpoint(tmp_path: Path) -> None:
+    scenes(["conditions=trained"], GENERALIST, None)  # Hydra now knows them
+    for command in (["eval", "--controller", "okada"], ["inspect", "reward"]):
+        done = call(*command, "conditions=trained", cwd=tmp_path)
+        assert done.code == 2
+        assert "need --checkpoint; known: nominal, varied" in done.err
+    linear.write(tmp_path / "p.onnx", terrain="flat", terrain_config={"name": "flat"})
+    done = call("eval", "--checkpoint", "p.onnx", "conditions=trained", cwd=tmp_path)
+    assert done.code == 2
+    assert "an exported file does not hold those of its training" in done.err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [("conditions=varid", "did you mean 'varied'?"), ("conditions=null", "null is no choice")],
+)
+def test_others_are_refused(wrong: str, words: str, tmp_path: Path) -> None:
+    for command in (["eval", "--controller", "okada"], ["train"]):
+        done = call(*command, wrong, cwd=tmp_path)
+        assert done.code == 2
+        assert words in done.err
+        assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", [["reward"], ["config"], ["terrain", "step"]])
+def test_a_command_that_looks_at_one_configuration_refuses_several(
+    command: list[str], tmp_path: Path
+) -> None:
+    done = call("inspect", *command, "conditions=nominal,varied", cwd=tmp_path)
+    assert done.code == 2
+    assert "give 2 configurations; this command looks at one" in done.err

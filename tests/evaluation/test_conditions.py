@@ -1,0 +1,73 @@
+"""The hash of the conditions: equal where evaluations are comparable, and only there."""
+
+import hashlib
+import json
+
+import pytest
+
+from flipperctl.config import EvalConfig, merged, parse
+from flipperctl.evaluation.conditions import Conditions
+
+
+def of(**overrides: object) -> Conditions:
+    base = EvalConfig(terrain="step")
+    return Conditions.of(parse(EvalConfig, merged(base, overrides)))
+
+
+def test_the_hash_is_that_of_the_canonical_json_of_what_stands_beside_it() -> None:
+    found = of().container()
+    assert found.pop("name") == "nominal"
+    short = found.pop("hash")
+    text = json.dumps(found, sort_keys=True, separators=(",", ":"))
+    assert short == hashlib.sha256(text.encode()).hexdigest()[:8]
+    assert set(found) == {"terrain", "robot", "sim", "perception", "episode", "randomise"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"terrain.high": 0.3},
+        {"robot.chassis_mass": 36},
+        {"sim.friction": 0.9},
+        {"perception.noise": 0.01},
+        {"episode.start_noise": 0.1},
+        {"randomise.delay": [0, 0.1]},
+    ],
+)
+def test_what_changes_draws_or_physics_changes_the_hash(change: dict[str, object]) -> None:
+    assert of(**change).hash != of().hash
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sim.engine": "plain"},
+        {"perception.bins": 21, "perception.bin_width": 0.1},
+        {"rewards.pitch.weight": 2},
+        {"eval.seed": 3, "eval.episodes": 5},
+        {"conditions": "trained"},
+        {"robot.chassis_mass": 35},
+    ],
+)
+def test_what_does_not_leaves_it(change: dict[str, object]) -> None:
+    assert of(**change).hash == of().hash
+
+
+def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> None:
+    assert of().line() == (
+        "nothing randomised; start ±0.05 m; default sensing, physics, robot, episode"
+    )
+    changed = of(
+        **{
+            "randomise.bias": [-0.01, 0.01],
+            "randomise.dropout": [0, 0.2],
+            "perception.noise": 0.01,
+            "sim.friction": 0.8,
+            "robot.chassis_mass": 60,
+            "episode.start_angle_noise": 0.1,
+        }
+    )
+    assert changed.line() == (
+        "randomised dropout 0 to 0.2, bias -0.01 to 0.01 m; start ±0.05 m, flippers ±0.1 rad; "
+        "sensing noise 0.01 m; physics friction 0.8; robot chassis_mass 60 kg; default episode"
+    )
