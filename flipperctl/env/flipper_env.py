@@ -32,6 +32,7 @@ from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import NonFiniteError, TerrainError
+from flipperctl.sim.ground import check_extent, thinned
 from flipperctl.sim.sensing import TerrainSensor
 
 Observation = NDArray[np.float32]
@@ -80,6 +81,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
         self._renderer: Any = None
+        self._drawn: Profile | None = None
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
 
@@ -143,9 +145,20 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
         try:
-            return terrain.at(difficulty).labelled(rng)
+            drawn = terrain.at(difficulty).labelled(rng)
+            if drawn is self._drawn:  # recorded ground, the same profile each episode
+                return self.profile
+            profile = thinned(drawn, self.config.robot.track_radius)
+            check_extent(profile)
         except ValueError as error:
             raise TerrainError(f"terrain {terrain.plugin_name!r}: {error}") from error
+        self._drawn = drawn
+        return profile
+
+    @property
+    def points_drawn(self) -> int:
+        """Points of the terrain's own profile, before what no track can feel was left out."""
+        return 0 if self._drawn is None else len(self._drawn.points)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision.
