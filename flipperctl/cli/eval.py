@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -96,14 +95,12 @@ def evaluate(
     if as_json:
         print(json.dumps(document, indent=2))
         return
-    from rich.console import Console
-
+    from flipperctl.cli.console import console
     from flipperctl.cli.judged import comparison, table
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table(document))
+    console().print(table(document))
     if baseline:
-        console.print(comparison(document, baseline))
+        console().print(comparison(document, baseline))
 
 
 def scenes(
@@ -189,16 +186,16 @@ def _cross(
 def _play(
     config: EvalConfig, source: ControllerSource, label: str, only: list[int] | None = None
 ) -> list[dict[str, Any]]:
-    from rich.console import Console
     from rich.progress import Progress
 
+    from flipperctl.cli.console import console
     from flipperctl.run.evaluate import evaluate as run
 
     s = config.eval
     played = list(range(s.episodes)) if only is None else only
-    console = Console(stderr=True)
+    bars = console(stderr=True)
     rows: list[dict[str, Any]] = []
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(console=bars, transient=True, disable=not bars.is_terminal) as progress:
         task = progress.add_task(label, total=len(played))
 
         def tell(share: float) -> None:

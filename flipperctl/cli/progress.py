@@ -7,9 +7,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from flipperctl.cli.console import console
 from flipperctl.run.records import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
@@ -54,7 +54,7 @@ class Bar:
             TaskProgressColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.description}"),
-            console=Console(stderr=True),
+            console=console(stderr=True),
         )
         self._task = self._progress.add_task("", total=total, completed=done)
         self._progress.start()

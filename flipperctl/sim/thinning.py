@@ -12,9 +12,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
+from flipperctl.sim.jit import cached
 
 
-@njit(cache=True)
+@cached(njit)
 def kept_points(
     points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float
 ) -> NDArray[np.bool_]:
@@ -34,7 +35,7 @@ def kept_points(
     return keep
 
 
-@njit(cache=True)
+@cached(njit)
 def _farthest(
     points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float, start: int
 ) -> int:

@@ -40,7 +40,7 @@ def read_ply(path: Path) -> FloatArray:
 
 def read_xyz(path: Path) -> FloatArray:
     """The first three columns of a text file, parted by blanks or commas, (P, 3)."""
-    lines = (line.replace(",", " ") for line in path.read_text().splitlines())
+    lines = (line.replace(",", " ") for line in path.read_text("utf-8").splitlines())
     return np.loadtxt(lines, usecols=(0, 1, 2), ndmin=2)
 
 

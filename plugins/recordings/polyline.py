@@ -17,7 +17,7 @@ def read_csv(path: Path) -> FloatArray:
     Raises:
         ValueError: a column is missing, or a line holds no number or goes back in x.
     """
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file, skipinitialspace=True)
         columns = [name.strip().lower() for name in reader.fieldnames or ()]
         if not {"x", "z"} <= set(columns):
@@ -50,7 +50,14 @@ def _compiled(path: Path, columns: list[str]) -> FloatArray | None:
     used = [len(columns) - 1 - columns[::-1].index(name) for name in ("x", "z")]
     try:
         points = np.loadtxt(
-            path, delimiter=",", skiprows=1, usecols=used, ndmin=2, comments=None, quotechar='"'
+            path,
+            delimiter=",",
+            skiprows=1,
+            usecols=used,
+            ndmin=2,
+            comments=None,
+            quotechar='"',
+            encoding="utf-8",
         )
     except ValueError:
         return None

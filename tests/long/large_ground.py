@@ -1,8 +1,9 @@
-"""What large recorded ground costs, and what thinning it changes: ``python -m tests.long.large_ground``.
+"""What large recorded ground costs, and what thinning it changes.
 
-Prints, for recordings of 50 m, the points that are left, the seconds and the memory that loading
-and driving two episodes take on top of start-up; then the metrics of the same drives on the whole
-and on the thinned ground. ``--whole`` measures without thinning.
+``python -m tests.long.large_ground`` prints, for recordings of 50 m, the points that are left, and
+the seconds and the memory that loading and driving two episodes take on top of start-up; then the
+metrics of the same drives on the whole and on the thinned ground. ``--whole`` measures without
+thinning.
 """
 
 import json
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl import plugins
-from flipperctl.api import Controller, Profile
+from flipperctl.api import Controller
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim import ground

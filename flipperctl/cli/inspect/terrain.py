@@ -88,9 +88,10 @@ def describe(profile: Profile) -> dict[str, Any]:
 
 
 def _print(name: str, numbers: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+
+    from flipperctl.cli.console import console
 
     table = Table(title=name, title_justify="left")
     headings = ("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]")
@@ -101,4 +102,4 @@ def _print(name: str, numbers: list[dict[str, Any]]) -> None:
         table.add_row(
             str(row["seed"]), *(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))
         )
-    Console().print(table)
+    console().print(table)
