@@ -40,7 +40,7 @@ def stretch(extent: FloatArray, width: float, least: float = 0.9) -> int:
 
     1 are equal scales; ``width`` is that of the picture [in].
     """
-    return max(1, math.ceil(least * extent[0] / (width * extent[1])))
+    return max(1, math.ceil(least * float(extent[0]) / (width * float(extent[1]))))
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, stretched: int = 1) -> None:
