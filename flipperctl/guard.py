@@ -171,4 +171,7 @@ def _careful(how: Callable[[Any], str], value: object) -> str:
 def _flat(text: str, longest: int) -> str:
     line = " ".join(text[: 20 * longest].split())
     line = "".join(c if c.isprintable() else "?" for c in line)
-    return line if len(line) <= longest else line[: longest - 3] + "..."
+    if len(line) <= longest:
+        return line
+    half = (longest - 3) // 2  # the cause often stands at the end, after a long path
+    return f"{line[:half]}...{line[-half:]}"

@@ -75,7 +75,7 @@ def install(folder: Path, modules: int) -> list[str]:
     names = []
     for index in range(modules):
         name = f"flipperctl_bench_{index}"
-        (folder / f"{name}.py").write_text(_MODULE.format(index=index))
+        (folder / f"{name}.py").write_text(_MODULE.format(index=index), "utf-8")
         info = folder / f"{name}-1.0.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")

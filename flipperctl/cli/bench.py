@@ -103,11 +103,10 @@ def bench(
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
         return
-    from rich.console import Console
+    from flipperctl.cli.console import console
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
     for table in tables(document):
-        console.print(table)
+        console().print(table)
 
 
 def split(arguments: list[str]) -> tuple[list[str], list[str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,17 +100,15 @@ def evaluate(
     if as_json:
         print(json.dumps(document, indent=2))
         return
-    from rich.console import Console
-
     from flipperctl.cli.conditions import lines
+    from flipperctl.cli.console import console
     from flipperctl.cli.judged import comparison, table
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
-    console.print(table(document))
+    console().print(table(document))
     if baseline:
-        console.print(comparison(document, baseline))
+        console().print(comparison(document, baseline))
     for line in lines(document, [Conditions.of(config).line() for config, _ in found]):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console().print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _plugin(name: str, option: str) -> ControllerSource:

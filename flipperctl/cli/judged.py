@@ -8,6 +8,9 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+_ANGLES = ("pitch_variation", "pitch_variation_100hz", "max_pitch", "flipper_travel")
+"""Keys of the last columns [rad]."""
+
 
 def table(document: dict[str, Any]) -> Table:
     """A row a scene, and a dim one a part of a mix."""
@@ -16,7 +19,7 @@ def table(document: dict[str, Any]) -> Table:
     success = ["success", *(["passable", "of these"] if passable else [])]
     for heading in ("terrain", "episodes", *success, "outcomes", "t_cost [s]"):
         result.add_column(escape(heading))
-    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]"):
+    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]", "flipper travel [rad]"):
         result.add_column(escape(heading))
     for name, scene in _named(document):
         result.add_row(*_cells(name, scene))
@@ -44,7 +47,7 @@ def _cells(name: str, summary: dict[str, Any]) -> list[str]:
         *([str(fair["episodes"]), _shown(fair["success"], 3)] if fair else []),
         outcomes,
         _shown(summary["t_cost"], 1),
-        *(_shown(summary[m]) for m in ("pitch_variation", "pitch_variation_100hz", "max_pitch")),
+        *(_shown(summary[m]) for m in _ANGLES),
     ]
 
 

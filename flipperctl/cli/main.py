@@ -15,6 +15,7 @@ from flipperctl.cli import export as export_command
 from flipperctl.cli import inspect as inspect_command
 from flipperctl.cli import new as new_command
 from flipperctl.cli import train as train_command
+from flipperctl.cli.streams import log_to_stderr, plain_streams
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 
 DEBUG = "FLIPPERCTL_DEBUG"
@@ -49,6 +50,9 @@ bench_command.add_to(app)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code (0, 1, 2 or 130)."""
+    plain_streams()
+    if os.environ.get(DEBUG) == "1":
+        log_to_stderr()
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
         from flipperctl import __version__

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from flipperctl.cli.console import console
 from flipperctl.training.events import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
@@ -72,7 +73,7 @@ class Bar:
             TaskProgressColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.description}"),
-            console=Console(stderr=True),
+            console=console(stderr=True),
         )
         self._task = self._progress.add_task("", total=total, completed=done)
         self._progress.start()

@@ -24,6 +24,7 @@ from flipperctl.api import (
     SAMPLE_PERIOD,
     Outcome,
     Perception,
+    Profile,
     RobotState,
     Start,
     Transition,
@@ -96,6 +97,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
         self._renderer: Any = None
+        self._drawn: Profile | None = None
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._running = False
@@ -125,7 +127,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         drawn = config.randomise.draw(draw_rng)
         sections = config.drawn(drawn)
         _, self.robot, perception = sections
-        self.profile = ground.draw(config.terrain, terrain_rng, float(difficulty))
+        self.profile = self._draw(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
         )
@@ -166,6 +168,19 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def state(self) -> RobotState:
         """The robot's true state."""
         return self.drive.state
+
+    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
+        terrain = self.config.terrain
+        drawn = ground.draw(terrain, rng, difficulty)
+        if drawn is not self._drawn:  # recorded ground is the same profile each episode
+            self.profile = ground.prepared(drawn, terrain, self.config.robot.track_radius)
+            self._drawn = drawn
+        return self.profile
+
+    @property
+    def points_drawn(self) -> int:
+        """Points of the terrain's own profile, before what no track can feel was left out."""
+        return 0 if self._drawn is None else len(self._drawn.points)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and let the world run for one decision.

@@ -13,13 +13,12 @@ import numpy as np
 from flipperctl.api import Profile, Terrain
 from flipperctl.errors import PluginFailedError, TerrainError
 from flipperctl.guard import fault, refusal, shown
+from flipperctl.sim.ground import check_extent, thinned
 
 LONGEST = 1000.0
 """From the first edge to the last [m]; an episode of that length takes hours of robot's time."""
 HIGHEST = 100.0
 """Above or below the first edge [m], as the observation space says."""
-OUTLINE = 20_000.0
-"""Along the ground, faces and roughness included [m]: sensing keeps up to 1,000 points a metre."""
 FARTHEST = 1e7
 """Of a coordinate [m]: beyond it, numbers lie too close to the contacts' tolerance."""
 
@@ -69,12 +68,21 @@ def _check(profile: Profile, terrain: Terrain) -> None:
             f"returned a profile that leads {height:g} m above or below its first edge; at most "
             f"{HIGHEST:g} m is allowed, as in the observation space"
         )
-    outline = float(np.hypot(*np.diff(points, axis=0).T).sum())
-    if outline > OUTLINE:
-        raise refuse(
-            f"returned a profile whose outline is {outline:g} m long, up and down included; at "
-            f"most {OUTLINE:g} m is allowed"
-        )
+
+
+def prepared(profile: Profile, terrain: Terrain, track_radius: float) -> Profile:
+    """Return the profile as it is driven on: without what tracks of this radius [m] cannot feel.
+
+    Raises:
+        TerrainError: what is left has too many points or too long an outline.
+    """
+    try:
+        felt = thinned(profile, track_radius)
+        check_extent(felt)
+    except ValueError as error:
+        text = f"returned ground that cannot be driven on: {error}"
+        raise refusal(terrain, "generate", text, TerrainError) from error
+    return felt
 
 
 def first_difficulty(terrain: Terrain) -> float:

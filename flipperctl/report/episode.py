@@ -16,8 +16,11 @@ from matplotlib.ticker import MultipleLocator
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
-from flipperctl.report.figure import WIDTH, draw_ground, frame, legend_above, tidy
+from flipperctl.report.figure import WIDTH, draw_ground, frame, legend_above, stretch, tidy, z_label
 from flipperctl.sim.outline import outlines
+
+_POSES = 12
+"""Poses between the first and the last, at most, where their spacing is not given."""
 
 
 def episode_figure(
@@ -31,7 +34,9 @@ def episode_figure(
     """Poses over the terrain, with their times, above pitch and flipper angles against time.
 
     Poses are drawn at the start, at the end and evenly between, at least ``spacing`` [m] of the
-    chassis centre's path apart; by default that is a little less than the robot is long.
+    chassis centre's path apart; by default that is a little less than the robot is long, and more
+    on a path on which that would be more than a dozen poses. Very long ground is drawn higher than
+    it is, and the axis says so.
 
     Raises:
         ValueError: the trace is empty or the spacing is not above 0.
@@ -39,14 +44,18 @@ def episode_figure(
     if not trace:
         raise ValueError("an episode figure needs at least one state")
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-    spacing = 1.75 * reach if spacing is None else spacing
+    path = np.array([state.position for state in trace])  # (T, 2) [m]
+    if spacing is None:
+        length = float(np.hypot(*np.diff(path, axis=0).T).sum())
+        spacing = max(1.75 * reach, length / _POSES)
     if spacing <= 0:
         raise ValueError(f"the spacing of the poses must be above 0 m; got {spacing:g}")
-    path = np.array([state.position for state in trace])  # (T, 2) [m]
     shown = [trace[i] for i in pose_indices(path, spacing)]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = _window(path, profile, reach, max(tops))
-    height = float(np.clip((WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0]), 1.0, 6.0))
+    stretched = stretch(high - low, WIDTH - 1.0)
+    natural = stretched * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
+    height = float(np.clip(natural, 1.0, 6.0))
     figure = Figure(figsize=(WIDTH, height + 3.9), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=[height, 2.6])
     draw_ground(above, profile)
@@ -57,8 +66,8 @@ def episode_figure(
             f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
             textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
         )  # fmt: skip
-    frame(above, low, high)
-    tidy(above, title, "x [m]", "z [m]")
+    frame(above, low, high, stretched)
+    tidy(above, title, "x [m]", z_label(stretched))
     legend_above(above, centre)
     _draw_angles(below, trace, shown, robot)
     return figure

@@ -6,6 +6,7 @@ Figures are made without pyplot and its global state.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,11 +35,24 @@ def draw_ground(axes: Axes, profile: Profile, level: float = 60.0) -> None:
     axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray) -> None:
-    """Show the box from ``low`` to ``high``, (x, z) in world [m], in equal scales."""
+def stretch(extent: FloatArray, width: float, least: float = 0.9) -> int:
+    """How much larger than x to draw z, so that this extent [m] is ``least`` high [in].
+
+    1 are equal scales; ``width`` is that of the picture [in].
+    """
+    return max(1, math.ceil(least * float(extent[0]) / (width * float(extent[1]))))
+
+
+def frame(axes: Axes, low: FloatArray, high: FloatArray, stretched: int = 1) -> None:
+    """Show the box from ``low`` to ``high``, (x, z) in world [m], z ``stretched`` times."""
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal", adjustable="box")
+    axes.set_aspect(stretched, adjustable="box")
+
+
+def z_label(stretched: int) -> str:
+    """Label of the heights' axis."""
+    return "z [m]" if stretched == 1 else f"z [m], × {stretched}"
 
 
 def tidy(axes: Axes, title: str, x_label: str, y_label: str) -> None:

@@ -15,11 +15,11 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.env.render import FAINT, INK, RobotArtist
-from flipperctl.report.figure import WIDTH, draw_ground, frame, tidy
+from flipperctl.report.figure import WIDTH, draw_ground, frame, stretch, tidy, z_label
 
 _HEADROOM = 0.35  # [m] from the highest point to the dimension of the length
 SMALL = 12  # further profiles that are drawn
-_COLUMNS = 4  # of small pictures
+_COLUMNS = 4  # of small pictures, at most
 
 
 def terrain_figure(
@@ -30,7 +30,8 @@ def terrain_figure(
 ) -> Figure:
     """The first profile large with the robot before it, the next ones small; equal scales.
 
-    The small pictures share one scale; when there are more than twelve the figure says so.
+    Very long ground is drawn higher than it is, and the axis says so. The small pictures share
+    one scale; when there are more than twelve the figure says so.
     ``labels`` name the profiles in place of their numbers.
 
     Raises:
@@ -42,23 +43,28 @@ def terrain_figure(
     large = _window(profiles[0], robot)
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
-    heights = [_height(large[1] - large[0], WIDTH - 1.0)]
-    heights += rows * [_height(extent, WIDTH / _COLUMNS - 0.2) + 0.2]
+    columns = -(-len(others) // rows) if rows else 1  # so that no place stays empty that need not
+    stretched = stretch(large[1] - large[0], WIDTH - 1.0)
+    heights = [_height(large[1] - large[0], WIDTH - 1.0, stretched)]
+    small = _height(extent, WIDTH / columns - 0.2, stretched)
+    heights += rows * [min(small, 0.6 * heights[0]) + 0.2]
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
     figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout=layout)
-    grid = figure.add_gridspec(1 + rows, _COLUMNS, height_ratios=heights)
-    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title)
+    grid = figure.add_gridspec(1 + rows, columns, height_ratios=heights)
+    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, stretched)
     for i, profile in enumerate(others):
-        axes = figure.add_subplot(grid[1 + i // _COLUMNS, i % _COLUMNS])
+        axes = figure.add_subplot(grid[1 + i // columns, i % columns])
         name = labels[i + 1] if labels else f"draw {i + 2}"
-        _draw_small(axes, profile, extent, name)
+        _draw_small(axes, profile, extent, name, stretched)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
         figure.supxlabel(f"{left_out} more draws are not shown", fontsize=8, color=FAINT)
     return figure
 
 
-def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str) -> None:
+def _draw_large(
+    axes: Axes, profile: Profile, robot: RobotGeometry, title: str, stretched: int
+) -> None:
     draw_ground(axes, profile)
     stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
     RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
@@ -69,17 +75,19 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str) 
             axes.plot([x, x], [z, above], ":", color=FAINT, linewidth=0.8)
         _dimension(axes, (left, above), (right, above), f"length {right - left:.2f} m")
     if top > bottom:
-        beside = right + 0.65
+        beside = right + 0.65 * _margin(profile)
         _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
-    frame(axes, *_window(profile, robot))
-    tidy(axes, title, "x [m]", "z [m]")
+    frame(axes, *_window(profile, robot), stretched)
+    tidy(axes, title, "x [m]", z_label(stretched))
 
 
-def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str) -> None:
+def _draw_small(
+    axes: Axes, profile: Profile, extent: FloatArray, name: str, stretched: int
+) -> None:
     draw_ground(axes, profile)
     points = profile.points
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    frame(axes, middle - extent / 2, middle + extent / 2)
+    frame(axes, middle - extent / 2, middle + extent / 2, stretched)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_color("#C8C8CC")
@@ -107,7 +115,9 @@ def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatAr
     """Lower left and upper right of the large picture, (x, z) in world [m]."""
     low, high = profile.points.min(axis=0), profile.points.max(axis=0)
     before = 2 * _run_up(robot)
-    return low - np.array([before, 0.25]), high + np.array([1.3, _HEADROOM + 0.3])
+    return low - np.array([before, 0.25]), high + np.array(
+        [1.3 * _margin(profile), _HEADROOM + 0.3]
+    )
 
 
 def _extent(profile: Profile) -> FloatArray:
@@ -115,6 +125,11 @@ def _extent(profile: Profile) -> FloatArray:
     return np.asarray(np.ptp(profile.points, axis=0) + np.array([1.0, 0.3]))
 
 
-def _height(extent: FloatArray, width: float) -> float:
-    """Height of a picture so wide in which the extent fits in equal scales [in]."""
-    return float(np.clip(width * extent[1] / extent[0], 0.5, 5.0))
+def _margin(profile: Profile) -> float:
+    """How much more room the dimensions of long ground take [-]."""
+    return max(1.0, (profile.end - profile.start) / 12)
+
+
+def _height(extent: FloatArray, width: float, stretched: int) -> float:
+    """Height of a picture so wide in which the extent fits [in]."""
+    return float(np.clip(stretched * width * extent[1] / extent[0], 0.5, 5.0))

@@ -73,7 +73,7 @@ class MetricsCsv:
         self._columns = [*COLUMNS, *draws, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
-            with path.open(newline="") as old:
+            with path.open(encoding="utf-8", newline="") as old:
                 kept = [row for row in csv.DictReader(old) if int(row["decision"]) <= resume_at]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, extrasaction="ignore")
@@ -81,7 +81,7 @@ class MetricsCsv:
         writer.writerows(kept)
         write_bytes(path, text.getvalue().encode())
         self._path = path
-        self._file = path.open("a", newline="", buffering=1)
+        self._file = path.open("a", encoding="utf-8", newline="", buffering=1)
         self._writer = csv.DictWriter(self._file, self._columns, extrasaction="ignore")
 
     def episode(self, row: Mapping[str, Any]) -> None:
@@ -139,5 +139,5 @@ class TensorBoard:
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """The rows of a ``metrics.csv``."""
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))

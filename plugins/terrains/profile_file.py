@@ -95,7 +95,7 @@ class ProfileFile(Terrain):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """From x and z of 0 on; nothing is drawn."""
-        return Profile(self._points - self._points[0], self._file.stem)
+        return self._profile
 
     @property
     def _file(self) -> Path:
@@ -105,6 +105,10 @@ class ProfileFile(Terrain):
             raise ValueError(f"path {self.path}: {error}") from error
 
     @cached_property
+    def _profile(self) -> Profile:
+        points = self._points()
+        return Profile(points - points[0], self._file.stem)
+
     def _points(self) -> FloatArray:
         """(V, 2) of x and z [m].
 

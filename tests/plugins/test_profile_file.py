@@ -54,6 +54,22 @@ def test_without_a_file_there_is_an_example() -> None:
     assert profile().end == pytest.approx(2.5)
 
 
+def test_a_large_csv_is_read_alike_and_its_fault_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "large.csv"
+    lines = [f"{i}, {0.001 * i:.4f}, {0.0001 * (i % 7):.5f}\n" for i in range(60_000)]
+    file.write_text("line, x, z\n" + "".join(lines))
+    assert file.stat().st_size > 1 << 20
+    found = profile(file)
+    assert found.end == pytest.approx(59.999)
+    assert len(found.points) < 15_000
+    file.write_text(file.read_text() + "60000, 60.0, up\n")
+    with pytest.raises(TerrainError, match="line 60002: x and z must be numbers"):
+        profile(file)
+    file.write_text("line, x, z\n" + "".join(lines) + "60000, 3.0, 0.0\n")
+    with pytest.raises(TerrainError, match=r"line 60002: x goes back from 59\.999 to 3"):
+        profile(file)
+
+
 @pytest.mark.parametrize("rows", ["+y", "-y"])
 def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None:
     file = tmp_path / "map.npy"

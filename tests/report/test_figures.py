@@ -86,6 +86,26 @@ def test_terrain_of_any_extent(points: list[tuple[float, float]], tmp_path: Path
     assert (tmp_path / "odd.png").stat().st_size > 1000
 
 
+@pytest.mark.parametrize(("draws", "columns"), [(2, 1), (4, 3), (5, 4), (6, 3), (13, 4)])
+def test_small_pictures_fill_their_rows(draws: int, columns: int) -> None:
+    figure = terrain_figure(draws * [STEP], "step", ROBOT)
+    assert figure.axes[1].get_subplotspec().get_gridspec().ncols == columns
+
+
+def test_small_pictures_are_named_as_they_are_told() -> None:
+    figure = terrain_figure([STEP, STEP], "step, seed 7", ROBOT, ["seed 7", "seed 8"])
+    assert figure.axes[1].get_title() == "seed 8: 2.00 × 0.30 m"
+
+
+def test_very_long_ground_is_drawn_higher_and_says_so() -> None:
+    long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
+    assert terrain_figure([long], "long", ROBOT).axes[0].get_ylabel().startswith("z [m], × ")
+    figure = episode_figure(trace(200.0, 401), long, ROBOT)
+    assert figure.axes[0].get_ylabel().startswith("z [m], × ")
+    assert len([text for text in figure.axes[0].texts if text.get_text().endswith(" s")]) <= 13
+    assert terrain_figure([STEP], "step", ROBOT).axes[0].get_ylabel() == "z [m]"
+
+
 def test_terrain_needs_a_profile() -> None:
     with pytest.raises(ValueError, match="at least one profile"):
         terrain_figure([], "none", ROBOT)

@@ -63,11 +63,12 @@ def run(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str,
 
 
 def _print(rows: Sequence[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
+    from flipperctl.cli.console import console
+
+    output = console()
     table = Table(box=None, padding=(0, 2), header_style="dim")
     for heading in ("plugin", "check", "ok"):
         table.add_column(heading)
@@ -80,7 +81,7 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
             "" if plugin == last else plugin, row["check"], state, f"{row['seconds']:.2f}"
         )
         last = plugin
-    console.print(table)
+    output.print(table)
     for row in rows:
         if row["message"]:
-            console.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)
+            output.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)

@@ -89,15 +89,20 @@ def describe(kind: str, name: str) -> dict[str, Any]:
 
 
 def _print(found: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    from flipperctl.cli.console import console, plain
+
+    output = console()
+
+    def text(words: object, style: str = "") -> Text:
+        return Text(plain(str(words), output), style)
+
     for plugin in found:
-        title = Text.assemble((plugin["name"], "bold"), f"  {plugin['kind']}  ", plugin["summary"])
-        console.print(title)
-        console.print(Text(f"  {plugin['source']}", "dim"), soft_wrap=True)
+        kind = f"  {plugin['kind']}  "
+        output.print(text(plugin["name"], "bold") + text(kind) + text(plugin["summary"]))
+        output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
         if plugin["fields"]:
             table = Table(box=None, padding=(0, 2), show_header=True, header_style="dim")
             for heading in ("  field", "default", "bounds", "unit", "meaning"):
@@ -106,6 +111,6 @@ def _print(found: list[dict[str, Any]]) -> None:
                 default = field["default"]
                 shown = f"{default:.4g}" if isinstance(default, float) else str(default)
                 cells = (f"  {field['name']}", shown, field["bounds"], field["unit"])
-                table.add_row(*map(Text, cells), Text(str(field["description"])))
-            console.print(table)
-        console.print()
+                table.add_row(*map(text, (*cells, field["description"])))
+            output.print(table)
+        output.print()

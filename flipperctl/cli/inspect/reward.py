@@ -69,9 +69,10 @@ def show(
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+
+    from flipperctl.cli.console import console
 
     title = (
         f"{found['controller']} on {found['terrain']}: {found['episodes']} episodes, "
@@ -92,4 +93,4 @@ def _print(found: dict[str, Any]) -> None:
             f"{term['share']:.1%}",
             "–" if saturated is None else f"{saturated:.1%}",
         )
-    Console().print(table)
+    console().print(table)

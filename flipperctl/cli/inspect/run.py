@@ -61,7 +61,7 @@ def _summary(
     run: Path, episodes: list[dict[str, str]], validations: list[dict[str, str]]
 ) -> dict[str, Any]:
     summary_file = run / "summary.json"
-    summary = json.loads(summary_file.read_text()) if summary_file.is_file() else None
+    summary = json.loads(summary_file.read_text("utf-8")) if summary_file.is_file() else None
     keys = ("decision", "success_rate", "pitch_variation", "t_cost", "return")
     return {
         "run": str(run),
@@ -72,9 +72,10 @@ def _summary(
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+
+    from flipperctl.cli.console import console
 
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
@@ -92,4 +93,4 @@ def _print(found: dict[str, Any]) -> None:
             f"{row['t_cost']:.1f}",
             f"{row['return']:.2f}",
         )
-    Console().print(table)
+    console().print(table)

@@ -49,21 +49,31 @@ def show(
     compose.offer_defaults()
     config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
     env = FlipperEnv(config=config)
-    profiles = []
+    profiles, drawn = [], []
     for draw in range(draws):
         env.reset(seed=seed + draw)  # as an episode would, so that bad profiles are found here
         profiles.append(env.profile)
-    numbers = [{"seed": seed + i, **describe(p)} for i, p in enumerate(profiles)]
+        drawn.append(env.points_drawn)
+    seeds = range(seed, seed + draws)
+    numbers = [
+        {"seed": number, **describe(profile), "points_drawn": count}
+        for number, profile, count in zip(seeds, profiles, drawn, strict=True)
+    ]
     if output is not None:
         from flipperctl.report.figure import save
         from flipperctl.report.terrain import terrain_figure
 
-        save(terrain_figure(profiles, name, config.robot), output)
+        labels = [f"seed {number}" for number in seeds]
+        title = f"{name}, {labels[0]}"
+        save(terrain_figure(profiles, title, config.robot, labels), output)
     if as_json:
         document = {"terrain": loader.container(config.terrain), "draws": numbers}
         print(json.dumps(document, indent=2))
         return
     _print(name, numbers)
+    if any(row["points_drawn"] > len(row["points"]) for row in numbers):
+        most = max(row["points_drawn"] for row in numbers)
+        print(f"drawn with up to {most} points; those that no track can feel are left out")
     if output is not None:
         print(f"picture: {output}")
 
@@ -88,9 +98,10 @@ def describe(profile: Profile) -> dict[str, Any]:
 
 
 def _print(name: str, numbers: list[dict[str, Any]]) -> None:
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
+
+    from flipperctl.cli.console import console
 
     table = Table(title=name, title_justify="left")
     headings = ("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]")
@@ -101,4 +112,4 @@ def _print(name: str, numbers: list[dict[str, Any]]) -> None:
         table.add_row(
             str(row["seed"]), *(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))
         )
-    Console().print(table)
+    console().print(table)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray, Limits
+from flipperctl.sim.jit import cached
 from flipperctl.sim.planar.plain import GROUND, TRACK, Bodies
 
 _DOUBLE = 8  # bytes
@@ -45,7 +46,7 @@ _step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
 _read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp, types.uintp))
 
 
-@cfunc(types.void(types.voidptr, types.voidptr, types.voidptr), cache=True)
+@cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _belt(arbiter: Any, space: Any, speed: Any) -> None:
     """Chipmunk's pre-solve callback; ``speed`` points to the belts' speed [m/s]."""
     numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
@@ -55,7 +56,7 @@ def _belt(arbiter: Any, space: Any, speed: Any) -> None:
     numbers[_SURFACE + 1] = v * numbers[_NORMAL]
 
 
-@njit(cache=True)
+@cached(njit)
 def _run(
     space: int,
     substep: float,
@@ -117,7 +118,7 @@ class CompiledLoop:
         return int(_run(*self._arguments, poses, *limits))
 
 
-@njit(cache=True)
+@cached(njit)
 def _steps(space: int, substep: float, count: int) -> None:
     for _ in range(count):
         _step(space, substep)

@@ -1,0 +1,37 @@
+"""The console on which every command prints its tables and bars."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from flipperctl.cli.streams import spelt
+
+NATURAL = 10_000
+"""Columns of an output that is no terminal: tables take the width that they need."""
+
+
+class PlainConsole(Console):
+    """Spells plainly what the stream lacks before the layout, so that columns stay aligned."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """As rich does, with a text that the stream can show."""
+        return super().render_str(spelt(text, self.encoding), **options)
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console as wide as COLUMNS says, else as the terminal, else as its tables."""
+    file = sys.stderr if stderr else sys.stdout
+    columns = os.environ.get("COLUMNS", "")
+    wanted = int(columns) if columns.isdecimal() else 0
+    on_terminal = file is not None and file.isatty()
+    return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else NATURAL))
+
+
+def plain(text: str, of: Console) -> str:
+    """Return the text as the console's stream shows it, for a ``rich.text.Text``."""
+    return spelt(text, of.encoding)

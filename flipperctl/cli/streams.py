@@ -1,0 +1,60 @@
+"""Standard output and errors that can show any text.
+
+A stream whose encoding lacks a character (``LANG=C``, an old code page) gets a plain spelling of
+it in place of an error.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import sys
+import unicodedata
+
+PLAIN = "flipperctl.plain"
+"""Name of the error handler for codecs."""
+
+_SPELT = {
+    "θ": "theta", "ε": "eps", "λ": "lambda", "γ": "gamma", "μ": "mu", "Δ": "d", "Σ": "sum",
+    "\u0302": "^", "≥": ">=", "≤": "<=", "≈": "~", "×": "x", "·": "*", "±": "+-", "−": "-",
+    "–": "-", "—": "-", "→": "->", "↑": "^", "°": "deg", "√": "sqrt", "π": "pi", "σ": "sigma",
+    "‘": "'", "’": "'", "′": "'", "“": '"', "”": '"', "•": "*", "│": "|", "─": "-", "━": "-",
+    "█": "#", "└": "+", "├": "+",
+}  # fmt: skip
+
+
+def plain_streams() -> None:
+    """Let stdout and stderr spell plainly what their encoding lacks."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # it is None where nobody reads it
+            stream.reconfigure(errors=PLAIN)
+
+
+def log_to_stderr() -> None:
+    """Show what the package notes for those who look for a fault."""
+    import logging
+
+    log = logging.getLogger("flipperctl")
+    log.setLevel(logging.DEBUG)
+    log.handlers[:] = [logging.StreamHandler()]
+
+
+def spelt(text: str, encoding: str) -> str:
+    """Return the text as a stream of this encoding shows it."""
+    return text.encode(encoding, PLAIN).decode(encoding, "surrogateescape")
+
+
+def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return a plain spelling of the first character that has no code, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    character = error.object[error.start]
+    if "\udc80" <= character <= "\udcff":  # a byte of a file's name that is no text
+        return bytes([ord(character) - 0xDC00]), error.start + 1
+    parts = unicodedata.normalize("NFKD", character)  # é is e and an accent, … three dots
+    plain = "".join(part for part in parts if part.isascii())
+    unknown = "" if unicodedata.combining(character) else "?"
+    return _SPELT.get(character) or plain or unknown, error.start + 1
+
+
+codecs.register_error(PLAIN, _spell)

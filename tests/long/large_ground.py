@@ -1,0 +1,125 @@
+"""What large recorded ground costs, and what thinning it changes.
+
+``python -m tests.long.large_ground`` prints, for recordings of 50 m, the points that are left, and
+the seconds and the memory that loading and driving two episodes take on top of start-up; then the
+metrics of the same drives on the whole and on the thinned ground. ``--whole`` measures without
+thinning.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flipperctl import plugins
+from flipperctl.api import Controller
+from flipperctl.env import flipper_env
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.sim import ground
+
+COUNTS = (20_000, 200_000, 1_000_000)
+LENGTH = 50.0  # [m]
+
+
+def rough(count: int, length: float, grain: float, seed: int = 0) -> np.ndarray:
+    """Return waves of 6 m to 3 cm and white noise of ``grain`` [m] on top, (count, 2) [m]."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0.0, length, count)
+    z = rng.normal(0.0, grain, count)
+    for wave, height in ((6, 0.12), (2.3, 0.06), (0.9, 0.03), (0.31, 0.012), (0.1, 0.004)):
+        z += height * np.sin(2 * np.pi * x / wave + rng.uniform(0, 6))
+    return np.column_stack([x, z - z[0]])
+
+
+def memory() -> float:
+    """Return the most memory that this process has held so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def drive(env: FlipperEnv, controller: str, seed: int) -> dict[str, Any]:
+    """Return the metrics of one episode."""
+    rule = plugins.create("controller", controller, "controller")
+    assert isinstance(rule, Controller)
+    env.reset(seed=seed)
+    while True:
+        *_, terminated, truncated, info = env.step(rule.act(env.perception))
+        if terminated or truncated:
+            return {"outcome": info["outcome"].value, **info["metrics"]}
+
+
+def measure(file: str) -> dict[str, Any]:
+    """Load the recording and drive two episodes on it."""
+    plugins.load()
+    drive(FlipperEnv("flat"), "okada", 0)  # what any first episode needs
+    before, begin = memory(), time.perf_counter()
+    env = FlipperEnv({"name": "profile_file", "path": file})
+    ends = [drive(env, "okada", seed)["outcome"] for seed in range(2)]
+    seconds = time.perf_counter() - begin
+    return {
+        "points": len(env.profile.points),
+        "seconds": round(seconds, 2),
+        "MB": round(memory() - before),
+        "outcomes": ends,
+    }
+
+
+def compare(grain: float, count: int, length: float) -> list[dict[str, Any]]:
+    """Drive from the same starts, at most 1 mm apart, on the whole and on the thinned ground."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "ground.csv"
+        points = rough(count, length, grain, seed=3)
+        np.savetxt(file, points, delimiter=",", header="x,z", comments="", fmt="%.7f")
+        for rule in ("okada", "level"):
+            thin, left = starts(file, rule)
+            flipper_env.thinned = lambda profile, radius: profile
+            whole, _ = starts(file, rule)
+            flipper_env.thinned = ground.thinned
+            row = {"grain_mm": grain * 1000, "points": f"{count} -> {left}", "rule": rule}
+            for key in ("pitch_variation_100hz", "max_pitch", "t_cost"):
+                for name, found in (("whole", whole), ("thinned", thin)):
+                    values = [metrics[key] for metrics in found]
+                    row[f"{key} {name}"] = f"{np.mean(values):.3f} ± {np.std(values):.3f}"
+            rows.append(row)
+    return rows
+
+
+def starts(file: Path, rule: str) -> tuple[list[dict[str, Any]], int]:
+    """Return the metrics of eight episodes, and how many points the ground had."""
+    terrain = {"name": "profile_file", "path": str(file)}
+    env = FlipperEnv(terrain, episode={"start_noise": 1e-3})
+    return [drive(env, rule, seed) for seed in range(8)], len(env.profile.points)
+
+
+def main(arguments: list[str]) -> None:
+    """Print one line of JSON a measure."""
+    if arguments[:1] == ["--child"]:
+        if "--whole" in arguments:
+            flipper_env.thinned = lambda profile, radius: profile
+            flipper_env.check_extent = lambda profile: None
+        print(json.dumps(measure(arguments[1])))
+        return
+    whole = [word for word in arguments if word == "--whole"]
+    counts = [int(word) for word in arguments if word.isdigit()] or COUNTS
+    with tempfile.TemporaryDirectory() as folder:
+        for count in counts:
+            file = Path(folder) / f"{count}.csv"
+            points = rough(count, LENGTH, grain=2e-4)
+            np.savetxt(file, points, delimiter=",", header="x,z", comments="", fmt="%.6f")
+            child = [sys.executable, "-m", "tests.long.large_ground", "--child", str(file), *whole]
+            done = subprocess.run(child, capture_output=True, text=True, check=True)
+            print(json.dumps({"count": count, **json.loads(done.stdout)}), flush=True)
+    plugins.load()
+    for grain in (0.0, 2e-4, 1e-3):
+        for row in compare(grain, 8_000, 4.0):
+            print(json.dumps(row, ensure_ascii=False), flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

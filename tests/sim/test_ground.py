@@ -1,0 +1,147 @@
+"""Thinning against numbers worked by hand, and bounds on ground."""
+
+import numpy as np
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import Profile, Terrain
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import TerrainError
+from flipperctl.sim.ground import FEW, LONGEST, MOST, TOLERANCE, check_extent, thinned
+from flipperctl.testing.recorded import NoReward
+
+RADIUS = 0.1  # [m]
+
+
+def fine(height: object, length: float = 2.0, count: int = 20_001) -> Profile:
+    """Ground of this height(x) every 0.1 mm."""
+    x = np.linspace(0.0, length, count)
+    return Profile(np.column_stack([x, height(x)]))  # type: ignore[operator]
+
+
+def drive_on(terrain: Terrain) -> FlipperEnv:
+    return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": NoReward()}))
+
+
+def felt(profile: Profile, at: np.ndarray, radius: float) -> np.ndarray:
+    """Height of the lowest point of a disc that rests on the ground, its centre at ``at`` [m]."""
+    x = np.arange(profile.start, profile.end, 1e-4)
+    z = np.interp(x, *profile.points.T)
+    heights = []
+    for centre in at:
+        near = np.abs(x - centre) < radius
+        heights.append((z[near] + np.sqrt(radius**2 - (x[near] - centre) ** 2)).max() - radius)
+    return np.array(heights)
+
+
+def test_a_straight_slope_keeps_its_ends() -> None:
+    found = thinned(fine(lambda x: 0.3 * x), RADIUS)
+    assert found.points.tolist() == [[0.0, 0.0], [2.0, 0.6]]
+
+
+def test_an_arc_is_kept_to_the_tolerance() -> None:
+    # A chord of d lies d²/8r below its arc: with r = 5 m and 0.1 mm, d = 63 mm.
+    found = thinned(fine(lambda x: np.sqrt(25 - (x - 1) ** 2)), RADIUS).points
+    assert 2 / 0.0633 < len(found) < 2 / 0.0633 + 5
+    x = np.linspace(0, 2, 5001)
+    off = np.interp(x, *found.T) - np.sqrt(25 - (x - 1) ** 2)
+    assert np.abs(off).max() < 1.05 * TOLERANCE
+
+
+def test_a_hollow_that_no_track_enters_is_left_out_and_a_wider_one_stays() -> None:
+    # On edges 5 mm apart a disc of 0.1 m sinks by 0.03 mm, on edges 20 mm apart by 0.5 mm.
+    def hollow(width: float) -> Profile:
+        return fine(lambda x: -0.003 * (np.abs(x - 1.0) < width / 2))
+
+    assert thinned(hollow(0.005), RADIUS).points[:, 1].min() == 0.0
+    assert thinned(hollow(0.020), RADIUS).points[:, 1].min() == -0.003
+
+
+def test_vertical_faces_stay_vertical() -> None:
+    level = np.linspace(0.0, 1.0, 2001)
+    points = np.vstack(
+        [np.column_stack([level, 0 * level]), np.column_stack([1 + level, 0 * level + 0.2])]
+    )
+    assert thinned(Profile(points), RADIUS).points.tolist() == [[0, 0], [1, 0], [1, 0.2], [2, 0.2]]
+
+
+@pytest.mark.parametrize("grain", [0.0, 2e-4, 2e-3])
+def test_a_track_feels_the_same_ground(grain: float) -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, grain, 20_001)
+    whole = fine(lambda x: 0.05 * np.sin(5 * x) + 0.01 * np.sin(31 * x) + noise)
+    thin = thinned(whole, RADIUS)
+    assert len(thin.points) < 700
+    assert thin.points[[0, -1]].tolist() == whole.points[[0, -1]].tolist()
+    at = np.linspace(0.1, 1.9, 200)
+    # The tolerance is square to slopes of up to 0.56, so √(1 + 0.56²) = 1.15 of it upright.
+    assert np.abs(felt(whole, at, RADIUS) - felt(thin, at, RADIUS)).max() < 1.16 * TOLERANCE
+
+
+def test_coarse_ground_and_short_profiles_are_driven_on_as_they_are() -> None:
+    few = fine(lambda x: 0 * x, count=FEW)
+    coarse = fine(lambda x: 0 * x, length=20.0, count=2001)
+    assert thinned(few, RADIUS) is few
+    assert thinned(coarse, RADIUS) is coarse
+
+
+@pytest.mark.parametrize("name", ["stair", "rubble", "wave", "noisy", "plum", "profile_file"])
+def test_built_in_terrains_stay_bit_for_bit(name: str) -> None:
+    terrain = plugins.create("terrain", name, "terrain")
+    assert isinstance(terrain, Terrain)
+    for seed in range(20):
+        profile = terrain.labelled(np.random.default_rng(seed))
+        assert thinned(profile, RADIUS) is profile
+
+
+def test_a_million_points_become_few_segments() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 2e-3, 1_000_000)
+    whole = fine(lambda x: 0.1 * np.sin(x) + noise, length=50.0, count=1_000_000)
+    assert len(thinned(whole, RADIUS).points) < 15_000
+
+
+def test_ground_has_bounds() -> None:
+    x = np.linspace(0, 500.0, MOST + 1)
+    with pytest.raises(
+        ValueError, match=rf"has {MOST + 1} points after thinning .* at most {MOST}"
+    ):
+        check_extent(Profile(np.column_stack([x, np.sin(x)])))
+    with pytest.raises(ValueError, match=r"is 5e\+04 m long; at most 2000 m.*unit"):
+        check_extent(Profile([(0, 0), (50_000, 0)]))
+    with pytest.raises(ValueError, match="is inf m long"):
+        check_extent(Profile([(0, -1e308), (1, 1e308)]))
+    check_extent(Profile([(0, 0), (LONGEST, 0)]))
+
+
+def test_an_episode_drives_on_thinned_ground() -> None:
+    whole = fine(lambda x: 0.05 * np.sin(3 * x))
+
+    class Recorded(Terrain):
+        plugin_name = "recorded_here"
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return whole
+
+    env = drive_on(Recorded())
+    env.reset(seed=0)
+    assert env.points_drawn == 20_001
+    assert len(env.profile.points) < 150
+    first = env.profile
+    env.reset(seed=1)
+    assert np.array_equal(env.profile.points, first.points)
+    state = env.state
+    env.step(4)
+    assert env.state.position[0] - state.position[0] == pytest.approx(0.12, abs=0.03)
+
+
+def test_ground_without_bounds_is_the_request_s_fault() -> None:
+    class Endless(Terrain):
+        plugin_name = "endless"
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return Profile([(0, 0), (1e6, 0)])
+
+    with pytest.raises(TerrainError, match=r"terrain 'endless'.*1e\+06 m long"):
+        drive_on(Endless()).reset(seed=0)
