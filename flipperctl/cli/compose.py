@@ -28,6 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl import plugins
 from flipperctl.api import registry
+from flipperctl.cli.overrides import check_words, quoted, wrong_choice
 from flipperctl.config import (
     EnvConfig,
     EvalConfig,
@@ -119,6 +120,7 @@ def compose_environment(overrides: Sequence[str]) -> EnvConfig:
 
 
 def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, Any]]:
+    check_words(overrides)
     with translated(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in _combinations(overrides):
             try:
@@ -127,6 +129,8 @@ def _compositions(primary: str, overrides: Sequence[str]) -> Iterator[dict[str, 
                 raise _missing(error) from error
             except ConfigCompositionException as error:
                 raise _unknown_key(error, primary, combination) from error
+            except (TypeError, ValueError) as error:  # from Hydra: a group's choice is no name
+                raise wrong_choice(error, combination, _GROUP_KEYS) from error
 
 
 def _combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
@@ -170,9 +174,10 @@ def translated() -> Iterator[None]:
     except FlipperctlError:
         raise
     except OverrideParseException as error:
+        key, _, value = str(error.override).partition("=")
         raise ConfigError(
-            f"{error.override!r} is no override; write key=value, as in terrain=stair "
-            f"({_flat(error)})"
+            f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
+            f"stands, quote it: {quoted(key, value)}"
         ) from error
     except MissingConfigException as error:
         raise _missing(error) from error

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from flipperctl.errors import WriteError
 from flipperctl.run.files import failure, write_bytes
 
 
@@ -73,8 +74,7 @@ class MetricsCsv:
         self._columns = [*COLUMNS, *draws, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
-            with path.open(newline="") as old:
-                kept = [row for row in csv.DictReader(old) if int(row["decision"]) <= resume_at]
+            kept = [row for row in _whole_rows(path) if int(row["decision"]) <= resume_at]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, extrasaction="ignore")
         writer.writeheader()
@@ -96,6 +96,8 @@ class MetricsCsv:
         """Not a row's business."""
 
     def _write(self, row: Mapping[str, Any]) -> None:
+        if not self._path.exists():  # rows would go into a file that nobody can find
+            raise WriteError(f"{self._path} was deleted while the run was training")
         try:
             self._writer.writerow(row)
         except OSError as error:
@@ -135,6 +137,12 @@ class TensorBoard:
     def close(self) -> None:
         """Flush and close."""
         self._writer.close()
+
+
+def _whole_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a ``metrics.csv``, but not one that was cut off when its process died."""
+    rows = read_rows(path)
+    return [row for row in rows if None not in row.values() and row.get("decision", "").isdigit()]
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

@@ -46,7 +46,7 @@ def test_multirun_makes_a_run_for_each_combination(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     (sweep,) = (tmp_path / "runs" / "multirun").iterdir()
     names = {p.name for p in sweep.iterdir() if p.is_dir()}
-    assert names == {"0_flat_seed1", "1_step_seed1"}
+    assert names == {"0_terrain=flat", "1_terrain=step"}
     assert all((sweep / name / checkpoint.BEST).is_file() for name in names)
 
 
