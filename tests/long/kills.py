@@ -110,7 +110,7 @@ class Case:
         self.tally.hangs += not command.left_alone()
 
 
-def run(count: int, early: int, seed: int, folder: Path, fast: float = 0.25) -> int:
+def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
     """Kill ``count`` runs, ``early`` of them before their first checkpoint; returns the exit code.
 
     ``fast``: share of trainings with worker processes.
@@ -118,7 +118,8 @@ def run(count: int, early: int, seed: int, folder: Path, fast: float = 0.25) -> 
     begun = time.monotonic()
     rng = random.Random(seed)
     preload()
-    modes = {mode: reference(mode, folder / mode) for mode in ("exact", "fast")}
+    names = ["exact"] * (fast < 1) + ["fast"] * (fast > 0)
+    modes = {mode: reference(mode, folder / mode) for mode in names}
     tallies: dict[str, Tally] = defaultdict(Tally)
     left = {"early": early, "later": count - early}
     for index in range(20 * count):
@@ -148,9 +149,10 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--early", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--fast", type=float, default=0.25, help="share with worker processes")
     given = parser.parse_args()
     with TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
-        sys.exit(run(given.count, given.early, given.seed, Path(folder)))
+        sys.exit(run(given.count, given.early, given.seed, Path(folder), given.fast))
 
 
 if __name__ == "__main__":
