@@ -49,6 +49,10 @@ class OutputError(RequestError):
     """A path asked for cannot be written."""
 
 
+class RunHeldError(RequestError):
+    """Another process is working in the run directory; the text says which."""
+
+
 class MissingExtraError(RequestError):
     """An optional dependency is not installed; the text names the extra."""
 

@@ -29,6 +29,7 @@ from omegaconf.errors import OmegaConfBaseException
 from flipperctl import plugins
 from flipperctl.api import ObservationLayout, registry
 from flipperctl.cli import conditions
+from flipperctl.cli.overrides import check_words, quoted, wrong_choice
 from flipperctl.config import (
     DEFAULT_ENGINE,
     EnvConfig,
@@ -158,6 +159,7 @@ def _compositions(
     primary: str, overrides: Sequence[str]
 ) -> Iterator[tuple[list[str], dict[str, Any]]]:
     """Each combination of the sweeps, and what it composes to."""
+    check_words(overrides)
     with translated(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in _combinations(overrides):
             if primary != _BY_CHECKPOINT and conditions.chosen(combination) == conditions.TRAINED:
@@ -168,6 +170,8 @@ def _compositions(
                 raise _missing(error) from error
             except ConfigCompositionException as error:
                 raise _unknown_key(error, primary, combination) from error
+            except (TypeError, ValueError) as error:  # from Hydra: a group's choice is no name
+                raise wrong_choice(error, combination, _GROUP_KEYS) from error
 
 
 def check_mappings(overrides: Sequence[str]) -> None:
@@ -232,9 +236,10 @@ def translated() -> Iterator[None]:
     except FlipperctlError:
         raise
     except OverrideParseException as error:
+        key, _, value = str(error.override).partition("=")
         raise ConfigError(
-            f"{error.override!r} is no override; write key=value, as in terrain=stair "
-            f"({_flat(error)})"
+            f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
+            f"stands, quote it: {quoted(key, value)}"
         ) from error
     except MissingConfigException as error:
         raise _missing(error) from error

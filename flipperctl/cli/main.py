@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from flipperctl.cli import eval as eval_command
 from flipperctl.cli import export as export_command
 from flipperctl.cli import inspect as inspect_command
 from flipperctl.cli import new as new_command
+from flipperctl.cli import output
 from flipperctl.cli import train as train_command
 from flipperctl.cli.streams import log_to_stderr, plain_streams
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
@@ -53,18 +55,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plain_streams()
     if os.environ.get(DEBUG) == "1":
         log_to_stderr()
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given == ["--version"]:
-        from flipperctl import __version__
-
-        print(f"flipperctl {__version__}")
-        sys.exit(0)
-    sys.exit(_run(given))
+    code = _run(list(sys.argv[1:] if arguments is None else arguments))
+    error = output.flush()
+    if error is not None and code == 0:
+        code = FlipperctlError.exit_code
+        if reason := output.refused(error):
+            code = _output_refused(reason)
+    sys.exit(code)
 
 
 def _run(arguments: list[str]) -> int:
     debug = os.environ.get(DEBUG) == "1"
     try:
+        if arguments == ["--version"]:
+            from flipperctl import __version__
+
+            print(f"flipperctl {__version__}")
+            return 0
         command = typer.main.get_command(app)
         code = command.main(args=arguments, prog_name="flipperctl", standalone_mode=False)
         return code if isinstance(code, int) else 0
@@ -83,19 +90,26 @@ def _run(arguments: list[str]) -> int:
         _say("interrupted")
         return InterruptedRunError.exit_code
     except BrokenPipeError:
-        sys.stdout = None  # nobody reads it any more
-        return 1
+        return FlipperctlError.exit_code  # nobody reads what is left
     except SystemExit:
         raise  # Hydra's own options leave so; a plugin's is an error of the plugin by now
     except BaseException as error:
+        if isinstance(error, Exception) and (reason := output.refused(error)):
+            return _output_refused(reason)
         if debug:
             raise
         _say(f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)")
         return 1
 
 
+def _output_refused(reason: str) -> int:
+    _say(f"standard output cannot be written: {reason}")
+    return FlipperctlError.exit_code
+
+
 def _say(text: str) -> None:
-    print(f"error: {text}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # standard error cannot be written either
+        print(f"error: {text}", file=sys.stderr)
 
 
 if __name__ == "__main__":

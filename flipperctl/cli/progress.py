@@ -56,10 +56,8 @@ def _validation(row: Mapping[str, Any]) -> str:
 
 
 def _state(row: Mapping[str, Any], rate: float) -> str:
-    return (
-        f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  "
-        f"loss {row['loss']:.4f}"
-    )
+    loss = "–" if row["loss"] is None else f"{row['loss']:.4f}"  # before the first update
+    return f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  loss {loss}"
 
 
 class Bar:

@@ -24,7 +24,10 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ValidationError
 
+from flipperctl.cli.comparison import compare, outcome
 from flipperctl.cli.search import SearchSettings, search_space
+from flipperctl.cli.sweeps import SweepLauncher, leaves_naming
+from flipperctl.cli.training import shown
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -32,10 +35,13 @@ from flipperctl.errors import (
     MissingExtraError,
     RequestError,
 )
+from flipperctl.files import make_folder
 from flipperctl.messages import explain
+from flipperctl.training.lock import hold
 
 if TYPE_CHECKING:
     from optuna import Study
+    from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial, Trial
 
 _TARGET = "hydra_plugins.flipperctl.OptunaSweeper"
@@ -83,14 +89,30 @@ class OptunaSweeper(Sweeper):
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.config, self.hydra_context = config, hydra_context
         self.folder = Path(config.hydra.sweep.dir)
-        self.launcher: Launcher = Plugins.instance().instantiate_launcher(
+        launcher: Launcher = Plugins.instance().instantiate_launcher(
             config=config, hydra_context=hydra_context, task_function=task_function
         )
+        self.jobs = SweepLauncher(launcher, named=leaves_naming(config))
 
     def sweep(self, arguments: list[str]) -> None:
-        """Train trial after trial; ``arguments`` are the user's overrides."""
+        """Train trial after trial; ``arguments`` are the user's overrides.
+
+        Raises:
+            RunHeldError: another process works in the sweep's folder.
+        """
         space, fixed = search_space(arguments)
         study = self._study(arguments)
+        self.jobs.swept = list(space)
+        with hold(make_folder(self.folder), "sweep"):
+            try:
+                self._search(study, space, fixed)
+            finally:
+                compare(self.folder, self.jobs.runs)
+            self._conclude(study)
+
+    def _search(
+        self, study: Study, space: dict[str, BaseDistribution], fixed: Sequence[str]
+    ) -> None:
         for trial in study.get_trials(deepcopy=False):
             if not trial.state.is_finished():  # of a process that was killed
                 _stop(study, trial.number)
@@ -101,9 +123,8 @@ class OptunaSweeper(Sweeper):
             size = min(self.settings.n_jobs, self.settings.n_trials - count)
             trials = [study.ask(space) for _ in range(size)]
             jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
-            returns = self.launcher.launch(jobs, initial_job_idx=trials[0].number)
+            returns = self.jobs.launch(jobs, initial_job_idx=trials[0].number)
             self._tell_all(study, trials, returns)
-        self._conclude(study)
 
     def _study(self, arguments: Sequence[str]) -> Study:
         import optuna
@@ -140,8 +161,11 @@ class OptunaSweeper(Sweeper):
         self, study: Study, trials: Sequence[Trial], returns: Sequence[JobReturn]
     ) -> None:
         problems = [
-            self._tell(study, trial, job) for trial, job in zip(trials, returns, strict=True)
+            self._tell(study, trial, job)
+            for trial, job in zip(trials, returns, strict=False)  # fewer after an interrupt
         ]
+        for trial in trials[len(returns) :]:
+            _stop(study, trial.number)
         for problem in filter(None, problems):
             if self.settings.storage and isinstance(problem, InterruptedRunError):
                 done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
@@ -154,9 +178,8 @@ class OptunaSweeper(Sweeper):
         """Record what became of a trial; returns the error that stops the search, if any."""
         from optuna.trial import TrialState
 
-        try:
-            value = job.return_value
-        except Exception as error:  # noqa: BLE001 (a job may fail in any way)
+        value, error = outcome(job)
+        if error is not None:
             if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
                 trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
                 study.tell(trial, state=TrialState.FAIL)
@@ -187,12 +210,11 @@ class OptunaSweeper(Sweeper):
             "best_value": best.value,
             "best_run": best.user_attrs["run"],
         }
-        self.folder.mkdir(parents=True, exist_ok=True)
         OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
         drawn = " ".join(f"{key}={value}" for key, value in best.params.items())
         _say(
             f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.5f}.\n"
-            f"Evaluate: flipperctl eval --checkpoint {best.user_attrs['run']}"
+            f"Evaluate: flipperctl eval --checkpoint {shown(Path(best.user_attrs['run']))}"
         )
 
 

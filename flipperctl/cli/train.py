@@ -74,16 +74,25 @@ def train(
 
 def _hydra(arguments: list[str], *, check: bool) -> None:
     import hydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.core.utils import env_override
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose, sweeper
-    from flipperctl.errors import FlipperctlError, InterruptedRunError
+    from flipperctl.cli import compose, sweeper, sweeps
+    from flipperctl.cli.overrides import check_folders, check_words
+    from flipperctl.cli.training import shown
+    from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
 
     compose.offer_defaults()
+    sweeps.offer()
     sweeper.offer()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
+    if not any(a.startswith("-") for a in overrides):  # else words may be an option's values
+        check_words(overrides)
+    with compose.translated():
+        check_folders(o for o in overrides if "=" in o and not o.startswith("-"))
     compose.check_mappings([o for o in overrides if not o.startswith("-")])
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if check and not any(a.startswith("-") for a in overrides):
@@ -93,16 +102,21 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
                 _check_device(config)
                 _check_terrain(config)
                 _check_network(config)
-    errors: list[FlipperctlError] = []
+    errors: list[BaseException] = []
     paths = loader.given()  # a worker on a running cluster has another environment
 
     def task(composed: Any) -> float | None:
         try:
             return _task(composed, paths)
-        except FlipperctlError as error:
+        except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
-            errors.append(error)  # Hydra would add lines of its own
+            directory = shown(Path(HydraConfig.get().runtime.output_dir))
+            stopped = InterruptedRunError(
+                f"interrupted. Go on with: flipperctl train --resume {directory}"
+            )
+            # Hydra would add lines of its own to what passes through it.
+            errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
     application = hydra.main(version_base="1.3", config_path=compose.CONFIGS, config_name="train")(
@@ -110,7 +124,8 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     )
     given, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
-        with compose.translated(), _full_errors():
+        # Hydra passes exceptions on, instead of printing them itself.
+        with compose.translated(), env_override({"HYDRA_FULL_ERROR": "1"}):
             application()
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
@@ -135,14 +150,6 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _full_errors() -> Any:
-    """Let Hydra pass exceptions on instead of printing them itself."""
-    import os
-    from unittest.mock import patch
-
-    return patch.dict(os.environ, HYDRA_FULL_ERROR="1")
-
-
 def _task(composed: Any, paths: list[str]) -> float | None:
     """One job of Hydra's; in a launcher's worker process the plugins are loaded anew."""
     from hydra.core.hydra_config import HydraConfig
@@ -155,8 +162,29 @@ def _task(composed: Any, paths: list[str]) -> float | None:
     loader.load(paths)
     config = validated(composed)
     _check_device(config)
-    best = start(config, Path(HydraConfig.get().runtime.output_dir))["best"]
+    directory = Path(HydraConfig.get().runtime.output_dir)
+    best = start(config, directory, lambda: _keep_hydra_files(composed, directory))["best"]
     return objective(best, config.train.validation_episodes)
+
+
+def _keep_hydra_files(composed: Any, directory: Path) -> None:
+    """Write the files that Hydra itself would write before it is known whose the directory is."""
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import OmegaConf
+
+    from flipperctl.files import make_folder, write_bytes
+
+    hydra = HydraConfig.get()
+    if hydra.output_subdir is not None:
+        return  # asked for by the user, and written
+    folder = make_folder(directory / ".hydra")
+    documents = {
+        "config": composed,
+        "hydra": OmegaConf.create({"hydra": OmegaConf.to_container(hydra)}),
+        "overrides": hydra.overrides.task,
+    }
+    for name, document in documents.items():
+        write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
 
 
 def _check_device(config: TrainConfig) -> None:
@@ -189,10 +217,8 @@ def _check_network(config: TrainConfig) -> None:
 def _resume(run: Path, overrides: list[str]) -> None:
     from omegaconf import OmegaConf
 
-    from flipperctl import checkpoint
     from flipperctl.cli.compose import translated
     from flipperctl.cli.training import go_on
-    from flipperctl.config import TrainConfig, merged, parse
     from flipperctl.errors import ConfigError
 
     for override in overrides:
@@ -201,9 +227,6 @@ def _resume(run: Path, overrides: list[str]) -> None:
                 f"{override!r}: a resumed run keeps its configuration; "
                 "only train.<field>=… and device=… can be given with --resume"
             )
-    saved = checkpoint.read(checkpoint.find(run, checkpoint.LAST))
     with translated():
         changes = cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.from_dotlist(overrides)))
-    config = parse(TrainConfig, merged(saved.config(), changes))
-    _check_device(config)
-    go_on(config, saved)
+    go_on(run, changes, _check_device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -14,77 +15,118 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
 from flipperctl.cli.progress import progress
-from flipperctl.config import TrainConfig, container
-from flipperctl.errors import CheckpointError, InterruptedRunError, OutputError
+from flipperctl.config import TrainConfig, container, merged, parse
+from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
 from flipperctl.files import make_folder, write_bytes
+from flipperctl.training import run_folder
 from flipperctl.training.events import MetricsCsv, TensorBoard
+from flipperctl.training.lock import hold
 from flipperctl.training.trainer import Trainer
 
 
-def start(config: TrainConfig, directory: Path) -> dict[str, Any]:
-    """Train in a new run directory; returns the summary."""
-    if (directory / "config.yaml").exists():
-        raise OutputError(
-            f"{directory} already holds a run; go on with --resume, or choose another hydra.run.dir"
-        )
-    trainer = Trainer(config, directory)
-    make_folder(directory / checkpoint.BEST.parent)
-    return _train(trainer, None)
+def start(
+    config: TrainConfig, directory: Path, keep_more: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """Train in a new run directory; returns the summary.
+
+    ``keep_more`` writes further files into it, once it is known that it is new and ours.
+
+    Raises:
+        RunHeldError: another process is training in it.
+        OutputError: it already holds a run.
+    """
+    make_folder(directory)
+    with hold(directory):
+        if run_folder.holds_run(directory):
+            raise OutputError(
+                f"{directory} already holds a run; go on with: flipperctl train --resume "
+                f"{shown(directory)}, or choose another hydra.run.dir"
+            )
+        run_folder.clear_leftovers(directory)
+        trainer = Trainer(config, directory)
+        make_folder(directory / checkpoint.BEST.parent)
+        keep_more()
+        return _train(trainer, None)
 
 
-def go_on(config: TrainConfig, saved: checkpoint.Checkpoint) -> None:
-    """Go on with a run from its last full checkpoint."""
-    if saved.document.kind != "last":
-        raise CheckpointError(
-            f"{saved.path} holds only the weights of a policy; "
-            f"{checkpoint.LAST} is what a run goes on from"
-        )
-    directory = saved.path.parent.parent
-    trainer = Trainer(config, directory)
-    trainer.restore(saved)
-    if trainer.decision >= config.train.decisions:
-        print(
-            f"nothing left to do: {directory} has used its budget of {config.train.decisions} "
-            "decisions; a larger train.decisions=… goes on",
-            file=sys.stderr,
-        )
-        return
-    _train(trainer, trainer.decision)
+def go_on(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
+    """Go on with a run from its last full checkpoint, or from its start if it has none.
+
+    ``changes`` are merged into its configuration; ``check`` may refuse what comes of it.
+
+    Raises:
+        RunHeldError: another process is training it.
+        CheckpointError: ``run`` is no run, or what it goes on from is damaged.
+    """
+    directory = run_folder.find(run)
+    with hold(directory):
+        saved, config = run_folder.read(directory)
+        config = parse(TrainConfig, merged(config, changes))
+        check(config)
+        run_folder.clear_leftovers(directory)
+        trainer = Trainer(config, directory)
+        make_folder(directory / checkpoint.BEST.parent)
+        if saved is None:
+            print(
+                f"{directory} was stopped before its first checkpoint; it begins again "
+                "with the same configuration and seed",
+                file=sys.stderr,
+            )
+        else:
+            trainer.restore(saved)
+        spent = trainer.decision >= config.train.decisions
+        if spent and run_folder.is_finished(directory, trainer.decision):
+            print(
+                f"nothing left to do: {directory} has used its budget of "
+                f"{config.train.decisions} decisions; a larger train.decisions=… goes on",
+                file=sys.stderr,
+            )
+            return
+        _train(trainer, trainer.decision)
 
 
 def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     config, directory = trainer.config, trainer.directory
-    write_bytes(directory / "config.yaml", OmegaConf.to_yaml(container(config)).encode())
+    write_bytes(directory / run_folder.CONFIG, OmegaConf.to_yaml(container(config)).encode())
     trainer.listeners += [
         MetricsCsv(
-            directory / "metrics.csv", list(config.rewards), config.randomise.names, resume_at
+            directory / run_folder.METRICS, list(config.rewards), config.randomise.names, resume_at
         ),
         TensorBoard(directory / "tensorboard", resume_at),
         progress(config.train.decisions, trainer.decision),
     ]
-    with _interrupts() as stop:
-        summary = trainer.run(stop)
-    shown = _shown(directory)
+    try:
+        with _interrupts() as stop:
+            summary = trainer.run(stop)
+    except (FlipperctlError, OSError) as error:
+        if directory.is_dir():
+            raise
+        raise WriteError(
+            f"{directory} was deleted or moved while the run was training; "
+            "nothing more can be saved"
+        ) from error
     if not summary["finished"]:
         raise InterruptedRunError(
             f"interrupted at decision {trainer.decision}; all is saved. "
-            f"Go on with: flipperctl train --resume {shown}"
+            f"Go on with: flipperctl train --resume {shown(directory)}"
         )
     best = summary["best"]
     print(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"θ̂_R {best['pitch_variation']:.2f} rad, {best['t_cost']:.1f} s. "
         f"{summary['decisions']} decisions in {summary['seconds']:.0f} s.\n"
-        f"Evaluate: flipperctl eval --checkpoint {shown}\n"
-        f"Export:   flipperctl export onnx --checkpoint {shown}",
+        f"Evaluate: flipperctl eval --checkpoint {shown(directory)}\n"
+        f"Export:   flipperctl export onnx --checkpoint {shown(directory)}",
         file=sys.stderr,
     )
     return summary
 
 
-def _shown(directory: Path) -> Path:
+def shown(directory: Path) -> str:
+    """A path as one types it here: relative to the working directory, quoted for the shell."""
     here = Path.cwd()
-    return directory.relative_to(here) if directory.is_relative_to(here) else directory
+    short = directory.relative_to(here) if directory.is_relative_to(here) else directory
+    return shlex.quote(str(short))
 
 
 @contextmanager

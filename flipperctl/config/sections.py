@@ -124,7 +124,9 @@ class Train(Settings):
     )
     validation_seed: int = Field(0, ge=0, description="seed of the validation draws [-]")
     checkpoint_every: int = Field(
-        10_000, ge=1, description="decisions between full checkpoints [-]"
+        10_000,
+        ge=1,
+        description="decisions between full checkpoints, beside those at validations [-]",
     )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
 

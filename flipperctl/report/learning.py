@@ -19,6 +19,9 @@ from flipperctl.report.figure import WIDTH, legend_above, tidy
 WINDOW = 100
 """Episodes that a curve averages over."""
 
+DOTS = "#9DB4C0"
+"""Colour of one episode: seen on white, behind curves."""
+
 Rows = Sequence[Mapping[str, str]]
 
 
@@ -27,7 +30,8 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
 
     Episode rows have the keys decision, outcome, return, pitch_variation, epsilon and loss,
     validation rows decision, success_rate and pitch_variation; an empty or a missing cell is a
-    gap. Curves are means over the last 100 episodes (fewer at the start), dots one episode.
+    gap, and so is the loss before the first update. Curves are means over the last 100 episodes,
+    thin where there are fewer yet; dots are one episode.
 
     Raises:
         ValueError: a cell is neither empty nor a number; the text names it.
@@ -79,16 +83,35 @@ def running_mean(values: FloatArray, window: int) -> FloatArray:
     return np.where(weight > 0, mean, math.nan)
 
 
+def since_first_update(loss: FloatArray) -> FloatArray:
+    """The loss, (T,), with NaN where nothing was learnt yet; older runs wrote 0 there."""
+    learning = np.isfinite(loss) & (loss != 0.0)
+    return np.where(np.maximum.accumulate(learning), loss, math.nan)
+
+
 def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bool = False) -> None:
     if dots:
         axes.plot(
-            at, values, ".", color=colour, alpha=0.4, markersize=3, markeredgewidth=0,
+            at, values, "o", color=DOTS, markersize=_dot_size(len(at)), markeredgewidth=0,
             rasterized=True, label="episode",
         )  # fmt: skip
+    mean = running_mean(values, WINDOW)
+    fewer = f"mean of all episodes so far, fewer than {WINDOW}"
+    alone = "o" if len(at) == 1 else ""  # a line through one point is not seen
     axes.plot(
-        at, running_mean(values, WINDOW), color=colour, linewidth=1.6,
-        label=f"mean of the last {WINDOW} episodes",
+        at[:WINDOW], mean[:WINDOW], color=colour, linewidth=0.8, marker=alone, markersize=3,
+        label=fewer,
     )  # fmt: skip
+    if len(at) >= WINDOW:
+        axes.plot(
+            at[WINDOW - 1 :], mean[WINDOW - 1 :], color=colour, linewidth=1.8,
+            label=f"mean of the last {WINDOW}",
+        )  # fmt: skip
+
+
+def _dot_size(episodes: int) -> float:
+    """Diameter [pt]: dots are seen one by one while they are few, and as a cloud of many."""
+    return float(np.clip(60.0 / math.sqrt(max(episodes, 1)), 1.6, 5.0))
 
 
 def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:
@@ -100,10 +123,14 @@ def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:
 
 def _losses(axes: Axes, at: FloatArray, rows: Rows) -> None:
     """The loss on the left scale, logarithmic where it can be, and ε on the right one."""
-    loss = column(rows, "loss")
+    loss = since_first_update(column(rows, "loss"))
     axes.plot(at, loss, color=CHASSIS, linewidth=1.0, label="loss")
     if (loss > 0).any():
         axes.set_yscale("log")
+        axes.tick_params(which="both", labelsize=8)
+    elif len(loss):
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no update yet", transform=axes.transAxes, ha="center", color=INK)
     right = axes.twinx()
     right.plot(at, column(rows, "epsilon"), color=REAR, linewidth=1.4, linestyle="--", label="ε")
     right.set_ylim(0, 1.04)

@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
-from flipperctl.files import failure, write_bytes
+from flipperctl.errors import WriteError
+from flipperctl.files import failure, make_folder, write_bytes
 
 
 class Listener(Protocol):
@@ -73,8 +77,7 @@ class MetricsCsv:
         self._columns = [*COLUMNS, *draws, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
-            with path.open(encoding="utf-8", newline="") as old:
-                kept = [row for row in csv.DictReader(old) if int(row["decision"]) <= resume_at]
+            kept = [row for row in _whole_rows(path) if int(row["decision"]) <= resume_at]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, extrasaction="ignore")
         writer.writeheader()
@@ -96,6 +99,8 @@ class MetricsCsv:
         """Not a row's business."""
 
     def _write(self, row: Mapping[str, Any]) -> None:
+        if not self._path.exists():  # rows would go into a file that nobody can find
+            raise WriteError(f"{self._path} was deleted while the run was training")
         try:
             self._writer.writerow(row)
         except OSError as error:
@@ -107,34 +112,75 @@ class MetricsCsv:
 
 
 class TensorBoard:
-    """Scalars under ``episode/`` and ``validation/``, over decisions."""
+    """Scalars under ``episode/`` and ``validation/``, over decisions.
+
+    The events are those of torch's SummaryWriter, but written here and not in a thread of their
+    own, which would print a traceback when the disk is full or the folder is deleted.
+    """
 
     def __init__(self, folder: Path, resume_at: int | None = None) -> None:
-        from torch.utils.tensorboard import SummaryWriter
+        from tensorboard.summary.writer.record_writer import RecordWriter
 
-        purge = None if resume_at is None else resume_at + 1
-        self._writer = SummaryWriter(str(folder), purge_step=purge)
+        make_folder(folder)
+        host, process = socket.gethostname(), os.getpid()
+        name = f"events.out.tfevents.{int(time.time()):010d}.{host}.{process}.{time.time_ns()}"
+        self._path = folder / name
+        self._file = self._path.open("wb")
+        self._writer: Any = RecordWriter(self._file)
+        self._event(file_version="brain.Event:2")
+        if resume_at is not None:
+            self._drop_after(resume_at)
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""
-        self._write("episode", row)
+        self._scalars("episode", row)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""
-        self._write("validation", row)
+        self._scalars("validation", row)
+        self._attempt(self._file.flush)
 
     def note(self, text: str) -> None:
         """Write it as text."""
-        self._writer.add_text("note", text)
+        from torch.utils.tensorboard import summary
 
-    def _write(self, group: str, row: Mapping[str, Any]) -> None:
+        self._event(summary=cast("Any", summary).text("note", text))
+
+    def _scalars(self, group: str, row: Mapping[str, Any]) -> None:
+        from torch.utils.tensorboard import summary
+
+        scalar = cast("Any", summary).scalar
         for name, value in row.items():
             if isinstance(value, int | float) and name not in ("decision", "episode", "seed"):
-                self._writer.add_scalar(f"{group}/{name}", value, row["decision"])
+                self._event(summary=scalar(f"{group}/{name}", value), step=row["decision"])
+
+    def _drop_after(self, decision: int) -> None:
+        """Let viewers forget what an earlier start of the run wrote after this decision."""
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+
+        self._event(session_log=SessionLog(status=SessionLog.START), step=decision + 1)
+
+    def _event(self, **fields: Any) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event
+
+        event = Event(wall_time=time.time(), **fields).SerializeToString()
+        self._attempt(lambda: self._writer.write(event))
+
+    def _attempt(self, write: Callable[[], object]) -> None:
+        try:
+            write()
+        except OSError as error:
+            raise failure(self._path, error) from error
 
     def close(self) -> None:
         """Flush and close."""
-        self._writer.close()
+        self._attempt(self._file.close)
+
+
+def _whole_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a ``metrics.csv``, but not one that was cut off when its process died."""
+    rows = read_rows(path)
+    return [row for row in rows if None not in row.values() and row.get("decision", "").isdigit()]
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:

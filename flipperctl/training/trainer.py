@@ -4,7 +4,8 @@ In: a validated configuration and an empty run directory, or one to go on in. Ou
 summary.json; config.yaml is the command line's, metrics.csv and events are the listeners'.
 
 A full checkpoint is taken between episodes only: there the world holds no state, so a resumed
-run repeats the uninterrupted one bit for bit.
+run repeats the uninterrupted one bit for bit. The first is taken before the first decision, so
+that a run can go on whenever it was killed.
 """
 
 from __future__ import annotations
@@ -112,19 +113,22 @@ class Trainer:
         """
         every = self.config.train
         self._clock = time.perf_counter() - self.seconds
+        self._save(self._resumed)
         collector = self._collector()
         try:
             while self.decision < every.decisions and not stop():
                 started = self.decision
                 self._episode(collector)
-                if self.decision // every.validate_every > started // every.validate_every:
+                validate = self.decision // every.validate_every > started // every.validate_every
+                if validate:
                     self._validate(collector)
-                if self.decision // every.checkpoint_every > started // every.checkpoint_every:
-                    self.save(collector.outstanding())
+                due = self.decision // every.checkpoint_every > started // every.checkpoint_every
+                if validate or due:
+                    self._save(collector.outstanding())
             finished = self.decision >= every.decisions
             if finished and (not self.validations or self.last_validated != self.decision):
                 self._validate(collector)
-            self.save(collector.outstanding())
+            self._save(collector.outstanding())
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
             return summary
@@ -235,22 +239,29 @@ class Trainer:
         # Means over the episodes that reached the finish, as the paper measures; of all, if none.
         means = {n: float(np.mean([row[n] for row in good or rows])) for n in names}
         row = {"success_rate": len(good) / len(rows), **means}
-        previous = self.best
         self.validations.append({"decision": self.decision, **row})
-        if previous is None or _score(self.validations[-1]) > _score(previous):
-            document = checkpoint.describe(
-                self.config, "best", decision=self.decision, validation=self.validations[-1]
-            )
-            tensors = {f"policy.{k}": v for k, v in self.agent.policy.state_dict().items()}
-            checkpoint.write(self.directory / checkpoint.BEST, document, tensors)
         self._tell("validation", row)
+
+    def _save(self, orders: Sequence[Order]) -> None:
+        """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
+
+        In this order, no best is ever of a decision that the run, once killed and resumed, may
+        not come to; and a resumed run writes the best that it was killed before.
+        """
+        self.save(orders)
+        best = self.best
+        if best is None or best["decision"] != self.decision:
+            return
+        document = checkpoint.describe(self.config, "best", decision=self.decision, validation=best)
+        tensors = {f"policy.{k}": v for k, v in self.agent.policy.state_dict().items()}
+        checkpoint.write(self.directory / checkpoint.BEST, document, tensors)
 
     def _tell(self, event: str, row: dict[str, Any]) -> None:
         now = {
             "decision": self.decision,
             "episode": self.episode,
             "epsilon": self.epsilon,
-            "loss": self.loss,
+            "loss": self.loss if self.updates else None,
             "seconds": round(time.perf_counter() - self._clock, 3),
         }
         if event == "episode":

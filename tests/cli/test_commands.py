@@ -1,5 +1,6 @@
 """The commands end to end, as a user types them."""
 
+import csv
 import json
 import signal
 import subprocess
@@ -46,8 +47,16 @@ def test_multirun_makes_a_run_for_each_combination(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     (sweep,) = (tmp_path / "runs" / "multirun").iterdir()
     names = {p.name for p in sweep.iterdir() if p.is_dir()}
-    assert names == {"0_flat_seed1", "1_step_seed1"}
+    assert names == {"0_terrain=flat", "1_terrain=step"}
     assert all((sweep / name / checkpoint.BEST).is_file() for name in names)
+    table = done.err[done.err.index("2 runs") :]
+    assert all(word in table for word in ("terrain", "flat", "step", *names, "sweep.csv"))
+    with (sweep / "sweep.csv").open(newline="") as file:
+        flat, step = csv.DictReader(file)
+    assert (flat["job"], flat["terrain"], step["terrain"]) == ("0", "flat", "step")
+    assert (step["decisions"], step["state"]) == ("300", "finished")
+    best = json.loads((sweep / "1_terrain=step" / "summary.json").read_text())["best"]
+    assert float(step["pitch_variation"]) == best["pitch_variation"]
 
 
 def test_cfg_prints_the_composed_configuration_and_trains_nothing(tmp_path: Path) -> None:

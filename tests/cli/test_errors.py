@@ -33,6 +33,15 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["train", "--multrun"], ["--multrun", "--multirun"]),
         (["train", "--experimental-rerun", "x.pickle"], ["--experimental-rerun"]),
         (["train", "stair"], ["'stair'", "key=value"]),
+        (["train", "hydra.run.dir="], ["hydra.run.dir", "the value is ''"]),
+        (["train", "hydra.run.dir=null"], ["hydra.run.dir", "the value is None"]),
+        (["train", "-m", "seed=1,2", "hydra.sweep.dir="], ["hydra.sweep.dir"]),
+        (["train", "hydra.run.dir=sp", "ace/x"], ["""'hydra.run.dir="sp ace/x"'"""]),
+        (["train", "hydra.run.dir=a(b"], ["""'hydra.run.dir="a(b"'"""]),
+        (["inspect", "config", "=3"], ["'=3' has no key"]),
+        (["inspect", "config", "terrain=3"], ["terrain: a name", "3"]),
+        (["inspect", "config", "network=[1,2]"], ["network: a name", "[1, 2]"]),
+        (["eval", "--controller", "level", "terrain=null"], ["terrain: a name", "None"]),
         (["train", "terain=stair"], ["terain", "'terrain'"]),
         (["train", "terrain=stiar"], ["terrain", "'stiar'", "'stair'"]),
         (["train", "network=at_d3q"], ["network", "'at_d3qn'"]),
@@ -150,6 +159,7 @@ def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
     assert done.code == 1
     assert "rewards.hole" in done.err
     assert "nan" in done.err
+    assert "Error executing job" not in done.err
 
 
 def test_a_network_of_wrong_output_shape_is_refused(tmp_path: Path) -> None:

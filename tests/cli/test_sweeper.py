@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 
 from flipperctl.cli.search import SearchSettings, objective, search_space
 from flipperctl.cli.sweeper import OptunaSweeper
+from flipperctl.cli.sweeps import SweepLauncher
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
@@ -44,9 +45,10 @@ def search(
     storage = f"sqlite:///{folder}/search.db"
     sweeper = OptunaSweeper()
     sweeper.settings = SearchSettings(storage=storage, **settings)
-    sweeper.launcher, sweeper.folder = Launcher(fails), folder
+    launcher = Launcher(fails)
+    sweeper.jobs, sweeper.folder = SweepLauncher(launcher, named=False), folder
     sweeper.sweep(overrides)
-    return sweeper.launcher.jobs, trials(folder)
+    return launcher.jobs, trials(folder)
 
 
 def trials(folder: Path) -> list[optuna.trial.FrozenTrial]:

@@ -17,7 +17,7 @@ from flipperctl.env.render import BELT
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
-from flipperctl.report.learning import column, learning_figure, running_mean
+from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
 from flipperctl.report.terrain import terrain_figure
 
 ROBOT = RobotGeometry()
@@ -117,7 +117,10 @@ def test_learning_has_a_panel_each_and_the_scale_of_epsilon() -> None:
     assert [label.split("[")[0].split("$")[0].strip() for label in labels] == [
         "success", "pitch variation", "return", "loss", "ε, random actions",
     ]  # fmt: skip
-    curve, points = figure.axes[0].get_lines()
+    begin, curve, points = figure.axes[0].get_lines()
+    assert len(begin.get_xdata()) == 100
+    assert begin.get_linewidth() < curve.get_linewidth()
+    assert np.asarray(curve.get_xdata())[0] == 99 * 40
     assert np.asarray(curve.get_ydata())[-1] == 50.0
     assert np.asarray(points.get_ydata()).tolist() == [75.0]
 
@@ -125,6 +128,27 @@ def test_learning_has_a_panel_each_and_the_scale_of_epsilon() -> None:
 @pytest.mark.parametrize("episodes", [0, 1, 2, 150])
 def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
     save(learning_figure(rows(episodes), [], "run"), tmp_path / "run.svg")
+
+
+def test_a_mean_of_a_hundred_is_told_of_a_hundred_only() -> None:
+    figure = learning_figure(rows(3), VALIDATIONS, "run")
+    labels = [str(line.get_label()) for line in figure.axes[1].get_lines()]
+    assert labels == ["episode", "mean of all episodes so far, fewer than 100", "validation"]
+
+
+def test_the_loss_is_empty_before_the_first_update() -> None:
+    written = np.array([0.0, math.nan, 0.0, 0.2, 0.0, 0.1])  # by an older version: 0, not empty
+    expected = np.array([math.nan, math.nan, math.nan, 0.2, 0.0, 0.1])
+    assert since_first_update(written) == pytest.approx(expected, nan_ok=True)
+    unlearned = [{**row, "loss": "0.0"} for row in rows(3)]
+    assert "no update yet" in texts(learning_figure(unlearned, [], "run"))
+
+
+def test_dots_of_few_and_of_many_episodes_are_seen() -> None:
+    for episodes, smallest in ((5, 5.0), (300, 3.0), (3000, 1.6)):
+        dots = learning_figure(rows(episodes), [], "run").axes[1].get_lines()[0]
+        assert dots.get_markersize() >= smallest
+        assert dots.get_alpha() is None
 
 
 def test_running_mean_by_hand() -> None:

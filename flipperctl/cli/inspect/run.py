@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,7 +81,7 @@ def _print(found: dict[str, Any]) -> None:
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
-        state = "interrupted; flipperctl train --resume goes on"
+        state = f"interrupted; go on with: flipperctl train --resume {shlex.quote(found['run'])}"
     table = Table(title=f"{found['run']}: {state}", title_justify="left")
     headings = ("decision", "success", "θ̂_R [rad]", "t_cost [s]", "return")
     for heading in headings:

@@ -1,0 +1,140 @@
+"""What a sweep ends with: a table that compares its runs, and ``sweep.csv`` with all of them."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn
+
+from flipperctl.cli.training import shown
+from flipperctl.errors import InterruptedRunError
+from flipperctl.files import write_bytes
+from flipperctl.training.run_folder import SUMMARY
+
+FILE = "sweep.csv"
+_ROWS = 40
+"""Runs that the table shows at most; the file has all."""
+
+
+@dataclass(frozen=True)
+class SweepRun:
+    """One run of a sweep, after its job returned."""
+
+    job: int
+    swept: dict[str, str]
+    """Key → value of what the sweep varies."""
+    folder: Path
+    error: Exception | None
+    summary: dict[str, Any]
+    """``summary.json``; empty if there is none."""
+
+    @property
+    def state(self) -> str:
+        """What became of the run, in a word; the error has its own column."""
+        if self.summary.get("finished"):
+            return "finished"
+        return "interrupted" if isinstance(self.error, InterruptedRunError) else "failed"
+
+    def row(self) -> dict[str, Any]:
+        """The run as a row of ``sweep.csv``; the measures are those of its best validation."""
+        best = self.summary.get("best") or {}
+        measures = ("success_rate", "pitch_variation", "t_cost")
+        return {
+            "job": self.job,
+            **self.swept,
+            **{name: best.get(name) for name in measures},
+            "best_decision": best.get("decision"),
+            "decisions": self.summary.get("decisions"),
+            "seconds": self.summary.get("seconds"),
+            "state": self.state,
+            "error": str(self.error or ""),
+            "folder": str(self.folder),
+        }
+
+
+def outcome(job: JobReturn) -> tuple[Any, Exception | None]:
+    """What a job returned, or the error that ended it.
+
+    ``return_value`` raises that error, and writes a line to stderr before: the error is shown
+    once, by the command.
+    """
+    with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            return job.return_value, None
+        except Exception as error:  # noqa: BLE001 (a job may fail in any way)
+            return None, error
+
+
+def sweep_run(job: JobReturn, number: int, swept: dict[str, str]) -> SweepRun:
+    """The run that a job trained."""
+    composed: Any = job.hydra_cfg
+    folder = Path(composed.hydra.runtime.output_dir)
+    try:
+        summary = json.loads((folder / SUMMARY).read_text())
+    except (OSError, ValueError):  # it failed before it wrote one, or lies on another machine
+        summary = {}
+    return SweepRun(number, swept, folder, outcome(job)[1], summary)
+
+
+def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
+    """Write ``sweep.csv`` into the sweep's ``folder`` and print the table to stderr."""
+    if not runs:
+        return
+    rows = _earlier(folder / FILE, runs) + [run.row() for run in runs]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(folder / FILE, text.getvalue().encode())
+    _print(folder, runs)
+
+
+def _earlier(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
+    """The rows of an earlier sweep into the same folder, but those of runs that are told anew."""
+    if not path.is_file():
+        return []
+    told = {str(run.folder) for run in runs}
+    with path.open(newline="") as file:
+        return [row for row in csv.DictReader(file) if row.get("folder") not in told]
+
+
+def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    keys = list(dict.fromkeys(key for run in runs for key in run.swept))
+    table = Table(title=f"{shown(folder)}: {len(runs)} runs", title_justify="left")
+    for key in keys:
+        table.add_column(escape(key))
+    for heading in ("success", "θ̂_R [rad]", "t_cost [s]", "decisions", "seconds"):
+        table.add_column(escape(heading), justify="right")
+    table.add_column("folder", overflow="fold")
+    for run in runs[:_ROWS]:
+        row = run.row()
+        table.add_row(
+            *(escape(run.swept.get(key, "")) for key in keys),
+            _number(row["success_rate"], ".1%"),
+            _number(row["pitch_variation"], ".3f"),
+            _number(row["t_cost"], ".1f"),
+            _number(row["decisions"], "d"),
+            _number(row["seconds"], ".0f"),
+            escape(run.folder.name) + ("" if run.state == "finished" else f" ({run.state})"),
+        )
+    console = Console(stderr=True, width=None if sys.stderr.isatty() else 160)
+    console.print(table)
+    left = len(runs) - _ROWS
+    more = f"{left} more runs and the table" if left > 0 else "the table"
+    console.print(f"{more}: {shown(folder / FILE)}", highlight=False, markup=False)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)

@@ -1,0 +1,165 @@
+"""Sweeps over lists, as Hydra's basic sweeper runs them, told apart by what they vary.
+
+In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
+and a table that compares them. Any launcher trains them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn
+from hydra.plugins.launcher import Launcher
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from flipperctl.cli.comparison import SweepRun, compare, sweep_run
+from flipperctl.errors import InterruptedRunError
+from flipperctl.files import make_folder
+from flipperctl.training.lock import hold
+
+UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
+"""``hydra.sweep.subdir`` of train.yaml, which gives way to the names of what is swept."""
+_LONGEST = 120
+"""Characters of a folder's name; file systems allow 255 bytes."""
+_TARGET = "hydra_plugins.flipperctl.ListSweeper"
+
+
+def offer() -> None:
+    """Take the place of ``hydra/sweeper=basic``, the default."""
+    # Hydra finds sweepers by this name alone, and only below hydra_plugins; the class stays here,
+    # so that worker processes can import it.
+    Plugins.instance().class_name_to_class[_TARGET] = ListSweeper
+    node = {"_target_": _TARGET, "max_batch_size": None, "params": None}
+    ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=node)
+
+
+def folder_name(number: int, swept: Mapping[str, str]) -> str:
+    """The folder of a sweep's run, as in ``0_seed=1,terrain=step``.
+
+    What a shell or a file system could take amiss becomes ``_``; a long name is cut.
+    """
+    words = ",".join(f"{key}={_short(value)}" for key, value in swept.items())
+    name = re.sub(r"[^A-Za-z0-9_.,=+-]+", "_", f"{number}_{words}")
+    return name if len(name) <= _LONGEST else name[: _LONGEST - 1] + "_"
+
+
+def _short(value: str) -> str:
+    """A number with five digits, since a search draws sixteen; other values as they are."""
+    try:
+        return value if len(value) <= 8 else f"{float(value):.5g}"
+    except ValueError:
+        return value
+
+
+def leaves_naming(config: DictConfig) -> bool:
+    """Whether ``hydra.sweep.subdir`` is train.yaml's still."""
+    sweep: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
+    return bool(sweep["subdir"] == UNNAMED)
+
+
+class SweepLauncher:
+    """Hydra's launcher, with named folders, that remembers what became of the jobs."""
+
+    def __init__(self, launcher: Launcher, *, named: bool) -> None:
+        """``named``: whether the folders are named after what is swept."""
+        self._launcher, self._named = launcher, named
+        self.swept: list[str] = []
+        """The keys that the sweep varies."""
+        self.runs: list[SweepRun] = []
+
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
+        """Train each job; returns what Hydra's launcher returns."""
+        from hydra._internal.core_plugins.basic_launcher import BasicLauncher
+
+        # Hydra's own launcher works one job after the other, and would go on after a Ctrl-C.
+        size = 1 if isinstance(self._launcher, BasicLauncher) else len(job_overrides)
+        returns: list[JobReturn] = []
+        for start in range(0, len(job_overrides), size):
+            number = initial_job_idx + start
+            jobs = job_overrides[start : start + size]
+            returns += self._launch(jobs, number)
+            if isinstance(self.runs[-1].error, InterruptedRunError):
+                break
+        return returns
+
+    def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
+        swept = [self._varied(job) for job in jobs]
+        if self._named and self.swept:
+            names = [folder_name(first + i, values) for i, values in enumerate(swept)]
+            jobs = [
+                [*job, f"hydra.sweep.subdir='{name}'"]
+                for job, name in zip(jobs, names, strict=True)
+            ]
+        returns = self._launcher.launch(jobs, initial_job_idx=first)
+        self.runs += [
+            sweep_run(job, first + i, values)
+            for i, (job, values) in enumerate(zip(returns, swept, strict=True))
+        ]
+        return returns
+
+    def _varied(self, job: Sequence[str]) -> dict[str, str]:
+        values = dict(override.partition("=")[::2] for override in job)
+        return {key.lstrip("+~"): values[key] for key in self.swept if key in values}
+
+
+class ListSweeper(Sweeper):
+    """Hydra's basic sweeper, with named folders and a table at the end."""
+
+    def __init__(self, max_batch_size: int | None, params: DictConfig | None) -> None:
+        self._settings: dict[str, Any] = {"max_batch_size": max_batch_size, "params": params}
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Called by Hydra before ``sweep``."""
+        # Not at the head of this file: Hydra loads its own plugins anew when it looks for them.
+        from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+
+        self._sweeper = cast("Any", BasicSweeper(**self._settings))
+        self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
+        self._folder = Path(str(config.hydra.sweep.dir))
+        self._jobs = SweepLauncher(self._sweeper.launcher, named=leaves_naming(config))
+        self._sweeper.launcher = _Raising(self._jobs)
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Train every combination.
+
+        Raises:
+            FlipperctlError: the first of the jobs' errors, after all jobs had their turn.
+            RunHeldError: another process works in the sweep's folder.
+        """
+        params = self._settings["params"] or {}
+        given = [*(f"{key}={value}" for key, value in params.items()), *arguments]
+        overrides = OverridesParser.create().parse_overrides(given)
+        self._jobs.swept = [o.get_key_element() for o in overrides if o.is_sweep_override()]
+        with hold(make_folder(self._folder), "sweep"):
+            try:
+                self._sweeper.sweep(arguments)
+            finally:
+                compare(self._folder, self._jobs.runs)
+
+
+class _Raising:
+    """Raises the first error of the jobs as it is, before Hydra's sweeper adds words to it."""
+
+    def __init__(self, jobs: SweepLauncher) -> None:
+        self._jobs = jobs
+
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
+        returns = self._jobs.launch(job_overrides, initial_job_idx=initial_job_idx)
+        for run in self._jobs.runs:
+            if run.error is not None:
+                raise run.error
+        return returns

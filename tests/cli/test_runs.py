@@ -1,0 +1,214 @@
+"""Run directories: held by one process, and resumed from whatever a kill leaves."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.training import run_folder
+from flipperctl.cli.sweeps import UNNAMED, folder_name
+from flipperctl.training.lock import hold
+from flipperctl.training.trainer import Trainer
+from tests.cli.call import RUN, call
+from tests.long.forked import differences, result
+
+EXACT = {**RUN, "train.mode": "exact", "train.decisions": 200, "train.validate_every": 90}
+QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that nobody stopped; its folder's name needs quotes."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = call("train", *QUICK, "hydra.run.dir='a run'", cwd=folder)
+    assert done.code == 0, done.err
+    assert "flipperctl eval --checkpoint 'a run'\n" in done.err
+    return folder / "a run"
+
+
+def files(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("command", ["start", "resume"])
+def test_a_run_that_is_being_trained_is_left_alone(
+    command: str, whole: Path, tmp_path: Path
+) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    with hold(run):
+        before = files(run)
+        budget = ["train.decisions=400"]
+        arguments = {
+            "start": ["hydra.run.dir=run", *QUICK, *budget],
+            "resume": ["--resume", "run", *budget],
+        }[command]
+        done = call("train", *arguments, cwd=tmp_path)
+        assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+        assert "run is being trained by process" in done.err
+        assert files(run) == before
+
+
+def _nothing(run: Path) -> None:
+    """Killed after config.yaml."""
+    for name in ("best", "last"):
+        (run / f"checkpoints/{name}.safetensors").unlink()
+    (run / "checkpoints/.last.safetensors.part").write_bytes(b"half")
+
+
+def _best_alone(run: Path) -> None:
+    (run / checkpoint.LAST).unlink()
+    (run / "config.yaml").unlink()
+
+
+def _empty_config(run: Path) -> None:
+    (run / checkpoint.LAST).unlink()
+    (run / "config.yaml").write_text("")
+
+
+def _no_summary(run: Path) -> None:
+    """Killed after the last checkpoint."""
+
+
+def _half_a_row(run: Path) -> None:
+    with (run / "metrics.csv").open("a") as file:
+        file.write("episode,2")
+
+
+@pytest.mark.parametrize("leave", [_nothing, _best_alone, _empty_config, _no_summary, _half_a_row])
+def test_a_run_goes_on_from_whatever_a_kill_leaves(
+    leave: Callable[[Path], None], whole: Path, tmp_path: Path
+) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    (run / "summary.json").unlink()
+    leave(run)
+    begins = not (run / checkpoint.LAST).exists()
+    anew = call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path)
+    assert anew.code == 2
+    assert "go on with: flipperctl train --resume run, or" in anew.err
+    done = call("train", "--resume", "run", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert ("it begins again" in done.err) == begins
+    assert differences(run, result(whole)) == []
+    assert list(run.rglob("*.part")) == []
+    again = call("train", "--resume", "run", cwd=tmp_path)
+    assert "nothing left to do" in again.err
+
+
+def test_a_folder_without_a_run_is_started_anew(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text("")  # and no checkpoint: nothing to lose
+    done = call("train", "--resume", "run", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "started anew" in done.err
+    assert call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path).code == 0
+
+
+def test_a_config_that_is_damaged_says_so(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.yaml").write_text("terrain: [")
+    done = call("train", "--resume", "run", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "run/config.yaml is damaged" in done.err
+
+
+def test_the_written_configuration_is_the_one_that_is_read(whole: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    saved, config = run_folder.read(run)
+    assert saved is not None
+    (run / checkpoint.LAST).unlink()
+    assert run_folder.read(run) == (None, config)
+
+
+def test_a_checkpoint_outside_of_a_run_is_no_run(whole: Path, tmp_path: Path) -> None:
+    shutil.copy(whole / checkpoint.LAST, tmp_path / "mine.safetensors")
+    done = call("train", "--resume", "mine.safetensors", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "does not lie in a run directory" in done.err
+
+
+def test_a_run_directory_that_is_deleted_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    validate = Trainer._validate
+
+    def delete(self: Trainer, collector: Any) -> None:
+        shutil.rmtree(self.directory)
+        validate(self, collector)
+
+    monkeypatch.setattr(Trainer, "_validate", delete)
+    done = call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path)
+    assert done.code == 1
+    assert len(done.err.splitlines()) == 1
+    assert "run was deleted or moved while the run was training" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["inspect", "config"], ["--help"]])
+def test_an_output_that_is_full_is_one_clear_error(arguments: list[str]) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no device that is always full")
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "flipperctl", *arguments]
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        )
+    assert done.returncode == 1
+    assert done.stderr == ("error: standard output cannot be written: No space left on device\n")
+
+
+def test_folders_are_named_after_what_is_swept() -> None:
+    assert folder_name(3, {"seed": "1", "terrain": "step"}) == "3_seed=1,terrain=step"
+    assert (
+        folder_name(0, {"agent.learning_rate": "0.00031234567"})
+        == "0_agent.learning_rate=0.00031235"
+    )
+    odd = folder_name(12, {"terrain.path": "../a b/'c'.csv", "train.x": "[1,2]"})
+    assert odd == "12_terrain.path=.._a_b_c_.csv,train.x=_1,2_"
+    assert len(folder_name(1, {f"agent.key{i}": "value" for i in range(40)})) == 120
+
+
+def test_the_name_that_gives_way_is_the_one_that_is_configured() -> None:
+    configured = (Path(__file__).parents[2] / "configs" / "train.yaml").read_text()
+    assert f"subdir: {UNNAMED}\n" in configured
+
+
+def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(tmp_path: Path) -> None:
+    (tmp_path / "0").mkdir()
+    options = ["hydra.sweep.dir=.", "hydra.sweep.subdir=${hydra.job.num}"]
+    shutil.copytree(tmp_path / "0", tmp_path / "copy")
+    (tmp_path / "0" / "config.yaml").write_text("mine")
+    done = call("train", "-m", *QUICK, "seed=1,2", *options, cwd=tmp_path)
+    assert done.code == 2
+    assert "Error executing job" not in done.err
+    assert done.err.splitlines()[-1].startswith("error: ")
+    assert "already holds a run" in done.err.splitlines()[-1]
+    table = (tmp_path / "sweep.csv").read_text()
+    assert "failed" in table
+    assert "finished" in table
+    assert json.loads((tmp_path / "1" / "summary.json").read_text())["finished"] is True
+    assert (tmp_path / "0" / "config.yaml").read_text() == "mine"
+
+
+def test_ctrl_c_stops_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flipperctl.cli.training._interrupts", lambda: nullcontext(lambda: True))
+    done = call("train", "-m", *QUICK, "seed=1,2", "hydra.sweep.dir=s w", cwd=tmp_path)
+    assert done.code == 130
+    last = done.err.splitlines()[-1]
+    assert last.endswith("Go on with: flipperctl train --resume 's w/0_seed=1'")
+    assert [path.name for path in (tmp_path / "s w").iterdir() if path.is_dir()] == ["0_seed=1"]
+    assert "interrupted" in (tmp_path / "s w" / "sweep.csv").read_text()
+
+
+def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
+    with hold(tmp_path, "sweep"):
+        before = files(tmp_path)
+        done = call("train", "-m", *QUICK, "seed=1,2", "hydra.sweep.dir=.", cwd=tmp_path)
+        assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+        assert files(tmp_path) == before

@@ -1,0 +1,159 @@
+"""SIGKILL at random moments: each run that is killed is resumed to the result of one that was not.
+
+``python -m tests.long.kills --count 200 --early 50 --seed 1`` kills real trainings, ``--early`` of
+them before their first checkpoint, and prints a table; it fails on any violation.
+"""
+
+import argparse
+import random
+import shutil
+import sys
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tests.long.forked import QUICK, Command, Tally, differences, preload, report, result, start
+
+LAST = Path("checkpoints/last.safetensors")
+_AGAIN = 0.3
+"""Share of the resumed runs that are killed again, at most twice."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A run that was not killed."""
+
+    arguments: list[str]
+    found: dict[str, Any]
+    begun: float
+    """When its config.yaml was there [s]."""
+    first: float
+    """When its first checkpoint was there [s]."""
+    whole: float
+    """When it had ended [s]."""
+
+
+def reference(mode: str, folder: Path) -> Reference:
+    """Train to the end."""
+    arguments = ["train", *QUICK, f"train.mode={mode}", "hydra.run.dir=run"]
+    folder.mkdir()
+    command = start(arguments, folder, folder / "log")
+    begun = first = 0.0
+    while not command.ended():
+        if not begun and (folder / "run" / "config.yaml").exists():
+            begun = command.age
+        if not first and (folder / "run" / LAST).exists():
+            first = command.age
+        time.sleep(0.001)
+    whole = command.age
+    if command.code != 0:
+        raise SystemExit(f"the reference failed: {command.text}")
+    return Reference(arguments, result(folder / "run"), begun, first, whole)
+
+
+class Case:
+    """One run that is killed, once or more often, and brought to its end."""
+
+    def __init__(self, model: Reference, folder: Path, rng: random.Random) -> None:
+        self.model, self.folder, self.rng = model, folder, rng
+        self.tally = Tally(count=1)
+        folder.mkdir()
+
+    def kill(self, earliest: float, latest: float) -> str | None:
+        """Kill it at a time between [s]; returns what was there then, None if it had ended."""
+        command = self._start(self.model.arguments)
+        if not self._killed(command, self.rng.uniform(earliest, latest)):
+            return None
+        run = self.folder / "run"
+        if (run / LAST).exists():
+            return "after the first checkpoint"
+        return "before the first checkpoint" if self._begun() else "before config.yaml"
+
+    def finish(self) -> Tally:
+        """Resume it, perhaps killing it again, and compare."""
+        resume = ["train", "--resume", "run"]
+        for _ in range(2):
+            if self._begun() and self.rng.random() < _AGAIN:
+                self._killed(self._start(resume), self.rng.uniform(0.0, self.model.whole))
+        if not self._begun():  # it was no run yet: that is said, and it is started anew
+            self._end(self._start(resume), 2)
+            self._end(self._start(self.model.arguments), 0)
+        else:
+            self._end(self._start(resume), 0)
+        wrong = differences(self.folder / "run", self.model.found)
+        self.tally.changes += bool(wrong)
+        if self.tally.violations:
+            print(f"{self.folder}: {wrong}; {(self.folder / 'log').read_text()}", file=sys.stderr)
+        else:
+            shutil.rmtree(self.folder)
+        return self.tally
+
+    def _begun(self) -> bool:
+        return any((self.folder / "run" / name).exists() for name in ("config.yaml", LAST))
+
+    def _start(self, arguments: list[str]) -> Command:
+        return start(arguments, self.folder, self.folder / "log")
+
+    def _killed(self, command: Command, moment: float) -> bool:
+        while command.age < moment and not command.ended():
+            time.sleep(0.001)
+        killed = command.kill()
+        self.tally.hangs += not command.left_alone()
+        return killed
+
+    def _end(self, command: Command, expected: int) -> None:
+        self.tally.hangs += not command.wait()
+        self.tally.check(command, expected)
+        self.tally.hangs += not command.left_alone()
+
+
+def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
+    """Kill ``count`` runs, ``early`` of them before their first checkpoint; returns the exit code.
+
+    ``fast``: share of trainings with worker processes.
+    """
+    begun = time.monotonic()
+    rng = random.Random(seed)
+    preload()
+    names = ["exact"] * (fast < 1) + ["fast"] * (fast > 0)
+    modes = {mode: reference(mode, folder / mode) for mode in names}
+    tallies: dict[str, Tally] = defaultdict(Tally)
+    left = {"early": early, "later": count - early}
+    for index in range(20 * count):
+        if not any(left.values()):
+            break
+        mode = "fast" if rng.random() < fast else "exact"
+        model = modes[mode]
+        case = Case(model, folder / f"case{index}", rng)
+        # Half of the early ones while the first files are written, a small part of that time.
+        earliest = model.begun if left["early"] % 2 else 0.0
+        moment = case.kill(earliest, model.first if left["early"] else model.whole)
+        kind = "later" if moment == "after the first checkpoint" else "early"
+        if moment is None or not left[kind]:
+            shutil.rmtree(case.folder)
+            continue
+        left[kind] -= 1
+        tallies[f"{mode}, {moment}"].add(case.finish())
+    if any(left.values()):
+        print(f"these kills did not come about: {left}", file=sys.stderr)
+        return 1
+    return report(tallies, time.monotonic() - begun)
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--early", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--fast", type=float, default=0.25, help="share with worker processes")
+    given = parser.parse_args()
+    with TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
+        sys.exit(run(given.count, given.early, given.seed, Path(folder), given.fast))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""A handful of what ``python -m tests.long.kills`` and ``races`` try by the hundred."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["kills", "--count", "4", "--early", "2", "--fast", "0"],
+        ["races", "--count", "3", "--fast", "0"],
+    ],
+    ids=["kills", "races"],
+)
+def test_kills_and_races_change_nothing(command: list[str]) -> None:
+    name, *options = command
+    done = subprocess.run(
+        [sys.executable, "-m", f"tests.long.{name}", *options, "--seed", "5"],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 violations" in done.stdout
