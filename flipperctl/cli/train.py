@@ -84,7 +84,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     sweeper.offer()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
-    compose.check_mappings([o for o in overrides if not o.startswith("-")])
+    compose.check_mappings([o for o in overrides if "=" in o and not o.startswith("-")])
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if check and not any(a.startswith("-") for a in overrides):
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
