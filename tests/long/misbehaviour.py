@@ -43,14 +43,16 @@ RETURNED = {
     ("reward", "bounds"): ("None", "(1.0, 0.0)", "3", "('a', 'b')", "(0.0,)", "(float('nan'), 1)"),
     ("network", "build"): (
         *("None", "'net'", "5", "torch.nn.Linear", "torch.nn.Linear(size, 4)"),
-        *("torch.nn.Identity()", "torch.nn.Linear(5, 9)", "torch.nn.LSTM(size, 9)", "torch.nn.Linear(size, 9).half()"),
+        *("torch.nn.Identity()", "torch.nn.Linear(5, 9)", "torch.nn.LSTM(size, 9)"),
+        "torch.nn.Linear(size, 9).half()",
         *("torch.nn.Sequential(torch.nn.BatchNorm1d(size), torch.nn.Linear(size, 9))",),
         "lambda x: x",
         "torch.nn.Sequential(torch.nn.Linear(size, 10**6), torch.nn.Linear(10**6, 10**6))",
     ),
     ("network", "forward"): (
         *("None", "'q'", "7", "torch.zeros(len(x), 3)", "torch.zeros(1)", "(x, x)"),
-        *("torch.zeros(())", "torch.full((len(x), 9), float('nan'))", "torch.full((len(x), 9), float('inf'))"),
+        *("torch.zeros(())", "torch.full((len(x), 9), float('nan'))"),
+        "torch.full((len(x), 9), float('inf'))",
     ),
     ("network", "frames"): ("0", "33", "'2'", "None", "1e300", "2.0", "-1"),
     ("network", "quantiles"): ("None", "torch.zeros(1)", "torch.zeros(len(x), 9)", "'q'"),
