@@ -124,7 +124,7 @@ def _culprit(
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)
             cls = owner if isinstance(owner, type) else type(owner)
-            if issubclass(cls, Plugin) and not _is_core(frame) and owner is not seen:
+            if issubclass(cls, Plugin) and _is_of(frame, cls) and owner is not seen:
                 seen, plugin, method = owner, owner, frame.f_code.co_name
     return plugin, method
 
@@ -151,6 +151,12 @@ def _module(frame: FrameType) -> str:
 
 def _is_core(frame: FrameType) -> bool:
     return _package(_module(frame)) == _CORE
+
+
+def _is_of(frame: FrameType, cls: type[Plugin]) -> bool:
+    """Whether the code is a plugin's own, and not that of a library that it is made with."""
+    same = _package(_module(frame)) == _package(cls.__module__)
+    return _is_foreign(frame) or (same and not _is_core(frame))
 
 
 def _is_foreign(frame: FrameType) -> bool:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
     from pydantic import BaseModel, ValidationError
 
+_LONGEST = 600  # characters of what a validator says
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
@@ -72,7 +73,7 @@ def explain(
     allowed = f" ({bounds(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
-    message = first["msg"].removeprefix("Value error, ")
+    message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
     return f"{location}: {message}{allowed}; the value is {_short(first['input'])}{rest}"
 
 

@@ -174,9 +174,10 @@ def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
     """
     try:
         return cls(**fields)
-    except ValidationError:
-        raise
     except BaseException as error:
+        own_title = cls.model_config.get("title") or cls.__name__
+        if isinstance(error, ValidationError) and error.title == own_title:
+            raise  # not that of another model that the plugin's code made
         raise guard.fault(error, cls, "its construction", PluginError) from error
 
 

@@ -133,19 +133,19 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
     found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
     if found != (2, n_actions):
         text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {found}"
-        raise refusal(network, "build", text, ConfigError)
+        raise _unfit(network, text)
     if output.dtype != torch.float32 or not bool(output.isfinite().all()):
         text = (
             "the Q-values must be finite float32 numbers; "
             f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
         )
-        raise refusal(network, "build", text, ConfigError)
+        raise _unfit(network, text)
     if isinstance(module, Distributional):
         quantiles = _called(network, module, probe, "", "quantiles")
         found = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
         if len(found) != 3 or found[:2] != (2, n_actions) or not found[2]:
             text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
-            raise refusal(network, "build", text, ConfigError)
+            raise _unfit(network, text)
     uses = (
         ("train", 1, "in train() mode, in which a training acts"),
         ("eval", 1, "in eval() mode, in which a policy is evaluated and exported"),
@@ -158,7 +158,12 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
         found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
         if found != (rows, n_actions):
             text = f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {found}"
-            raise refusal(network, "build", text, ConfigError)
+            raise _unfit(network, text)
+
+
+def _unfit(network: Network, text: str) -> ConfigError:
+    where = definition(network, "build")
+    return ConfigError(f"{called(network)}: forward: {text} ({where})")
 
 
 def _called(

@@ -211,7 +211,10 @@ class ObservationLayout(Settings):
 
 @dataclass(frozen=True)
 class Perception:
-    """What a controller may know when it decides: sensed, never the true terrain."""
+    """What a controller may know when it decides: terrain points and angles as sensed.
+
+    They are as exact as the configuration's ``perception`` says, and nothing is occluded.
+    """
 
     observation: NDArray[np.float32]
     """(N + 3,) laid out as ``layout`` says."""

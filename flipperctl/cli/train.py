@@ -93,7 +93,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         check_words(overrides)
     with compose.translated():
         check_folders(o for o in overrides if "=" in o and not o.startswith("-"))
-    compose.check_mappings([o for o in overrides if not o.startswith("-")])
+    compose.check_mappings([o for o in overrides if "=" in o and not o.startswith("-")])
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if check and not any(a.startswith("-") for a in overrides):
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]

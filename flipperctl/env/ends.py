@@ -1,4 +1,7 @@
-"""Ends of an episode (design: reached, overturned, stuck, timeout)."""
+"""How an episode ends: reached, overturned, stuck or timeout.
+
+In: where the robot is, sample by sample and after each decision. Out: the outcome, or None.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,10 @@ from flipperctl.config import Episode
 
 
 class Ends:
-    """Judges one episode: ``instant`` where ``limits`` are reached, ``decision`` after each."""
+    """Ends one episode: ``instant`` within a decision, ``decision`` after one that ended nothing.
+
+    The world stops at the first sample that reaches ``limits``; ``instant`` says which end it is.
+    """
 
     def __init__(
         self, profile: Profile, robot: Robot, episode: Episode, start: float, period: float
@@ -18,7 +24,7 @@ class Ends:
         """``start``: x of the chassis centre [m]; ``period``: of the decisions [s]."""
         self._episode = episode
         self.finish = profile.end + episode.run_out
-        # Behind the profile the ground is level, so that one height tells who is close to it.
+        # Past the profile the ground is level, so that one height tells who is close to it.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
         self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
         nominal = (self.finish - start) / robot.track_speed  # [s]
@@ -27,7 +33,7 @@ class Ends:
         self._decisions = 0
 
     def instant(self, world: World) -> Outcome | None:
-        """Overturned, or behind the finish with the whole chassis close to the ground."""
+        """Overturned, or past the finish with the chassis' higher end close to the ground."""
         limits = self.limits
         if abs(world.pitch) >= limits.angle:
             return Outcome.OVERTURNED

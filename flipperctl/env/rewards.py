@@ -13,6 +13,8 @@ from flipperctl.guard import called, definition, fault, refusal, shown
 
 _ROUNDING = 1e-9
 """Of a value at its bounds, relative to them where they are large."""
+_LARGEST = 1e30
+"""Of a weighted value: the learner's sums in single precision end at 3e38."""
 
 
 class _Term(NamedTuple):
@@ -50,7 +52,7 @@ class RewardSum:
             if type(value) is not float:
                 value = _number(name, term, value, t)
             part = weight * value
-            if not (low <= value <= high and math.isfinite(part)):  # a NaN is never within bounds
+            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):  # a NaN is not
                 raise _beyond(name, term, value, part, t)
             parts[name] = part
         return parts
@@ -95,12 +97,19 @@ def _number(name: str, term: RewardTerm, value: object, t: Transition) -> float:
 def _beyond(
     name: str, term: RewardTerm, value: float, part: float, t: Transition
 ) -> FlipperctlError:
-    where = f"rewards.{name}: the term ({type(term).__module__}.{type(term).__qualname__})"
+    module, qualname = type(term).__module__, type(term).__qualname__
+    where = f"rewards.{name}: the term {term.plugin_name!r} ({module}.{qualname}): __call__"
     at = f"at time {t.after.time:.2f} s"
     if not math.isfinite(part):
         weighted = "" if not math.isfinite(value) else f", times its weight {term.weight:g},"
         return NonFiniteError(
             f"{where} returned {value}{weighted} {at}; a finite number is allowed "
+            f"({definition(term, '__call__')})"
+        )
+    if abs(part) > _LARGEST:
+        return PluginFailedError(
+            f"{where} returned {value:g}, times its weight {term.weight:g}, {at}; at most "
+            f"{_LARGEST:g} is allowed, since the learner sums in single precision "
             f"({definition(term, '__call__')})"
         )
     low, high = term.bounds

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from unittest import SkipTest
 
 from flipperctl.api import Plugin
-from flipperctl.errors import ConformanceError
+from flipperctl.errors import ConformanceError, FlipperctlError
+from flipperctl.guard import called, place, words
 from flipperctl.testing.variants import Variant
 
 
@@ -36,17 +35,17 @@ class Check:
         try:
             self.run()
         except ConformanceError as error:
-            raise ConformanceError(f"{called(self.plugin)}{error}") from error.__cause__
+            raise ConformanceError(f"{called(self.plugin)} {error}") from error.__cause__
+        except (SkipTest, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # the plugin's own code may raise anything
+            told = _told(error, self.plugin)
+            raise ConformanceError(f"{called(self.plugin)} raises {told}") from error
 
     def __str__(self) -> str:
         """Kind, plugin and check, as a test's id."""
         name = getattr(self.plugin, "plugin_name", self.plugin.__name__)
         return f"{self.plugin.kind}-{name}-{self.name}"
-
-
-def called(plugin: type[Plugin]) -> str:
-    """How an error names a plugin."""
-    return f"{plugin.kind} {getattr(plugin, 'plugin_name', plugin.__name__)!r} "
 
 
 def over(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
@@ -63,8 +62,8 @@ def over(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
             failed.append((variant.label, error))
         except (SkipTest, KeyboardInterrupt):
             raise
-        except Exception as error:  # noqa: BLE001  # the plugin's own code may raise anything
-            told = ConformanceError(f"{type(error).__name__}: {error}{_place(error)}")
+        except BaseException as error:  # noqa: BLE001  # the plugin's own code may raise anything
+            told = ConformanceError(_told(error, variant.plugin))
             told.__cause__ = error
             failed.append((variant.label, told))
     if failed:
@@ -84,11 +83,7 @@ def require(holds: bool, text: str) -> None:
         raise ConformanceError(text)
 
 
-def _place(error: Exception) -> str:
-    """File and line of the innermost frame that is neither ours nor a library's."""
-    ours = ("flipperctl", "pydantic", "numpy", "torch")
-    for frame, line in reversed(list(traceback.walk_tb(error.__traceback__))):
-        name = str(frame.f_globals.get("__name__", ""))
-        if name.partition(".")[0] not in (*ours, *sys.stdlib_module_names):
-            return f" ({frame.f_code.co_filename}:{line})"
-    return ""
+def _told(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
+    """What the plugin's own code raised, and where; the core's own errors say it already."""
+    where = "" if isinstance(error, FlipperctlError) else f" ({place(error, plugin, '')})"
+    return f"{words(error)}{where}"

@@ -19,7 +19,7 @@ from flipperctl.files import failure, make_folder, write_bytes
 
 
 class Listener(Protocol):
-    """Hears of every episode, every validation and now and then of the state between."""
+    """Hears of every episode that ends, of every validation, and of what the user should know."""
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """A training episode ended."""

@@ -3,9 +3,10 @@
 In: a validated configuration and an empty run directory, or one to go on in. Out: checkpoints and
 summary.json; config.yaml is the command line's, metrics.csv and events are the listeners'.
 
-A full checkpoint is taken between episodes only: there the world holds no state, so a resumed
-run repeats the uninterrupted one bit for bit. The first is taken before the first decision, so
-that a run can go on whenever it was killed.
+A full checkpoint is taken between episodes: there the world holds no state, so a resumed run
+repeats the uninterrupted one bit for bit. The first is taken before the first decision, so that a
+run can go on whenever it was killed. At the end of the budget the episode that runs is dropped
+first; going on from there with a larger budget is a run of its own.
 """
 
 from __future__ import annotations

@@ -241,6 +241,58 @@ def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
         D3qn(Foreign(module=module), LAYOUT, ACTIONS, Agent(), seed=0)
 
 
+def normalised() -> torch.nn.Module:
+    """A network with running statistics, which asks for a batch in ``train()`` mode."""
+    return torch.nn.Sequential(torch.nn.BatchNorm1d(18), torch.nn.Linear(18, 9))
+
+
+class Counted(torch.nn.Module):
+    """Keeps a mean of what it saw, as it was trained, and how often."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = torch.nn.Linear(18, 9)
+        self.register_buffer("mean", torch.zeros(18))
+        self.register_buffer("count", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("scratch", torch.zeros(18), persistent=False)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        if self.training and torch.is_grad_enabled():
+            self.mean += 1.0
+            self.count += 1
+            self.scratch += 1.0
+        return self.layer(x - 0.01 * self.mean)
+
+
+def test_a_network_that_needs_a_batch_is_told_so_before_it_acts() -> None:
+    expected = (
+        r"network 'foreign' fails on one observation in train\(\) mode, in which a training acts: "
+        r"forward raised ValueError: Expected more than 1 value per channel .*test_d3qn\.py:\d+\)"
+    )
+    with pytest.raises(ConfigError, match=expected):
+        D3qn(Foreign(module=normalised()), LAYOUT, ACTIONS, Agent(), seed=0)
+
+
+def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
+    module = Counted()
+    settings = Agent(target_rate=0.25, updates_together=1)
+    agent = D3qn(Foreign(module=module), LAYOUT, ACTIONS, settings, seed=0)
+    assert float(agent.target.get_buffer("mean")[0]) == 0.0  # building it left no trace
+    for _ in range(2):
+        agent.update(fixed_batch(), 0.0)
+    # Online 1, then 2: the target has 0.25 · 1, then 0.25 + 0.25 · (2 − 0.25).
+    assert float(agent.online.get_buffer("mean")[0]) == 2.0
+    assert float(agent.target.get_buffer("mean")[0]) == 0.6875
+    assert int(agent.target.get_buffer("count")) == 2
+    assert float(agent.target.get_buffer("scratch")[0]) == 0.0  # as noise, each has its own
+
+
+def test_a_network_without_anything_to_learn_is_refused() -> None:
+    frozen = torch.nn.Linear(18, 9).requires_grad_(False)
+    with pytest.raises(ConfigError, match="build made a network with nothing to learn"):
+        D3qn(Foreign(module=frozen), LAYOUT, ACTIONS, Agent(), seed=0)
+
+
 def test_a_network_that_sees_too_much_at_once_is_named() -> None:
     for frames in (0, 33):
         with pytest.raises(ConfigError, match=f"frames is {frames}; 1 to 32 is allowed"):

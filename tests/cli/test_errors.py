@@ -7,7 +7,15 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.agent import memory
 from tests.cli.call import RUN, call
+
+
+@pytest.fixture(autouse=True)
+def _eight_gigabytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As much memory is free, whatever the machine has."""
+    monkeypatch.setattr(memory, "available", lambda: 8_000_000_000)
+
 
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
@@ -64,6 +72,31 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["train", "terrain.fewest=6"], ["fewest (6) must not exceed most (5)"]),
         (["train", "terrain.rise=-0.1"], ["terrain.rise", "> 0", "-0.1"]),
         (["train", "rewards.pitch.lambda_2=inf"], ["rewards.pitch.lambda_2", "finite"]),
+        (["train", "rewards={}"], ["rewards={}", "~rewards drops every term"]),
+        (["train", "~rewards"], ["rewards:", "a training needs a term", "none"]),
+        (
+            ["train", "~rewards.flipper", "~rewards.pitch", "rewards.end.weight=0"],
+            ["a training needs a term whose weight is not 0", "end"],
+        ),
+        (
+            ["train", "network.terrain=[100000,100000]"],
+            ["'at_d3qn'", "10,014,534,826 parameters", "240.3 GB", "6 times 40.1 GB", "are free"],
+        ),
+        (
+            [
+                *("train", "agent.replay_size=10000000", "train.decisions=1000000000"),
+                *("perception.bins=101", "network=stacked", "network.window=16"),
+            ],
+            ["agent.replay_size", "10,000,000 transitions of 1664 numbers", "133.3 GB"],
+        ),
+        (
+            ["train", "agent.batch_size=65536", "network.terrain=[50000,100]"],
+            ["agent.batch_size", "65,536", "GB"],
+        ),
+        (
+            ["eval", "--controller", "planner", "controller.widht=5"],
+            ["controller.widht", "'width'", "budget"],
+        ),
         (["train", "sim.substep=0.003"], ["sim", "substep must divide 0.01"]),
         (["train", "device=gpu"], ["device", "'gpu'"]),
         (["train", "-m", "seed=1,2", "agent.gamma=0.9,7"], ["agent.gamma", "7"]),

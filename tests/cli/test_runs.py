@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.training import run_folder
 from flipperctl.cli.sweeps import UNNAMED, folder_name
+from flipperctl.training import run_folder
 from flipperctl.training.lock import hold
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import RUN, call

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from flipperctl import plugins
@@ -24,7 +25,7 @@ from flipperctl.api import (
     terrain,
 )
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
+from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError, TerrainError
 
 HOLD = action_index(0, 0)
 FRONT, REAR, PITCH = 15, 16, 17  # behind the 15 heights of an observation
@@ -278,7 +279,79 @@ def test_an_unknown_terrain_gives_a_close_match() -> None:
         FlipperEnv("stiar")
 
 
+# Wrong use
+
+
+@pytest.mark.parametrize(
+    "action",
+    [4.5, "3", None, True, np.float64(4.0), np.array([4]), -1, 9, [4], math.nan, np.bool_(True)],
+    ids=repr,
+)
+def test_what_is_no_action_is_refused(action: Any) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"there is no action .*; an integer from 0 to 8") as error:
+        env.step(action)
+    assert repr(action) in str(error.value)
+    env.step(HOLD)
+
+
+@pytest.mark.parametrize("action", [4, np.int64(4), np.uint8(4), np.array(4)], ids=repr)
+def test_every_integer_is_an_action(action: Any) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    env.step(action)
+    assert env.transition.action == (0, 0)
+
+
+def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
+    env = FlipperEnv("flat", episode={"run_out": 0.0, "run_up": 0.2})
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(HOLD)
+    env.reset(seed=0)
+    while not any(env.step(HOLD)[2:4]):
+        pass
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(HOLD)
+
+
+def test_an_unknown_render_mode_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no mode 'nonsense'; None or 'rgb_array' is allowed"):
+        FlipperEnv("flat", render_mode="nonsense")
+    with pytest.raises(ConfigError, match="did you mean 'rgb_array'"):
+        FlipperEnv("flat", render_mode="rgbarray")
+
+
+def test_no_rewards_at_all_are_asked_for_by_an_empty_mapping() -> None:
+    env = FlipperEnv("flat", rewards={})
+    env.reset(seed=0)
+    _, reward, *_, info = env.step(HOLD)
+    assert (reward, info["rewards"]) == (0, {})
+    assert list(FlipperEnv("flat", rewards={"pitch": {"weight": 2}}).config.rewards) == [
+        *("flipper", "pitch", "end")
+    ]
+
+
 # Broken plugins
+
+
+def test_a_reward_beyond_its_bounds_is_named_when_it_happens(registry: dict) -> None:
+    @reward("broken")
+    class Broken(RewardTerm):
+        bounds = (-1.0, 0.0)
+
+        def __call__(self, t: Transition) -> float:
+            return 0.5 if t.after.time > 1.5 else -1.0 - 1e-12  # which is rounding
+
+    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(HOLD)
+    with pytest.raises(
+        PluginFailedError,
+        match=r"rewards\.mine: .*'broken'.*returned 0\.5 at time 1\.80 s; its bounds say -1 to 0",
+    ):
+        env.step(HOLD)
 
 
 @pytest.mark.parametrize(

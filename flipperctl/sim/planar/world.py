@@ -1,7 +1,8 @@
 """The pymunk world: a three-part robot on a profile.
 
-In: a profile, the robot, the engine's settings, a start. Out: ``RobotState`` after every sample
-of 10 ms. The engine's y is the world's z; its angles are positive nose up.
+In: a profile, the robot, the engine's settings, a start. Out: the chassis' pose every 10 ms, and
+the whole ``RobotState`` when it is asked for. The engine's y is the world's z; its angles are
+positive nose up.
 """
 
 from __future__ import annotations

@@ -1,0 +1,244 @@
+"""Plugins that misbehave at random, used through the command line: whose fault is told, and how.
+
+``python -m tests.long.misbehaving --count 2000 --seed 1`` prints a table of what was tried and
+fails if any command ended other than with exit code 1 or 2 and one error that names plugin, method,
+file and line.
+"""
+
+import argparse
+import os
+import re
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.long.misbehaviour import BEFORE, Misbehaviour, draw
+
+LIMIT = 90.0
+"""Longest time of a command [s]: worker processes import torch anew on a busy machine."""
+ROOM = 6 * 2**30
+"""Address space that a command may take beyond what this process has [B]."""
+SHORT = (
+    *("terrain=flat", "train.decisions=60", "train.validate_every=30", "agent.batch_size=8"),
+    *("train.validation_episodes=1", "agent.learning_starts=16", "agent.epsilon_decisions=1"),
+    *("agent.epsilon_start=0", "agent.epsilon_end=0", "episode.run_out=0.2"),
+)
+DRIVEN = ("terrain=flat", "--episodes", "2")
+
+COMMANDS = {
+    "terrain": {
+        "inspect terrain": ["inspect", "terrain", "odd"],
+        "eval": ["eval", "--controller", "level", "--episodes", "2", "terrain=odd"],
+        "eval --jobs": ["eval", "--controller", "level", "--episodes=2", "--jobs=2", "terrain=odd"],
+        "train": ["train", *SHORT, "terrain=odd", "train.mode=exact"],
+        "train fast": ["train", *SHORT, "terrain=odd"],
+        "inspect config": ["inspect", "config", "terrain=odd"],
+    },
+    "reward": {
+        "inspect reward": ["inspect", "reward", "--episodes=2", "+reward@rewards.odd=odd"],
+        "eval": ["eval", "--controller", "level", *DRIVEN, "+reward@rewards.odd=odd"],
+        "eval --jobs": ["eval", "--controller", "level", *DRIVEN, "--jobs=2",
+                        "+reward@rewards.odd=odd"],
+        "train": ["train", *SHORT, "train.mode=exact", "+reward@rewards.odd=odd"],
+        "train fast": ["train", *SHORT, "+reward@rewards.odd=odd"],
+    },
+    "network": {
+        "train": ["train", *SHORT, "train.mode=exact", "network=odd"],
+        "train fast": ["train", *SHORT, "network=odd"],
+        "eval": ["eval", "--checkpoint", "{good}", "--episodes=2"],
+        "eval --jobs": ["eval", "--checkpoint", "{good}", "--episodes=2", "--jobs=2"],
+        "export pt2": ["export", "pt2", "--checkpoint", "{good}"],
+    },
+    "controller": {
+        "eval": ["eval", "--controller", "odd", *DRIVEN],
+        "eval --jobs": ["eval", "--controller", "odd", *DRIVEN, "--jobs=2"],
+        "inspect reward": ["inspect", "reward", "--controller", "odd", "--episodes=1"],
+    },
+}  # fmt: skip
+FOR_ALL = {"inspect plugins": ["inspect", "plugins", "odd"]}
+SLOW = ("eval --jobs", "train fast", "export pt2")
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left behind."""
+
+    code: int | None
+    """None if it did not end in time."""
+    out: str
+    err: str
+    seconds: float
+
+
+def main() -> int:
+    """Run the cases and print what came of them."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--slow", type=float, default=0.06, help="share of cases with processes")
+    chosen = parser.parse_args()
+    _preload()
+    tried, reached, violations = Counter(), Counter(), Counter()
+    with tempfile.TemporaryDirectory() as folder:
+        good = _good(Path(folder))
+        for index in range(chosen.count):
+            rng = np.random.default_rng([chosen.seed, index])
+            what, name, command = _case(rng, chosen.slow, good)
+            work = Path(folder) / str(index)
+            work.mkdir()
+            file, marker = work / "odd_plugin.py", work / "marker"
+            file.write_text(what.source(marker))
+            done = _forked([*command, "--plugins", str(file)], work)
+            key = (what.kind, what.spot, _sort(what), name)
+            tried[key] += 1
+            reached[key] += marker.exists()
+            for problem in problems(what, done, file, reached=marker.exists()):
+                violations[key] += 1
+                print(f"case {index}: {what}, {name}: {problem}\n  {done.err[-600:]}", flush=True)
+            if index % 100 == 99:
+                print(f"{index + 1} cases, {sum(violations.values())} violations", flush=True)
+    _table(tried, reached, violations)
+    return 1 if violations else 0
+
+
+def problems(what: Misbehaviour, done: Done, file: Path, *, reached: bool) -> list[str]:
+    """What is wrong with the way in which a command ended."""
+    if done.code is None:
+        return ["it hangs"]
+    if not reached:
+        return [] if done.code == 0 else [f"exit code {done.code} though nothing misbehaved"]
+    found = []
+    if done.code not in (1, 2):
+        found.append(f"exit code {done.code}")
+    lines = done.err.partition("error: ")[2].strip().splitlines()
+    if not 1 <= len(lines) <= 3 or len(done.err) > 2500:
+        found.append(f"an error of {len(lines)} lines, {len(done.err)} characters")
+    foreign = ("Traceback", "an error in flipperctl", "Error executing job")
+    found += [f"the words {words!r}" for words in foreign if words in done.err]
+    return found + unnamed(what, done.err, file)
+
+
+def unnamed(what: Misbehaviour, text: str, file: Path) -> list[str]:
+    """What an error's text does not name."""
+    found = []
+    if not re.search(re.escape(str(file)) + r":\d+", text):
+        found.append("no file and line")
+    if what.spot in BEFORE:
+        if what.spot != "import" and "odd" not in text.replace(str(file), ""):
+            found.append("no plugin")
+        return found
+    if "'odd'" not in text:
+        found.append("no plugin")
+    methods = {"build": ("build", "forward")}.get(what.spot, (what.spot,))
+    if not any(method in text for method in methods):
+        found.append("no method")
+    return found
+
+
+def _case(rng: np.random.Generator, slow: float, good: Path) -> tuple[Misbehaviour, str, list[str]]:
+    kind = str(rng.choice(list(COMMANDS)))
+    what = draw(rng, kind)
+    known = COMMANDS[kind] | (FOR_ALL if what.spot in BEFORE else {})
+    wanted = rng.random() < slow
+    names = [name for name in known if (name in SLOW) == wanted] or list(known)
+    name = str(rng.choice(names))
+    return what, name, [part.format(good=good) for part in known[name]]
+
+
+def _sort(what: Misbehaviour) -> str:
+    return "returns" if what.statement.startswith("return ") else "raises"
+
+
+def _preload() -> None:
+    """Import once what every command needs; the children are forked from here."""
+    import hydra  # noqa: F401
+    import rich.progress  # noqa: F401
+    import tensorboard  # noqa: F401
+    import torch
+
+    import flipperctl.cli.training
+    import flipperctl.evaluation.episodes
+    import flipperctl.sim.planar.compiled  # noqa: F401
+
+    torch.set_num_threads(1)
+    os.environ.pop("FLIPPERCTL_DEBUG", None)
+
+
+def _good(folder: Path) -> Path:
+    """A run of a network ``odd`` that behaves."""
+    file = folder / "odd_plugin.py"
+    file.write_text(Misbehaviour("network", "forward", "pass", 10**9).source(folder / "marker"))
+    run = folder / "good"
+    arguments = [*COMMANDS["network"]["train"], f"hydra.run.dir={run}", "--plugins", str(file)]
+    done = _forked(arguments, folder)
+    if done.code != 0:
+        raise RuntimeError(done.err)
+    return run
+
+
+def _forked(arguments: list[str], folder: Path) -> Done:
+    """Run a command in a child of this process, with limits on its time and memory."""
+    begun = time.perf_counter()
+    child = os.fork()
+    if child == 0:
+        _run(arguments, folder)
+    code: int | None = None
+    while time.perf_counter() - begun < LIMIT:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            code = os.waitstatus_to_exitcode(status)
+            break
+        time.sleep(0.01)
+    else:
+        os.killpg(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    out, err = (folder / name for name in ("out", "err"))
+    texts = [f.read_text(errors="replace") if f.exists() else "" for f in (out, err)]
+    return Done(code, *texts, time.perf_counter() - begun)
+
+
+def _run(arguments: list[str], folder: Path) -> None:
+    """In the child: the command line, to its end; never returns."""
+    code = 99
+    try:
+        os.setsid()
+        os.chdir(folder)
+        for name, number in (("out", 1), ("err", 2)):
+            os.dup2(os.open(name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        limit = pages * resource.getpagesize() + ROOM
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        from flipperctl.cli.main import main as command
+
+        try:
+            command(arguments)
+        except SystemExit as left:
+            code = left.code if isinstance(left.code, int) else 0 if left.code is None else 98
+    except BaseException:  # noqa: BLE001  # whatever it is, it shows as a violation
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _table(tried: Counter, reached: Counter, violations: Counter) -> None:
+    print(f"{'kind':11}{'where':18}{'how':9}{'command':18}{'count':>6}{'reached':>9}{'wrong':>7}")
+    for key in sorted(tried):
+        kind, spot, how, name = key
+        row = f"{kind:11}{spot:18}{how:9}{name:18}"
+        print(f"{row}{tried[key]:6}{reached[key]:9}{violations[key]:7}")
+    total = [sum(column.values()) for column in (tried, reached, violations)]
+    print(f"{'all':56}{total[0]:6}{total[1]:9}{total[2]:7}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

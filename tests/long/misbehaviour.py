@@ -1,0 +1,249 @@
+"""Plugin files that misbehave: at which spot, in which way, and from which call on.
+
+In: a random generator. Out: the source of a plugin file of one plugin, ``odd``. The file touches
+a marker when it misbehaves, so that a case whose spot was never reached is told apart.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+RAISED = (
+    *(f"raise {name}('seven')" for name in (
+        "ValueError", "TypeError", "IndexError", "KeyError", "AttributeError", "RuntimeError",
+        "ZeroDivisionError", "MemoryError", "RecursionError", "StopIteration", "AssertionError",
+        "NotImplementedError", "OSError", "BrokenPipeError", "EOFError", "ImportError",
+        "UserWarning", "SystemExit", "GeneratorExit", "Mine", "MineToo", "asyncio.CancelledError",
+        "errors.ConfigError", "errors.FlipperctlError", "BrokenProcessPool", "StopAsyncIteration",
+    )),
+    *("raise SystemExit", "raise SystemExit(0)", "sys.exit(0)", "sys.exit()", "exit(0)"),
+    *("raise Two('a', 'b')", "raise Mute", "raise ValueError('x' * 10**6)", "raise ValueError"),
+    *("raise RuntimeError('a\\nb\\tc\\x00d')", "raise ExceptionGroup('g', [ValueError('v')])"),
+    *("deep(0)", "np.zeros(10**14)", "[][3]", "{}['key']", "None.attribute", "1 / 0", "undefined"),
+    *("raise subprocess.CalledProcessError(0, 'x')", "Profile('x')", "Bounded(x=7)"),
+)  # fmt: skip
+"""Statements that leave a method by an exception; ``KeyboardInterrupt`` is the user's."""
+
+BAD_NUMBERS = ("None", "'1.0'", "[1.0]", "object()", "1j", "float('nan')", "float('inf')", "{}")
+RETURNED = {
+    ("terrain", "generate"): (
+        *("None", "'x'", "3", "[]", "[(0, 0), (1, 0)]", "Profile", "{}", "Profile([])"),
+        *("Profile([(0, 0), (1e300, 0)])", "Profile([(0, 0), (1, 1e300)])", "(p for p in ())"),
+        *("Profile([(0, 0), (1, -1e300)])", "Profile([(-1e300, 0), (1e300, 0)])"),
+        *("Profile([(0, 0), (1, float('nan'))])", "Profile([(0, 0), (float('inf'), 0)])"),
+        *("Profile([(1, 0), (0, 0)])", "Profile([(1e12, 0), (1e12, 1)])", "Profile([1, 2])"),
+        *("Profile([(0, 0), (5000, 0)])", "Profile([(0, 0), (1, 101)])", "Profile([(0, 0)], 5)"),
+        "Profile(np.stack([np.linspace(0, 9, 90_000), np.arange(90_000) % 2], 1))",
+    ),
+    ("terrain", "at"): ("None", "'flat'", "3", "Profile([(0, 0)])"),
+    ("terrain", "first_difficulty"): (*BAD_NUMBERS, "2.0", "-0.1"),
+    ("terrain", "next_difficulty"): (*BAD_NUMBERS, "2.0", "-0.1"),
+    ("reward", "__call__"): (*BAD_NUMBERS, "np.zeros(3)", "-float('inf')", "1e300", "7.0", "(1,)"),
+    ("reward", "bounds"): ("None", "(1.0, 0.0)", "3", "('a', 'b')", "(0.0,)", "(float('nan'), 1)"),
+    ("network", "build"): (
+        *("None", "'net'", "5", "torch.nn.Linear", "torch.nn.Linear(size, 4)"),
+        *("torch.nn.Identity()", "torch.nn.Linear(5, 9)", "torch.nn.LSTM(size, 9)"),
+        "torch.nn.Linear(size, 9).half()",
+        *("torch.nn.Sequential(torch.nn.BatchNorm1d(size), torch.nn.Linear(size, 9))",),
+        "lambda x: x",
+        "torch.nn.Sequential(torch.nn.Linear(size, 10**6), torch.nn.Linear(10**6, 10**6))",
+    ),
+    ("network", "forward"): (
+        *("None", "'q'", "7", "torch.zeros(len(x), 3)", "torch.zeros(1)", "(x, x)"),
+        *("torch.zeros(())", "torch.full((len(x), 9), float('nan'))"),
+        "torch.full((len(x), 9), float('inf'))",
+    ),
+    ("network", "frames"): ("0", "33", "'2'", "None", "1e300", "2.0", "-1"),
+    ("network", "quantiles"): ("None", "torch.zeros(1)", "torch.zeros(len(x), 9)", "'q'"),
+    ("controller", "act"): (
+        *("None", "'4'", "4.5", "9", "-1", "True", "np.float64(4)", "np.array([4])", "[4]"),
+        *("float('nan')", "1e300", "object()", "10**30", "()", "np.array([1, 2])"),
+    ),
+}  # fmt: skip
+"""Kind and method → expressions that it must not return; ``size`` and ``x`` as in the templates."""
+
+SPOTS = {
+    "terrain": ("generate", "at", "first_difficulty", "next_difficulty"),
+    "reward": ("__call__", "bounds", "potential"),
+    "network": ("build", "forward", "frames", "quantiles", "draw_noise"),
+    "controller": ("begin", "act"),
+}
+BEFORE = ("import", "factory", "validator", "field validator", "serialiser")
+"""Spots that every kind has."""
+
+HEADER = """\
+import asyncio, subprocess, sys, pathlib
+from concurrent.futures.process import BrokenProcessPool
+import numpy as np
+import torch
+from pydantic import BaseModel, Field, field_serializer, field_validator, model_validator
+from flipperctl import errors
+from flipperctl.api import *
+from flipperctl.api import Shaping
+
+class Mine(BaseException): pass
+class MineToo(Exception): pass
+class Two(Exception):
+    def __init__(self, one, two): super().__init__(one)
+class Mute(Exception):
+    def __str__(self): raise SystemExit(0)
+class Bounded(BaseModel):
+    x: int = Field(0, le=3)
+
+def deep(n):
+    return deep(n + 1) + 1
+
+calls = 0
+def due():
+    global calls
+    calls += 1
+    if calls >= {call}:
+        pathlib.Path({marker!r}).touch()
+        return True
+    return False
+
+def factory():
+    {factory}
+    return 1.0
+
+{on_import}
+"""
+COMMON = """\
+    size_of: float = Field(default_factory=factory, description="any [-]")
+    @model_validator(mode="after")
+    def whole(self):
+        {validator}
+        return self
+    @field_validator("size_of", mode="before")
+    @classmethod
+    def part(cls, value):
+        {field_validator}
+        return value
+    @field_serializer("size_of")
+    def written(self, value):
+        {serialiser}
+        return value
+"""
+BODIES = {
+    "terrain": """\
+@terrain("odd")
+class Odd(Terrain):
+{common}
+    def generate(self, rng):
+        {generate}
+        return Profile([(0, 0), (0.3, 0)])
+    def at(self, difficulty):
+        {at}
+        return self
+    @property
+    def first_difficulty(self):
+        {first_difficulty}
+        return 1.0
+    def next_difficulty(self, difficulty, reached):
+        {next_difficulty}
+        return 1.0
+""",
+    "reward": """\
+@reward("odd")
+class Odd({base}):
+{common}
+    @property
+    def bounds(self):
+        {bounds}
+        return (-1.0, 1.0)
+    def {method}(self, *given):
+        {body}
+        return 0.5
+""",
+    "network": """\
+class Net(torch.nn.Module):
+    def __init__(self, size):
+        super().__init__()
+        self.layer = torch.nn.Linear(size, 9)
+    def forward(self, x):
+        {forward}
+        return self.layer(x)
+{more}
+@network("odd")
+class Odd(Network):
+{common}
+    @property
+    def frames(self):
+        {frames}
+        return 1
+    def build(self, layout, n_actions):
+        size = layout.size
+        {build}
+        return Net(size)
+""",
+    "controller": """\
+@controller("odd")
+class Odd(Controller):
+{common}
+    def begin(self, simulator):
+        {begin}
+    def act(self, p):
+        {act}
+        return 4
+""",
+}
+QUANTILES = """\
+    def quantiles(self, x):
+        {quantiles}
+        return self.layer(x).unsqueeze(2) + torch.zeros(1, 1, 2)
+"""
+NOISE = """\
+    def draw_noise(self, rng):
+        {draw_noise}
+"""
+
+
+@dataclass(frozen=True)
+class Misbehaviour:
+    """A plugin's kind, where it misbehaves, how, and from which call on."""
+
+    kind: str
+    spot: str
+    statement: str
+    call: int
+
+    def source(self, marker: Path) -> str:
+        """The plugin file."""
+        spots = (*BEFORE, *(spot for found in SPOTS.values() for spot in found))
+        key = self.spot.replace(" ", "_")
+        filled = {spot.replace(" ", "_"): "pass" for spot in spots}
+        filled[key] = f"if due(): {self.statement}"
+        header = HEADER.format(
+            call=self.call, marker=str(marker), factory=filled["factory"],
+            on_import=filled["import"],
+        )  # fmt: skip
+        common = COMMON.format(**filled)
+        shaping = self.spot == "potential"
+        more = {"quantiles": QUANTILES, "draw_noise": NOISE}.get(self.spot, "")
+        body = BODIES[self.kind].format(
+            common=common,
+            base="Shaping" if shaping else "RewardTerm",
+            method="potential" if shaping else "__call__",
+            body=filled["potential" if shaping else "__call__"],
+            more=more.format(**filled),
+            **{name: text for name, text in filled.items() if name != "__call__"},
+        )
+        return header + body
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.spot}: {self.statement[:60]} (call {self.call})"
+
+
+def draw(rng: np.random.Generator, kind: str) -> Misbehaviour:
+    """A random misbehaviour of a plugin of one kind."""
+    early = rng.random() < 0.25
+    spot = str(rng.choice(BEFORE if early else SPOTS[kind]))
+    returned = RETURNED.get((kind, spot), ())
+    if returned and rng.random() < 0.5:
+        statement = f"return {rng.choice(returned)}"
+    else:
+        statement = str(rng.choice(RAISED))
+    late = spot in ("__call__", "potential", "act", "forward", "draw_noise")
+    call = int(rng.choice([1, 2, 5, 12])) if late else 1
+    return Misbehaviour(kind, spot, statement, call)

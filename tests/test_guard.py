@@ -1,0 +1,156 @@
+"""Whose fault it is: whatever a plugin's code raises or returns, its error names it."""
+
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl import errors, plugins
+from flipperctl.agent.acting import greedy
+from flipperctl.agent.building import build_network
+from flipperctl.agent.noise import Noise
+from flipperctl.api import ObservationLayout
+from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.env import ground
+from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
+from flipperctl.evaluation.episodes import evaluate
+from flipperctl.guard import fault
+from flipperctl.policies.trained import ControllerSource
+from tests.cli.call import RUN, call
+from tests.long.misbehaving import unnamed
+from tests.long.misbehaviour import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
+
+pytestmark = pytest.mark.usefixtures("registry")
+
+FLAT = {"episode.run_out": 0.2}
+
+
+def use(what: Misbehaviour, file: Path) -> None:
+    """Use the plugin as the commands do, until it was at work."""
+    plugins.load([file])
+    defaults = plugins.defaults(plugins.get(what.kind, "odd", what.kind))
+    if what.kind == "controller":
+        config = parse(EnvConfig, merged(EnvConfig(terrain="flat"), FLAT))
+        source = ControllerSource(settings=defaults)
+    else:
+        source = ControllerSource(settings={"name": "level"})
+    if what.kind == "terrain":
+        config = EnvConfig(terrain="odd")
+        plugins.container(config.terrain)
+        ground.first_difficulty(config.terrain)
+        ground.next_difficulty(config.terrain, 1.0, True)
+    if what.kind == "reward":
+        config = parse(EnvConfig, merged(EnvConfig(terrain="flat"), {"rewards.odd": "odd", **FLAT}))
+        plugins.container(config.rewards["odd"])
+    if what.kind == "network":
+        layout = ObservationLayout()
+        network = plugins.create("network", "odd", "network")
+        plugins.container(network)
+        module = build_network(network, layout, 9).train()
+        for _ in range(what.call):
+            greedy(module, np.zeros(layout.size, np.float32))
+        Noise(module).draw(np.random.default_rng(0))
+        return
+    list(evaluate(config, source, episodes=1, seed=0))
+
+
+def cases() -> list[Misbehaviour]:
+    """Every value at its spot, every spot with some exceptions, every exception somewhere."""
+    found = [
+        Misbehaviour(kind, spot, f"return {value}", 1)
+        for (kind, spot), values in RETURNED.items()
+        for value in values
+    ]
+    spots = [(kind, spot) for kind in SPOTS for spot in (*BEFORE, *SPOTS[kind])]
+    for index, statement in enumerate(RAISED):
+        for offset in (0, 7, 14, 21):
+            kind, spot = spots[(4 * index + offset) % len(spots)]
+            found.append(Misbehaviour(kind, spot, statement, 1))
+    return list(dict.fromkeys(found))
+
+
+@pytest.mark.parametrize("what", cases(), ids=str)
+def test_a_plugin_that_misbehaves_is_named(what: Misbehaviour, tmp_path: Path) -> None:
+    file, marker = tmp_path / "odd_plugin.py", tmp_path / "marker"
+    file.write_text(what.source(marker))
+    with pytest.raises(FlipperctlError) as error:
+        use(what, file)
+    text = str(error.value)
+    assert marker.exists()
+    assert "\n" not in text
+    assert len(text) < 1200
+    assert unnamed(what, text, file) == [], text
+
+
+def test_an_interrupt_stays_one(tmp_path: Path) -> None:
+    what = Misbehaviour("terrain", "generate", "raise KeyboardInterrupt", 1)
+    file = tmp_path / "odd_plugin.py"
+    file.write_text(what.source(tmp_path / "marker"))
+    with pytest.raises(KeyboardInterrupt):
+        use(what, file)
+    assert call("inspect", "terrain", "odd", "--plugins", str(file), cwd=tmp_path).code == 130
+
+
+def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
+    what = Misbehaviour("terrain", "generate", "raise IndexError('seven')", 1)
+    file = tmp_path / "odd_plugin.py"
+    file.write_text(what.source(tmp_path / "marker"))
+    plugins.load([file])
+    config = EnvConfig(terrain={"name": "mirror", "terrain": {"name": "mix", "parts": ["odd"]}})
+    line = 1 + next(i for i, t in enumerate(file.read_text().splitlines()) if "seven" in t)
+    with pytest.raises(PluginFailedError) as error:
+        ground.draw(config.terrain, np.random.default_rng(0), 1.0)
+    assert str(error.value) == f"terrain 'odd': generate raised IndexError: seven ({file}:{line})"
+
+
+def test_an_error_of_the_core_passes_through_a_plugin() -> None:
+    okada = plugins.create("controller", "okada", "controller")
+    with pytest.raises(ConfigError) as raised:
+        plugins.get("terrain", "no such", "terrain")
+    with pytest.raises(ConfigError, match="there is no terrain plugin 'no such'"):
+        fault(raised.value, okada, "begin")
+
+
+@pytest.mark.parametrize(
+    "cls",
+    [c for c in vars(errors).values() if isinstance(c, type) and issubclass(c, FlipperctlError)],
+    ids=lambda c: c.__name__,
+)
+def test_every_error_comes_back_whole_from_another_process(cls: type[FlipperctlError]) -> None:
+    again = pickle.loads(pickle.dumps(cls("what, where")))
+    assert type(again) is cls
+    assert str(again) == "what, where"
+    assert again.exit_code == cls.exit_code
+
+
+@pytest.mark.parametrize(
+    ("kind", "spot", "arguments"),
+    [
+        ("controller", "act", ["eval", "--controller", "odd", "terrain=flat", "--jobs", "2"]),
+        ("network", "forward", ["train", "network=odd", "terrain=flat"]),
+    ],
+)
+def test_a_worker_that_would_leave_says_why(
+    kind: str, spot: str, arguments: list[str], tmp_path: Path
+) -> None:
+    # The network answers 6 times when it is built: 4 rows of the checks, twice.
+    file = tmp_path / "odd_plugin.py"
+    what = Misbehaviour(kind, spot, "sys.exit(0)", 30 if kind == "network" else 3)
+    file.write_text(what.source(tmp_path / "marker"))
+    short = [f"{key}={value}" for key, value in RUN.items()] if arguments[0] == "train" else []
+    more = ["--episodes", "4"] if arguments[0] == "eval" else short
+    done = call(*arguments, *more, "--plugins", str(file), cwd=tmp_path)
+    assert done.code == 1
+    assert re.search(rf"{kind} 'odd'.*{spot} raised SystemExit: 0 \({file}:\d+\)", done.err)
+    assert len(done.err.partition("error: ")[2].strip().splitlines()) == 1
+
+
+def test_debug_shows_where_it_was_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "odd_plugin.py"
+    file.write_text(Misbehaviour("terrain", "generate", "{}['key']", 1).source(tmp_path / "m"))
+    monkeypatch.setenv("FLIPPERCTL_DEBUG", "1")
+    with pytest.raises(PluginFailedError) as error:
+        call("inspect", "terrain", "odd", "--plugins", str(file), cwd=tmp_path)
+    assert isinstance(error.value.__cause__, KeyError)
