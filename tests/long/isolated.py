@@ -30,7 +30,10 @@ EXPECTED = "was exported by flipperctl 0.1"
 def judged(
     count: int, judge: Judge, *, limit: float = 20.0, memory: int = 3 << 30
 ) -> Iterator[Verdict]:
-    """The verdict of each case; ``limit`` [s] and ``memory`` [B] beyond today's bound each child."""
+    """The verdict of each case.
+
+    ``limit`` bounds the time of a case [s], ``memory`` what a child takes beyond today's [B].
+    """
     done = 0
     while done < count:
         receive, send = os.pipe()
@@ -71,10 +74,10 @@ def _work(cases: range, judge: Judge, out: IO[str], memory: int) -> None:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + memory, used + memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    heard = [tempfile.TemporaryFile() for _ in range(2)]
+    heard = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115 - until the process ends
     for number, file in enumerate(heard, start=1):
         os.dup2(file.fileno(), number)
-    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
     warnings.simplefilter("error")
     warnings.simplefilter("ignore", PendingDeprecationWarning)
     for case in cases:
