@@ -8,6 +8,7 @@ code parses them. The checksum is that of the whole file with its own 64 hexadec
 from __future__ import annotations
 
 import hashlib
+import re
 
 from flipperctl.errors import PolicyError
 
@@ -17,8 +18,15 @@ PREFIX = "flipperctl."
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
 """Value of the checksum's entry while the checksum is computed."""
+_NAME = re.compile(re.escape(PREFIX).encode() + rb"\w*")
 _FORMAT = f"{PREFIX}format_version"
-_SINCE_2 = (CHECKSUM.encode(), f"{PREFIX}terrain_config".encode())
+_OF_FORMAT_1 = frozenset(
+    f"{PREFIX}{name}".encode()
+    for name in (
+        *("format_version", "package_version", "observation", "bins", "bin_width", "frames"),
+        *("actions", "decision_period", "robot", "terrain", "seed", "network"),
+    )
+)
 
 
 def sealed(data: bytes) -> bytes:
@@ -56,9 +64,9 @@ def verify(data: bytes, where: str) -> bool:
             f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
         )
     found_version = data[version : version + 1]
-    if found_version == b"1" and not any(name in data for name in _SINCE_2):
+    if found_version == b"1" and _OF_FORMAT_1.issuperset(re.findall(_NAME, data)):
         return False
-    # Format 2 always has a checksum, so its entry was destroyed; no other format is known.
+    # Only format 1 is without a checksum, and it has no other entries: this one was destroyed.
     if found_version in (b"1", b"%d" % FORMAT_VERSION):
         raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
     raise PolicyError(

@@ -208,7 +208,8 @@ def _failed(path: Path, error: Exception) -> PolicyError:
 
 
 def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()).rpartition(" : ")[2]
+    words = " ".join(str(error).split()).rpartition(" : ")[2]
+    return "".join(sign if sign.isprintable() else "?" for sign in words[:300])
 
 
 def _check_shapes(found: _Shapes, size: int, where: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class AtD3qn(Network):
     """AT-D3QN (paper Sec. III-E): terrain MLP → H′, joined with E by one layer → S′, dueling."""
 
-    terrain: tuple[int, ...] = Field(
+    terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers; paper silent [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′; paper silent [-]")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Conv(Network):
     """AT-D3QN with 1-D convolutions for the terrain layers: an edge is an edge in any bin."""
 
-    channels: tuple[int, ...] = Field(
+    channels: tuple[PositiveInt, ...] = Field(
         (16, 16), min_length=1, description="channels of the convolutions [-]"
     )
     reach: int = Field(

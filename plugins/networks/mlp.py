@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class Mlp(Network):
     """All N + 3 numbers through one perceptron to Q, as in the first DQN (Mnih et al. 2015)."""
 
-    hidden: tuple[int, ...] = Field(
+    hidden: tuple[PositiveInt, ...] = Field(
         (128, 128), min_length=1, description="widths of the hidden layers [-]"
     )
 

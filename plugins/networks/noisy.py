@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Noisy(Network):
     """AT-D3QN with noisy heads (Fortunato et al. 2018); it explores with agent.epsilon_start=0."""
 
-    terrain: tuple[int, ...] = Field(
+    terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class Quantile(Network):
     """AT-D3QN whose heads give quantiles of each action's return (Dabney et al. 2018)."""
 
-    terrain: tuple[int, ...] = Field(
+    terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from flipperctl.api import Network, ObservationLayout, network
 
@@ -22,7 +22,7 @@ class Stacked(Network):
     window: int = Field(
         3, ge=2, le=16, description="observations that are taken in at once, newest included [-]"
     )
-    terrain: tuple[int, ...] = Field(
+    terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width behind the fusion [-]")

@@ -7,6 +7,7 @@ from flipperctl_plugins.networks.modules import Motion, NoisyLinear
 
 from flipperctl import plugins
 from flipperctl.api import Network, ObservationLayout
+from flipperctl.errors import ConfigError
 
 LAYOUT = ObservationLayout()
 
@@ -64,3 +65,12 @@ def test_the_convolution_sees_the_ground_go_on_beyond_its_ends() -> None:
     flat[:, : LAYOUT.bins] = 0.3  # a level ground gives the same in every bin
     features = module[1].terrain(flat[:, : LAYOUT.bins]).reshape(2, LAYOUT.bins)
     assert torch.allclose(features, features[:, :1].expand(-1, LAYOUT.bins), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [("at_d3qn", "terrain"), ("conv", "channels"), ("mlp", "hidden"), ("dueling_mlp", "hidden")],
+)
+def test_a_layer_of_no_width_is_refused(name: str, field: str) -> None:
+    with pytest.raises(ConfigError, match=rf"network\.{field}\.0: .* greater than 0"):
+        build(name, **{field: (0,)})

@@ -76,3 +76,12 @@ def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
     assert done.code == 2
     assert done.err.startswith("error: no.onnx is damaged, or not a file of flipperctl export")
     assert done.err.count("\n") == 1
+    spoilt = bytearray(exported.read_bytes())
+    spoilt[len(spoilt) // 2] ^= 1
+    (tmp_path / "spoilt.onnx").write_bytes(spoilt)
+    done = call("eval", "--checkpoint", "spoilt.onnx", "--json", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        "error: spoilt.onnx is damaged, or was changed since its export: "
+        "its SHA-256 does not match its contents\n"
+    )

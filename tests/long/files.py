@@ -1,0 +1,156 @@
+"""Spoils files by the thousand and counts what flipperctl makes of them.
+
+    python -m tests.long.files --count 2000 --seed 1 --kind checkpoint,onnx,ground
+
+A spoilt file is refused by one clear error, or read as what it was; a recording and a file that
+was signed anew may also be read as something else. Everything else is a violation: exit code 1.
+"""
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from flipperctl import plugins
+from tests.long import ground, signed
+from tests.long.isolated import Verdict, judged
+from tests.long.mutations import BYTES, Rng, number_at_the_start
+
+KINDS = ("checkpoint", "onnx", "ground")
+VERDICTS = ("refused", "equal", "other", "silent", "traceback", "noise", "hang")
+BAD = VERDICTS[3:]
+Case = tuple[str, Callable[[Rng], bytes], str, bool]
+"""Name of the mutation; the mutant; the original's file; whether it may be read as another."""
+
+
+def cases(kind: str, folder: Path, originals: dict[str, bytes]) -> list[Case]:
+    """One case of each mutation of each original."""
+
+    def raw(name: str) -> list[Case]:
+        data = originals[name]
+        return [(m, lambda rng, f=f: f(data, rng), name, False) for m, f in BYTES.items()]
+
+    if kind == "checkpoint":
+        found = [case for name in ("best", "last") for case in raw(name)]
+        for name in ("best", "last", "best", "last", "last"):
+            data = originals[name]
+            found += [
+                ("document", lambda rng, d=data: signed.resigned(d, folder, rng), name, True),
+                ("tensor", lambda rng, d=data: signed.resigned_tensors(d, folder, rng), name, True),
+            ]
+        return found
+    if kind == "onnx":
+        whole, old = originals["onnx"], originals["old"]
+        return [
+            *raw("onnx"),
+            *(("metadata", lambda rng: signed.resealed(whole, rng), "onnx", True),) * 4,
+            ("disguised", lambda rng: signed.disguised(whole, rng), "onnx", False),
+            ("format 1", lambda rng: BYTES["flip"](old, rng), "old", True),
+            ("format 1", lambda rng: BYTES["blank"](old, rng), "old", True),
+        ]
+    mutations = {**BYTES, "number": number_at_the_start}
+    return [
+        (m, lambda rng, f=f, d=data: f(d, rng), name, True)
+        for m, f in mutations.items()
+        for name, data in originals.items()
+    ]
+
+
+class Fuzz:
+    """The cases of one kind, each made and judged by its number alone."""
+
+    def __init__(self, kind: str, seed: int, folder: Path) -> None:
+        (folder / "run" / "checkpoints").mkdir(parents=True, exist_ok=True)
+        make = folder / "made"
+        make.mkdir(exist_ok=True)
+        self._kind, self._seed, self._folder = kind, seed, folder
+        self._originals = ground.files(make) if kind == "ground" else signed.files(make)
+        self._cases = cases(kind, folder, self._originals)
+        self._whole = {name: self._read(name, self._originals[name]) for name in self._names}
+
+    @property
+    def _names(self) -> list[str]:
+        return sorted({name for _, _, name, _ in self._cases})
+
+    def mutation(self, index: int) -> str:
+        """The name of a case's mutation."""
+        return self._cases[index % len(self._cases)][0]
+
+    def judge(self, index: int) -> str:
+        """Read a mutant; what it is beside the original."""
+        _, mutate, name, may_differ = self._cases[index % len(self._cases)]
+        rng = np.random.default_rng([self._seed, KINDS.index(self._kind), index])
+        found = self._read(name, mutate(rng))
+        if found == self._whole[name]:
+            return "equal"
+        return "other" if may_differ else "silent"
+
+    def _read(self, name: str, data: bytes) -> str:
+        if self._kind == "ground":
+            path = self._folder / name
+            path.write_bytes(data)
+            return ground.read(path)
+        if self._kind == "onnx":
+            path = self._folder / f"{name}.onnx"
+            path.write_bytes(data)
+            return signed.read_onnx(path)
+        path = self._folder / "run" / "checkpoints" / f"{name}.safetensors"
+        path.write_bytes(data)
+        return signed.read_checkpoint(path)
+
+    def run(self, count: int) -> Iterator[tuple[str, Verdict]]:
+        """Mutation and verdict of ``count`` cases."""
+        for index, verdict in enumerate(judged(count, self.judge)):
+            yield self.mutation(index), verdict
+
+
+@contextmanager
+def fuzz(kind: str, seed: int) -> Iterator[Fuzz]:
+    """A fuzz with a folder of its own."""
+    torch.set_num_threads(1)
+    plugins.load()
+    with tempfile.TemporaryDirectory() as folder:
+        yield Fuzz(kind, seed, Path(folder))
+
+
+def table(counts: dict[tuple[str, str], Counter[str]]) -> str:
+    """Rows of kind and mutation, columns of verdicts."""
+    lines = [["kind", "mutation", "count", *VERDICTS]]
+    for (kind, mutation), found in counts.items():
+        numbers = [sum(found.values()), *(found[verdict] for verdict in VERDICTS)]
+        lines.append([kind, mutation, *map(str, numbers)])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(text.ljust(w) if i < 2 else text.rjust(w) for i, (text, w) in enumerate(pairs))
+        for pairs in (list(zip(line, widths, strict=True)) for line in lines)
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the fuzz; 1 if anything was violated."""
+    parser = argparse.ArgumentParser(prog="python -m tests.long.files", description=__doc__)
+    parser.add_argument("--count", type=int, default=2000, help="mutants of each kind")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kind", default=",".join(KINDS))
+    given = parser.parse_args(arguments)
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    bad = 0
+    for kind in given.kind.split(","):
+        with fuzz(kind, given.seed) as found:
+            for index, (mutation, (verdict, words)) in enumerate(found.run(given.count)):
+                counts.setdefault((kind, mutation), Counter())[verdict] += 1
+                if verdict in BAD:
+                    bad += 1
+                    print(f"{kind} {index} {mutation}: {verdict}: {words}", file=sys.stderr)
+    print(table(counts))
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

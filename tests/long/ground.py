@@ -1,0 +1,55 @@
+"""Recorded ground of every kind to spoil, and what a scene makes of it."""
+
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from pypcd4.pypcd4 import Encoding, PointCloud
+from rasterio.transform import from_origin
+from trimesh import PointCloud as PlyCloud
+
+from flipperctl import plugins
+from flipperctl.env.flipper_env import FlipperEnv
+
+LINE = {"start": (0.2, 0.5), "end": (1.8, 0.5)}
+LONGEST = 60.0
+"""Outlines up to this are driven on [m]; a longer one is only drawn."""
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Files of all kinds, by name."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform((0, 0), (2, 1), (4000, 2)).T
+    points = np.column_stack([x, y, np.where(x > 1, 0.1, 0.0)]).astype(np.float32)
+    heights = np.tile(np.where(np.arange(41) > 20, 0.1, 0.0), (21, 1))
+    (folder / "a.csv").write_text("x,z\n0,0\n0.5,0\n0.5,0.1\n1.25,0.15\n2,0\n")
+    (folder / "b.csv").write_text("time;X;Z\r\n1;0;0\r\n2;0,5;0,1\r\n3;1,25;0,15\r\n4;2;0\r\n")
+    np.save(folder / "a.npy", heights)
+    np.savetxt(folder / "a.xyz", points, fmt="%.3f")
+    with rasterio.open(
+        folder / "a.tif", "w", driver="GTiff", height=21, width=41, count=1, dtype="float32",
+        compress="lzw", transform=from_origin(0, 1, 0.05, 0.05),
+    ) as out:  # fmt: skip
+        out.write(heights.astype("float32"), 1)
+    cloud = PointCloud.from_xyz_points(points)
+    for name, encoding in (
+        ("a", Encoding.ASCII), ("b", Encoding.BINARY), ("c", Encoding.BINARY_COMPRESSED),
+    ):  # fmt: skip
+        cloud.save(folder / f"{name}.pcd", encoding)
+    for name, how in (("a", "ascii"), ("b", "binary")):
+        data = PlyCloud(points).export(file_type="ply", encoding=how)
+        (folder / f"{name}.ply").write_bytes(data)
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def read(path: Path) -> str:
+    """The profile of a file, as text; the robot stands before it if it is short."""
+    frame = {} if path.suffix == ".csv" else LINE
+    more = {"resolution": 0.05} if path.suffix == ".npy" else {}
+    settings = {"name": "profile_file", "path": str(path), **frame, **more}
+    env = FlipperEnv(plugins.create("terrain", settings, "terrain"))
+    profile = env._draw(np.random.default_rng(0), 1.0)
+    assert np.isfinite(profile.points).all()
+    if np.hypot(*np.diff(profile.points, axis=0).T).sum() < LONGEST:
+        env.reset(seed=0)
+    return str(profile.points.tolist())

@@ -1,0 +1,170 @@
+"""Checkpoints and exported policies to spoil, and what they are to whoever reads them."""
+
+import contextlib
+import hashlib
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+
+from flipperctl.agent.d3qn import arrays
+from flipperctl.cli.inspect.checkpoint import _print as show
+from flipperctl.cli.inspect.checkpoint import describe
+from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.run import checkpoint, export
+from flipperctl.run.collect import Order
+from flipperctl.run.exported import exported_config
+from flipperctl.run.policy import policy_module
+from flipperctl.run.train import Trainer
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
+from tests.long.mutations import BYTES, Rng, document
+from tests.short import short_config, trainer
+
+SEEN = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """``best`` and ``last`` of a tiny run with an outstanding order, ``onnx`` and ``old``."""
+    run = folder / "run"
+    small = {"network": {"name": "at_d3qn", "terrain": [8], "fused": 8, "head": 8}}
+    budget = {"train.decisions": 150, "train.validate_every": 100, "train.validation_episodes": 1}
+    config = parse(TrainConfig, merged(short_config(**budget), small))
+    learner = trainer(config, run)
+    learner.run()
+    weights = arrays(learner.agent.online)
+    order = Order(learner.started, 5, 0.5, learner.decision, learner.updates, weights, 1.0)
+    learner.started += 1
+    learner.save([order])
+    saved = checkpoint.read(run / checkpoint.BEST)
+    export.export(saved, "onnx", folder / "step.onnx")
+    whole = (folder / "step.onnx").read_bytes()
+    return {
+        "best": (run / checkpoint.BEST).read_bytes(),
+        "last": (run / checkpoint.LAST).read_bytes(),
+        "onnx": whole,
+        "old": _old(whole),
+    }
+
+
+def _model(data: bytes) -> tuple[Any, dict[str, str]]:
+    model = onnx.load_from_string(data)
+    return model, {p.key: p.value for p in model.metadata_props}
+
+
+def _old(data: bytes) -> bytes:
+    """The policy as flipperctl 0.1 wrote it."""
+    model, metadata = _model(data)
+    del metadata[CHECKSUM], metadata["flipperctl.terrain_config"]
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, {**metadata, "flipperctl.format_version": "1"})
+    return bytes(model.SerializeToString())
+
+
+def read_checkpoint(path: Path) -> str:
+    """All that commands do with a checkpoint before they play; a hash of what they then know."""
+    saved = checkpoint.read(checkpoint.find(path))
+    found = describe(saved)
+    with contextlib.redirect_stdout(io.StringIO()):
+        print(json.dumps(found))
+        show(found)
+    config = saved.config()
+    module = policy_module(saved)
+    with torch.inference_mode():
+        values = module(torch.zeros(4, config.network.frames * config.perception.size)).numpy()
+    known = [saved.document.text(), saved.content, values.tobytes().hex()]
+    if saved.document.kind == "last":
+        learner = Trainer(config, path.parents[1])
+        learner.restore(saved)
+        known += [str(learner.decision), str(learner.epsilon), str(len(learner.replay))]
+    return _hash(known)
+
+
+def read_onnx(path: Path) -> str:
+    """All that ``eval`` and a robot do with an exported file before they drive."""
+    policy = OnnxPolicy(path)
+    config = exported_config(path)
+    size = policy.interface.inputs
+    values = policy.q_values(np.resize(SEEN, (50, size)))
+    policy.act(np.zeros(policy.interface.size))
+    says = policy.interface
+    return _hash(
+        [repr(says), str(says.actions.tolist()), config.model_dump_json(), values.tobytes().hex()]
+    )
+
+
+def _hash(known: list[str]) -> str:
+    return hashlib.sha256("\n".join(known).encode(errors="surrogatepass")).hexdigest()
+
+
+def resigned(data: bytes, folder: Path, rng: Rng) -> bytes:
+    """A checkpoint with another document, and a checksum that fits it."""
+    saved = _saved(data, folder)
+    text = document(saved.document.plain(), rng)
+    return checkpoint.signed(text.encode(errors="replace").decode(), saved.tensors)
+
+
+def resigned_tensors(data: bytes, folder: Path, rng: Rng) -> bytes:
+    """A checkpoint with another tensor, and a checksum that fits it."""
+    saved = _saved(data, folder)
+    tensors = dict(saved.tensors)
+    name = list(tensors)[int(rng.integers(len(tensors)))]
+    old = tensors.pop(name)
+    changes: list[Callable[[], torch.Tensor | None]] = [
+        lambda: None,
+        lambda: old.reshape(-1)[:-1],
+        lambda: old.unsqueeze(0),
+        lambda: old.to(torch.float64),
+        lambda: old.to(torch.complex64),
+        lambda: old.to(torch.float8_e4m3fn),
+        lambda: old.bool(),
+        lambda: torch.full_like(old, -7),
+        lambda: torch.full_like(old, torch.nan) if old.is_floating_point() else old * 0 + 2**40,
+        lambda: torch.zeros(0),
+        lambda: torch.tensor(1.0),
+    ]
+    new = changes[int(rng.integers(len(changes)))]()
+    if new is not None:
+        tensors[f"more.{name}" if rng.random() < 0.1 else name] = new
+    return checkpoint.signed(saved.document.text(), tensors)
+
+
+def _saved(data: bytes, folder: Path) -> checkpoint.Checkpoint:
+    whole = folder / "whole.safetensors"
+    whole.write_bytes(data)
+    return checkpoint.read(whole)
+
+
+def resealed(data: bytes, rng: Rng) -> bytes:
+    """An exported policy with other metadata, and a checksum that fits it."""
+    model, metadata = _model(data)
+    names = sorted(name for name in metadata if name != CHECKSUM)
+    for _ in range(int(rng.integers(1, 3))):
+        name = names[int(rng.integers(len(names)))]
+        value = metadata[name]
+        try:
+            text = document(json.loads(value), rng)
+        except (ValueError, RecursionError):  # no JSON, or spoilt before
+            text = str(rng.choice(["", "x", "mix", "1", "é\n", "null"]))
+        metadata[name] = text.encode(errors="replace").decode()
+    if rng.random() < 0.1:
+        del metadata[names[int(rng.integers(len(names)))]]
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, {**metadata, CHECKSUM: PLACEHOLDER})
+    return sealed(model.SerializeToString())
+
+
+def disguised(data: bytes, rng: Rng) -> bytes:
+    """Damaged, and its entries look as though they were of an older format."""
+    names = (b"sha256", b"terrain_config", b"format_version", b"flipperctl.sha256")
+    for _ in range(int(rng.integers(1, 3))):
+        name = names[int(rng.integers(len(names)))]
+        data = data.replace(name, bytes([*name[:-1], name[-1] ^ 1]))
+    if rng.random() < 0.7:
+        data = data.replace(b"format_version\x12\x012", b"format_version\x12\x011")
+    return BYTES["flip"](data, rng)

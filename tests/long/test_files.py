@@ -1,0 +1,48 @@
+"""Some hundred spoilt files of each kind; ``python -m tests.long.files`` spoils thousands."""
+
+import os
+import signal
+import time
+import warnings
+
+import pytest
+
+from flipperctl.errors import CheckpointError, ExportError
+from tests.long.files import BAD, KINDS, fuzz
+from tests.long.isolated import judged
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_spoilt_files_are_refused_or_read_as_what_they_were(kind: str) -> None:
+    with fuzz(kind, seed=0) as found:
+        verdicts = list(found.run(120))
+    assert len(verdicts) == 120
+    assert [v for v in verdicts if v[1][0] in BAD] == []
+    assert sum(verdict == "refused" for _, (verdict, _) in verdicts) > 40
+
+
+def _misbehave(case: int) -> str:
+    if case == 1:
+        raise CheckpointError("it is damaged")
+    if case == 2:
+        raise KeyError("a")
+    if case == 3:
+        raise ExportError("of exit code 1")
+    if case == 4:
+        warnings.warn("odd", stacklevel=1)
+    if case == 5:
+        os.write(1, b"*** EP Error ***")
+    if case == 6:
+        time.sleep(60)
+    if case == 7:
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # not pytest's handler, which prints
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if case == 8:
+        bytearray(1 << 40)
+    return "equal"
+
+
+def test_all_that_must_not_be_is_found() -> None:
+    verdicts = [verdict for verdict, _ in judged(10, _misbehave, limit=1.0)]
+    expected = ["equal", "refused", "traceback", "traceback", "traceback", "noise", "hang"]
+    assert verdicts == [*expected, "traceback", "traceback", "equal"]
