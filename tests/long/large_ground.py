@@ -57,13 +57,14 @@ def measure(file: str) -> dict[str, Any]:
     """Load the recording and drive two episodes on it."""
     plugins.load()
     drive(FlipperEnv("flat"), "okada", 0)  # what any first episode needs
-    before, begin = memory(), time.perf_counter()
+    before, begin, busy = memory(), time.perf_counter(), time.process_time()
     env = FlipperEnv({"name": "profile_file", "path": file})
     ends = [drive(env, "okada", seed)["outcome"] for seed in range(2)]
-    seconds = time.perf_counter() - begin
+    seconds, busy = time.perf_counter() - begin, time.process_time() - busy
     return {
         "points": len(env.profile.points),
         "seconds": round(seconds, 2),
+        "of_processor": round(busy, 2),
         "MB": round(memory() - before),
         "outcomes": ends,
     }
