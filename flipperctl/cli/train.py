@@ -79,7 +79,6 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
 
     from flipperctl import plugins as loader
     from flipperctl.cli import compose, sweeper, sweeps
-    from flipperctl.cli.overrides import check_folders, check_words
     from flipperctl.cli.training import shown
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
@@ -89,19 +88,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     sweeper.offer()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
-    if not any(a.startswith("-") for a in overrides):  # else words may be an option's values
-        check_words(overrides)
-    with compose.translated():
-        check_folders(o for o in overrides if "=" in o and not o.startswith("-"))
-    compose.check_mappings([o for o in overrides if "=" in o and not o.startswith("-")])
-    # Hydra's rarer options may bring other configuration files; then the job itself checks.
-    if check and not any(a.startswith("-") for a in overrides):
-        own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
-        for probe in ([], *compose.interval_probes(own)):
-            for config in compose.compose_train([*own, *probe]):  # before Hydra makes a directory
-                _check_device(config)
-                _check_terrain(config)
-                _check_network(config)
+    _check(overrides, compose=check)
     errors: list[BaseException] = []
     paths = loader.given()  # a worker on a running cluster has another environment
 
@@ -127,6 +114,8 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         # Hydra passes exceptions on, instead of printing them itself.
         with compose.translated(), env_override({"HYDRA_FULL_ERROR": "1"}):
             application()
+        if errors:
+            raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
             "interrupted; a run that had saved goes on with: flipperctl train --resume RUN"
@@ -139,8 +128,27 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         sys.argv = given
         if several:
             _shut_ray_down()
-    if errors:
-        raise errors[0]
+
+
+def _check(overrides: list[str], *, compose: bool) -> None:
+    """Refuse what is wrong before Hydra makes a directory."""
+    from flipperctl.cli import compose as composer
+    from flipperctl.cli.overrides import check_folders, check_words
+
+    options = any(override.startswith("-") for override in overrides)
+    if not options:  # else words may be an option's values
+        check_words(overrides)
+    with composer.translated():
+        check_folders(o for o in overrides if "=" in o and not o.startswith("-"))
+    composer.check_mappings([o for o in overrides if "=" in o and not o.startswith("-")])
+    # Hydra's rarer options may bring other configuration files; then the job itself checks.
+    if compose and not options:
+        own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
+        for probe in ([], *composer.interval_probes(own)):
+            for config in composer.compose_train([*own, *probe]):
+                _check_device(config)
+                _check_terrain(config)
+                _check_network(config)
 
 
 def _shut_ray_down() -> None:

@@ -74,7 +74,8 @@ def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> 
     assert done.code == 1
     assert done.err.splitlines()[-1] == "error: the floor is broken"
     assert "Traceback" not in done.err
-    assert runs(folder) == {"0_terrain.broken=false"}
+    assert "Error executing job" not in done.err
+    assert runs(folder) == {"0_terrain.broken=False"}
     assert not sys.modules["ray"].is_initialized()
 
 

@@ -228,6 +228,14 @@ class Tally:
         return self.tracebacks + self.hangs + self.changes + self.wrong_codes
 
 
+def progress(tallies: dict[str, Tally], count: int) -> None:
+    """Tell every tenth case on stderr."""
+    done = sum(tally.count for tally in tallies.values())
+    if done % 10 == 0:
+        found = sum(tally.violations for tally in tallies.values())
+        print(f"{done} of {count}, {found} violations", file=sys.stderr, flush=True)
+
+
 def report(tallies: dict[str, Tally], seconds: float) -> int:
     """Print the table; returns the exit code."""
     heading = ("kind", "count", "tracebacks", "hangs", "silent changes", "wrong codes", "codes")

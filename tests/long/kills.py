@@ -15,7 +15,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tests.long.forked import QUICK, Command, Tally, differences, preload, report, result, start
+from tests.long.forked import (
+    QUICK,
+    Command,
+    Tally,
+    differences,
+    preload,
+    progress,
+    report,
+    result,
+    start,
+)
 
 LAST = Path("checkpoints/last.safetensors")
 _AGAIN = 0.3
@@ -137,6 +147,7 @@ def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
             continue
         left[kind] -= 1
         tallies[f"{mode}, {moment}"].add(case.finish())
+        progress(tallies, count)
     if any(left.values()):
         print(f"these kills did not come about: {left}", file=sys.stderr)
         return 1

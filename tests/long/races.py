@@ -15,7 +15,7 @@ from collections import defaultdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.long.forked import Command, Tally, differences, preload, report, start
+from tests.long.forked import Command, Tally, differences, preload, progress, report, start
 from tests.long.kills import Reference, reference
 
 KINDS = ("fresh + fresh", "resume + resume", "fresh + resume")
@@ -101,6 +101,7 @@ def run(count: int, seed: int, folder: Path, fast: float) -> int:
         if one is not None:
             done += 1
             tallies[f"{kind}, {mode}"].add(one)
+            progress(tallies, count)
     print(f"only {done} of {count} pairs met", file=sys.stderr)
     return 1
 

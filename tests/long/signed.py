@@ -12,17 +12,18 @@ import numpy as np
 import onnx
 import torch
 
+from flipperctl import checkpoint
 from flipperctl.agent.d3qn import arrays
 from flipperctl.cli.inspect.checkpoint import _print as show
 from flipperctl.cli.inspect.checkpoint import describe
 from flipperctl.config import TrainConfig, merged, parse
-from flipperctl.run import checkpoint, export
-from flipperctl.run.collect import Order
-from flipperctl.run.exported import exported_config
-from flipperctl.run.policy import policy_module
-from flipperctl.run.train import Trainer
+from flipperctl.export import policy as export
+from flipperctl.policies.exported import exported_config
+from flipperctl.policies.trained import policy_module
+from flipperctl.rollout.collect import Order
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
+from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document
 from tests.short import short_config, trainer
 
