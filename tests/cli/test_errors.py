@@ -49,7 +49,7 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["inspect", "config", "=3"], ["'=3' has no key"]),
         (["inspect", "config", "terrain=3"], ["terrain: a name", "3"]),
         (["inspect", "config", "network=[1,2]"], ["network: a name", "[1, 2]"]),
-        (["eval", "--controller", "level", "terrain=null"], ["terrain: a name", "None"]),
+        (["eval", "--controller", "level", "terrain=null"], ["terrain=null", "give a name"]),
         (["train", "terain=stair"], ["terain", "'terrain'"]),
         (["train", "terrain=stiar"], ["terrain", "'stiar'", "'stair'"]),
         (["train", "network=at_d3q"], ["network", "'at_d3qn'"]),
