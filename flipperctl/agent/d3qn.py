@@ -92,7 +92,7 @@ class D3qn:
         return self.target if self.settings.act_with == "target" else self.online
 
     @contextmanager
-    def judged(self) -> Iterator[torch.nn.Module]:
+    def evaluation_mode(self) -> Iterator[torch.nn.Module]:
         """The policy in ``eval()`` mode, without its noise, until it is left."""
         try:
             yield self.policy.eval()

@@ -29,7 +29,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.function import FunctionPolicy
-from flipperctl.rollout.collect import InProcess
+from flipperctl.rollout.collect import InProcessCollector
 from flipperctl.rollout.seeds import episode_seed
 
 ABOUT = (
@@ -84,7 +84,7 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     size = input_size(config.network, config.perception)
     replay = Replay(count, size, 1, config.agent.gamma)
     rng, numbers = np.random.default_rng(seed), itertools.count()
-    played = InProcess(
+    played = InProcessCollector(
         FlipperEnv(config=config.environment()),
         FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS)))),
         lambda: episode_seed("training", seed, next(numbers)),
@@ -96,7 +96,7 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
                 step.observation,
                 step.action,
                 step.reward,
-                step.following,
+                step.next_observation,
                 over=step.ending is not None,
                 bootstrap=False,
             )

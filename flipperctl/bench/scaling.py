@@ -26,9 +26,10 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.rollout import collect
-from flipperctl.rollout.collect import Crew, Order
-from flipperctl.rollout.processes import ProcessCrew
+from flipperctl.rollout.collect import RolloutWorkers
+from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.values import RolloutRequest
 
 ABOUT = "decisions collected a second (ε-greedy on the network, no updates), over workers, in turn"
 EPSILON = 0.05
@@ -48,7 +49,7 @@ Factory = Callable[[TrainConfig, int], Collector]
 """From a configuration and a number of workers to a collector; raises MissingExtraError."""
 
 
-class InProcess:
+class InProcessCollector:
     """One environment and one agent in this process, as the trainer has them: the reference."""
 
     def __init__(self, config: TrainConfig, workers: int) -> None:
@@ -63,7 +64,7 @@ class InProcess:
         policy = ExploringPolicy(
             self._agent.online, config.network.frames, lambda: EPSILON, rng, self._agent.noise_rng
         )
-        played = collect.InProcess(
+        played = collect.InProcessCollector(
             env,
             policy,
             lambda: episode_seed("training", config.seed, next(numbers)),
@@ -83,56 +84,56 @@ class InProcess:
         """Nothing was started."""
 
 
-class OfCrew:
-    """Episodes played on order by a crew, with the weights of a fresh network."""
+class OfWorkers:
+    """Episodes requested of workers, with the weights of a fresh network."""
 
-    def __init__(self, config: TrainConfig, crew: Crew) -> None:
+    def __init__(self, config: TrainConfig, workers: RolloutWorkers) -> None:
         layout = config.perception
         agent = D3qn(config.network, layout, len(ACTIONS), config.agent, seed=config.seed)
         self._weights = arrays(agent.online)
         self._seed = config.seed
-        self._crew = crew
-        self._ordered = 0
+        self._workers = workers
+        self._requested = 0
 
-    def _order(self) -> Order:
-        self._ordered += 1
-        seed = episode_seed("training", self._seed, self._ordered)
-        return Order(self._ordered, seed, EPSILON, 0, 0, self._weights)
+    def _request(self) -> RolloutRequest:
+        self._requested += 1
+        seed = episode_seed("training", self._seed, self._requested)
+        return RolloutRequest(self._requested, seed, EPSILON, 0, 0, self._weights)
 
     def collect(self, decisions: int) -> int:
         """Whole episodes; none is left to be played when the next contestant's turn comes."""
-        crew, done = self._crew, 0
-        while done < decisions or crew.outstanding():
-            while done < decisions and len(crew.outstanding()) < crew.capacity:
-                crew.send(self._order())
-            _, played = crew.take()
+        workers, done = self._workers, 0
+        while done < decisions or workers.outstanding():
+            while done < decisions and len(workers.outstanding()) < workers.capacity:
+                workers.send(self._request())
+            _, played = workers.take()
             done += 0 if played is None else len(played.actions)
         return done
 
     def close(self) -> None:
-        """Stop the crew."""
-        self._crew.close()
+        """Stop the workers."""
+        self._workers.close()
 
 
 def in_processes(config: TrainConfig, workers: int) -> Collector:
     """As ``train.workers``."""
-    return OfCrew(config, ProcessCrew(workers, container(config), plugins.given()))
+    return OfWorkers(config, ProcessWorkers(workers, container(config), plugins.given()))
 
 
 def on_ray(config: TrainConfig, workers: int) -> Collector:
     """As ``collector=ray`` on a cluster that is started here, with room for all contestants."""
-    from flipperctl.rollout.ray_workers import RayCrew, start_local
+    from flipperctl.rollout.ray_workers import RayWorkers, start_local
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)
-    return OfCrew(config, RayCrew(settings, container(config), plugins.given()))
+    return OfWorkers(config, RayWorkers(settings, container(config), plugins.given()))
 
 
 def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:
     """What is measured: a name, its factory, and the numbers of workers."""
     counts = worker_counts()
     return {
-        "in_process": (InProcess, (1,)),
+        "in_process": (InProcessCollector, (1,)),
         "processes": (in_processes, counts),
         "ray": (on_ray, counts),
     }

@@ -74,15 +74,15 @@ def go_on(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], Non
             )
         else:
             trainer.restore(saved)
-        spent = trainer.decision >= config.train.decisions
-        if spent and run_folder.is_finished(directory, trainer.decision):
+        spent = trainer.progress.decision >= config.train.decisions
+        if spent and run_folder.is_finished(directory, trainer.progress.decision):
             print(
                 f"nothing left to do: {directory} has used its budget of "
                 f"{config.train.decisions} decisions; a larger train.decisions=… goes on",
                 file=sys.stderr,
             )
             return
-        _train(trainer, trainer.decision)
+        _train(trainer, trainer.progress.decision)
 
 
 def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
             directory / run_folder.METRICS, list(config.rewards), config.randomise.names, resume_at
         ),
         TensorBoard(directory / "tensorboard", resume_at),
-        progress(config.train.decisions, trainer.decision),
+        progress(config.train.decisions, trainer.progress.decision),
     ]
     try:
         with _interrupts() as stop:
@@ -107,7 +107,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
         ) from error
     if not summary["finished"]:
         raise InterruptedRunError(
-            f"interrupted at decision {trainer.decision}; all is saved. "
+            f"interrupted at decision {trainer.progress.decision}; all is saved. "
             f"Go on with: flipperctl train --resume {shown(directory)}"
         )
     best = summary["best"]

@@ -1,4 +1,4 @@
-"""What runs in a worker: an environment and a network that plays whole episodes on order."""
+"""What runs in a worker: an environment and a network that plays whole episodes on request."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.trained import QPolicy
-from flipperctl.rollout.collect import Order, Played, Weights
 from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration
+from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
 
 
 class Actor:
-    """Plays episodes of training with the weights that come with each order."""
+    """Plays episodes of training with the weights that come with each request."""
 
     def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
         """``config``: the container of a ``TrainConfig``."""
@@ -36,27 +36,27 @@ class Actor:
         self._frames = settings.network.frames
         self._seed = settings.seed
 
-    def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
         """Play an episode of each seed greedily."""
         self._load(weights)
         policy = QPolicy(self._module.eval(), self._frames)
         return [play(self._env, policy, seed) for seed in seeds]
 
-    def play(self, order: Order, weights: Weights) -> Played:
-        """One episode to its end; equal orders give equal episodes.
+    def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
+        """Play one episode to its end; equal requests give equal episodes.
 
-        The weights come apart from the order, since many orders share them.
+        The weights come apart from the request, since many requests share them.
         """
         self._load(weights)
         self._module.train()
-        rng = exploration(self._seed, order.episode)
-        policy = ExploringPolicy(self._module, self._frames, lambda: order.epsilon, rng, rng)
-        played = list(decisions(self._env, policy, order.seed, difficulty=order.difficulty))
+        rng = exploration(self._seed, request.episode)
+        policy = ExploringPolicy(self._module, self._frames, lambda: request.epsilon, rng, rng)
+        played = list(decisions(self._env, policy, request.seed, difficulty=request.difficulty))
         seen = [stacked(played[0].perception.recent, self._frames)]
         seen += [stacked(d.next_perception.recent, self._frames) for d in played]
-        ending = {**(played[-1].ending or {}), "difficulty": order.difficulty}
+        ending = {**(played[-1].ending or {}), "difficulty": request.difficulty}
         actions = np.array([d.action for d in played])
-        return Played(np.array(seen), actions, np.array([d.reward for d in played]), ending)
+        return Rollout(np.array(seen), actions, np.array([d.reward for d in played]), ending)
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}
@@ -77,13 +77,13 @@ class StartedActor:
         except FlipperctlError as error:
             self._actor = error
 
-    def judge(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
-        """As ``Actor.judge``."""
-        return self._ready().judge(weights, seeds)
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+        """As ``Actor.evaluate``."""
+        return self._ready().evaluate(weights, seeds)
 
-    def play(self, order: Order, weights: Weights) -> Played:
+    def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """As ``Actor.play``."""
-        return self._ready().play(order, weights)
+        return self._ready().play(request, weights)
 
     def _ready(self) -> Actor:
         if isinstance(self._actor, FlipperctlError):

@@ -1,125 +1,73 @@
-"""Where a training run's decisions come from: played in the learner's process, or by others.
+"""Where a learner's decisions come from: its own process, or workers.
 
-Out: one ``Step`` a decision, episode after episode. ``InProcess`` acts with the newest weights
-(``train.mode=exact``). ``Pipelined`` keeps a crew of workers busy with orders for whole episodes,
-so that acting and learning go on at the same time (``train.mode=fast``).
+Out: one ``Step`` for each decision, episode after episode. ``InProcessCollector`` acts with the
+newest weights (``train.mode=exact``). ``AsyncCollector`` keeps workers busy with requests for whole
+episodes, so that acting and learning go on at the same time (``train.mode=fast``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import Row, decisions
-
-Weights = Mapping[str, NDArray[Any]]
-"""A network's ``state_dict`` as arrays."""
-Judge = Callable[[Sequence[int]], list[Row]]
-"""Plays an episode of each seed."""
-Judged = Callable[[], list[Row] | None]
-"""Waits for what a worker judged; None if it died."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One decision; observations are what the network sees, (frames · (N + 3),)."""
-
-    observation: NDArray[np.float32]
-    action: int
-    reward: float
-    following: NDArray[np.float32]
-    """The observation that followed."""
-    ending: Row | None
-    """None while the episode runs; else its ``seed``, ``outcome`` and metrics."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """What a worker needs to play one episode of training."""
-
-    episode: int
-    seed: int
-    epsilon: float
-    """Share of random actions."""
-    decision: int
-    """How far the learner was when it gave the order."""
-    version: int
-    """Updates that the weights had seen; orders of one version share them."""
-    weights: Weights
-    difficulty: float = 1.0
-    """Of the terrain, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class Played:
-    """An episode that a worker played, T decisions long."""
-
-    observations: NDArray[np.float32]
-    """(T + 1, frames · (N + 3))"""
-    actions: NDArray[np.int64]
-    """(T,)"""
-    rewards: NDArray[np.float64]
-    """(T,)"""
-    ending: Row
-
-    def steps(self) -> Iterator[Step]:
-        """The decisions in turn."""
-        last = len(self.actions) - 1
-        for t, (action, reward) in enumerate(zip(self.actions, self.rewards, strict=True)):
-            now, following = self.observations[t], self.observations[t + 1]
-            ending = self.ending if t == last else None
-            yield Step(now, int(action), float(reward), following, ending)
+from flipperctl.rollout.values import (
+    EvaluateHere,
+    PendingEvaluation,
+    Rollout,
+    RolloutRequest,
+    Step,
+    Weights,
+)
 
 
 class Collector(Protocol):
     """A source of episodes."""
 
     def episode(self) -> Iterator[Step]:
-        """The decisions of one episode, to its end."""
+        """Yield the decisions of one episode, to its end."""
 
-    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
-        """Play an episode of each seed greedily, without exploration; ``own`` does so here."""
+    def evaluate(
+        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
+    ) -> list[Row]:
+        """Play an episode of each seed greedily; ``evaluate_here`` does so in this process."""
 
-    def outstanding(self) -> list[Order]:
-        """Orders that were given and are not yet played, oldest first."""
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return the requests that are not yet played, oldest first."""
 
     def close(self) -> None:
-        """Let go of processes."""
+        """Release worker processes."""
 
 
-class Crew(Protocol):
-    """Workers that play orders."""
+class RolloutWorkers(Protocol):
+    """Workers that play what they are requested to."""
 
     count: int
     """Workers."""
     capacity: int
-    """Orders that keep all workers busy."""
+    """Requests that keep all workers busy."""
 
-    def send(self, order: Order) -> None:
-        """Hand over an order; does not wait."""
+    def send(self, request: RolloutRequest) -> None:
+        """Send a request; does not wait."""
 
-    def take(self) -> tuple[Order, Played | None]:
-        """Wait for an order and what became of it: None if its worker died."""
+    def take(self) -> tuple[RolloutRequest, Rollout | None]:
+        """Wait for a request and its rollout: None if its worker died."""
 
-    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
-        """Hand each worker its share of the seeds; does not wait. One share a worker."""
+    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
+        """Send each worker one part of the seeds; does not wait."""
 
-    def outstanding(self) -> list[Order]:
-        """Orders handed over and not yet taken, oldest first."""
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return the requests that were sent and not yet taken, oldest first."""
 
     def close(self) -> None:
         """Stop the workers."""
 
 
-class InProcess:
-    """Plays in this process: ``act`` sees every update that came before."""
+class InProcessCollector:
+    """Plays in this process: the policy acts after every update that came before."""
 
     def __init__(
         self,
@@ -134,71 +82,80 @@ class InProcess:
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
-        """Each decision is made when it is asked for."""
+        """Yield the decisions of one episode; each is made when it is asked for."""
         seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
         for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
             now, following = (stacked(p.recent, frames) for p in (d.perception, d.next_perception))
             yield Step(now, d.action, d.reward, following, ending)
 
-    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
-        """All are played here."""
-        return own(seeds)
+    def evaluate(
+        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
+    ) -> list[Row]:
+        """Play all episodes here."""
+        return evaluate_here(seeds)
 
-    def outstanding(self) -> list[Order]:
-        """None."""
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return no request: an episode is played when it is asked for."""
         return []
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to release."""
 
 
-class Pipelined:
-    """Gives orders ahead, and hands on what the crew played."""
+class AsyncCollector:
+    """Requests episodes ahead of their use, and yields what the workers played."""
 
     def __init__(
         self,
-        crew: Crew,
-        next_order: Callable[[], Order],
-        lost: Callable[[Order], None],
-        taken: Callable[[Order], bool],
+        workers: RolloutWorkers,
+        next_request: Callable[[], RolloutRequest],
+        on_lost: Callable[[RolloutRequest], None],
+        accept: Callable[[RolloutRequest], bool],
     ) -> None:
-        """``lost`` hears of each order whose worker died; ``taken`` says whether it is of use."""
-        self._crew, self._next_order = crew, next_order
-        self._lost, self._taken = lost, taken
+        """``on_lost`` is called with each request whose worker died.
 
-    def resume(self, orders: list[Order]) -> None:
-        """Give orders again that were outstanding when the run was saved."""
-        for order in orders:
-            self._crew.send(order)
+        ``accept`` decides whether a rollout is still of use.
+        """
+        self._workers, self._next_request = workers, next_request
+        self._on_lost, self._accept = on_lost, accept
+
+    def resume(self, requests: Sequence[RolloutRequest]) -> None:
+        """Make requests again that were outstanding when the run was saved."""
+        for request in requests:
+            self._workers.send(request)
 
     def episode(self) -> Iterator[Step]:
-        """The next episode, as the crew hands it over."""
+        """Yield the decisions of the next episode that the workers return."""
+        workers = self._workers
         while True:
-            while len(self._crew.outstanding()) < self._crew.capacity:
-                self._crew.send(self._next_order())
-            order, played = self._crew.take()
-            if played is None:
-                self._lost(order)
-            elif self._taken(order):
+            while len(workers.outstanding()) < workers.capacity:
+                workers.send(self._next_request())
+            request, rollout = workers.take()
+            if rollout is None:
+                self._on_lost(request)
+            elif self._accept(request):
                 break
-        yield from played.steps()
+        yield from rollout.steps()
 
-    def judge(self, weights: Weights, seeds: Sequence[int], own: Judge) -> list[Row]:
-        """Shared out evenly among the crew and this process."""
-        shares = [seeds[start :: self._crew.count + 1] for start in range(self._crew.count + 1)]
-        waiting = self._crew.judge(weights, shares[1:])
-        rows = own(shares[0])
-        for share, judged in zip(shares[1:], waiting, strict=True):
-            found = judged()
-            rows += own(share) if found is None else found
+    def evaluate(
+        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
+    ) -> list[Row]:
+        """Divide the episodes evenly among the workers and this process."""
+        count = self._workers.count + 1
+        parts = [seeds[start::count] for start in range(count)]
+        pending = self._workers.evaluate(weights, parts[1:])
+        rows = evaluate_here(parts[0])
+        for part, wait in zip(parts[1:], pending, strict=True):
+            found = wait()
+            rows += evaluate_here(part) if found is None else found
         place = {seed: index for index, seed in enumerate(seeds)}
         return sorted(rows, key=lambda row: place[row["seed"]])
 
-    def outstanding(self) -> list[Order]:
-        """What the crew has yet to hand over."""
-        return self._crew.outstanding()
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return what the workers have yet to play."""
+        return self._workers.outstanding()
 
     def close(self) -> None:
-        """Stop the crew."""
-        self._crew.close()
+        """Stop the workers."""
+        self._workers.close()

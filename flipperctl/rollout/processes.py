@@ -1,4 +1,4 @@
-"""Worker processes that are replaced when they die, and a crew of actors in them.
+"""Worker processes that are replaced when they die, and the actors in them.
 
 Each worker is a process pool of one from the standard library: a dead process then takes down
 nothing but itself.
@@ -24,8 +24,8 @@ from typing import Any
 from safetensors.numpy import load_file, save_file
 
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout.collect import Judged, Order, Played, Weights
 from flipperctl.rollout.episode import Row
+from flipperctl.rollout.values import PendingEvaluation, Rollout, RolloutRequest, Weights
 
 _ACTOR = "flipperctl.rollout.actor"
 _DEATHS = 3
@@ -140,60 +140,60 @@ def _leave_with(parent: Any) -> None:
     os._exit(1)
 
 
-class ProcessCrew:
-    """Actors in ``count`` processes; results come in the order of the orders."""
+class ProcessWorkers:
+    """Actors in ``count`` processes; rollouts come in the order of the requests."""
 
     def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
         self.count = count
         self.capacity = 2 * count  # one is waiting while the other is played
         self._workers = Workers(count, _begin, (config, plugin_paths))
-        self._sent: deque[tuple[Order, Job]] = deque()
+        self._sent: deque[tuple[RolloutRequest, Job]] = deque()
         # Weights go through files: a pool whose process dies while a long message to it is under
         # way would hold up the interpreter's exit (CPython issue 94777, before Python 3.12).
         self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
         self._files: dict[int, Path] = {}
 
-    def send(self, order: Order) -> None:
-        """Hand an order to the worker that has the least to do."""
-        if order.version not in self._files:
-            self._files[order.version] = self._write(f"order{order.version}", order.weights)
-        path = self._files[order.version]
-        slim = replace(order, weights={})
-        self._sent.append((order, self._workers.submit(_play, slim, path)))
+    def send(self, request: RolloutRequest) -> None:
+        """Send a request to the worker that has the least to do."""
+        if request.version not in self._files:
+            self._files[request.version] = self._write(f"request{request.version}", request.weights)
+        path = self._files[request.version]
+        slim = replace(request, weights={})
+        self._sent.append((request, self._workers.submit(_play, slim, path)))
 
-    def take(self) -> tuple[Order, Played | None]:
-        """The oldest order, and its episode."""
-        order, job = self._sent.popleft()
+    def take(self) -> tuple[RolloutRequest, Rollout | None]:
+        """The oldest request, and its episode."""
+        request, job = self._sent.popleft()
         try:
-            return order, self._workers.result(job)
+            return request, self._workers.result(job)
         except WorkerDiedError:
-            return order, None
+            return request, None
         finally:
             in_use = {waiting.version for waiting in self.outstanding()}
             for version in self._files.keys() - in_use:
                 self._files.pop(version).unlink()
 
-    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
-        """Each share goes to the worker that has the least to do."""
-        path = self._write("judged", weights)
-        jobs = [self._workers.submit(_judge, path, share) for share in shares]
-        return [partial(self._judged, job) for job in jobs]
+    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
+        """Send each part of the seeds to the worker that has the least to do."""
+        path = self._write("evaluated", weights)
+        jobs = [self._workers.submit(_evaluate, path, part) for part in parts]
+        return [partial(self._evaluated, job) for job in jobs]
 
     def _write(self, name: str, weights: Weights) -> Path:
         path = Path(self._folder.name) / f"{name}.safetensors"
         save_file(dict(weights), path)
         return path
 
-    def _judged(self, job: Job) -> list[Row] | None:
+    def _evaluated(self, job: Job) -> list[Row] | None:
         try:
             rows: list[Row] = self._workers.result(job)
         except WorkerDiedError:
             return None
         return rows
 
-    def outstanding(self) -> list[Order]:
-        """Orders sent and not taken."""
-        return [order for order, _ in self._sent]
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return the requests that were sent and not taken."""
+        return [request for request, _ in self._sent]
 
     def close(self) -> None:
         """Stop the processes."""
@@ -211,11 +211,11 @@ def _begin(config: dict[str, Any], plugin_paths: list[str]) -> None:
     _actor = StartedActor(config, plugin_paths)
 
 
-def _play(order: Order, weights: Path) -> Played:
-    played: Played = _actor.play(order, load_file(weights))
+def _play(request: RolloutRequest, weights: Path) -> Rollout:
+    played: Rollout = _actor.play(request, load_file(weights))
     return played
 
 
-def _judge(weights: Path, seeds: Sequence[int]) -> list[Row]:
-    rows: list[Row] = _actor.judge(load_file(weights), seeds)
+def _evaluate(weights: Path, seeds: Sequence[int]) -> list[Row]:
+    rows: list[Row] = _actor.evaluate(load_file(weights), seeds)
     return rows

@@ -1,4 +1,4 @@
-"""A crew of actors on a Ray cluster; results come as they are ready.
+"""Actors on a Ray cluster; rollouts come as they are ready.
 
 A worker or node that is lost costs the episodes that it was playing: Ray starts the actor again
 where there is room. The weights go out once per version, whatever the number of workers.
@@ -14,13 +14,13 @@ from typing import Any
 
 from flipperctl.config import RayCollector
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
-from flipperctl.rollout.collect import Judged, Order, Played, Weights
+from flipperctl.rollout.values import PendingEvaluation, Rollout, RolloutRequest, Weights
 
 _DEPTH = 2
-"""Orders a worker: one is waiting while the other is played."""
+"""Requests a worker: one is waiting while the other is played."""
 
 
-class RayCrew:
+class RayWorkers:
     """Actors on a cluster, or on a local one if no address is given."""
 
     def __init__(
@@ -47,23 +47,25 @@ class RayCrew:
         ]
         self.count = settings.workers
         self.capacity = _DEPTH * settings.workers
-        self._sent: dict[Any, tuple[Order, int]] = {}  # by the reference of what will be played
+        self._sent: dict[
+            Any, tuple[RolloutRequest, int]
+        ] = {}  # by the reference of what will be played
         self._shared: tuple[Weights | None, Any] = (None, None)
 
-    def send(self, order: Order) -> None:
-        """Hand an order to the actor that has the least to do."""
+    def send(self, request: RolloutRequest) -> None:
+        """Send a request to the actor that has the least to do."""
         load = [0] * len(self._actors)
         for _, worker in self._sent.values():
             load[worker] += 1
         worker = load.index(min(load))
-        if self._shared[0] is not order.weights:
-            self._shared = (order.weights, self._ray.put(dict(order.weights)))
-        slim = replace(order, weights={})
+        if self._shared[0] is not request.weights:
+            self._shared = (request.weights, self._ray.put(dict(request.weights)))
+        slim = replace(request, weights={})
         reference = self._actors[worker].play.remote(slim, self._shared[1])
-        self._sent[reference] = (order, worker)
+        self._sent[reference] = (request, worker)
 
-    def take(self) -> tuple[Order, Played | None]:
-        """The first order that is ready, and its episode."""
+    def take(self) -> tuple[RolloutRequest, Rollout | None]:
+        """Wait for the first rollout that is ready, and return it with its request."""
         ready, _ = self._ray.wait(list(self._sent), timeout=self._settings.patience)
         if not ready:
             raise FlipperctlError(
@@ -71,14 +73,14 @@ class RayCrew:
                 "(collector.patience); has the cluster as many free CPUs as collector.workers "
                 f"({self._settings.workers})?"
             )
-        order, _ = self._sent.pop(ready[0])
-        return order, self._get(ready[0])
+        request, _ = self._sent.pop(ready[0])
+        return request, self._get(ready[0])
 
-    def judge(self, weights: Weights, shares: Sequence[Sequence[int]]) -> list[Judged]:
-        """A share an actor."""
+    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
+        """Send each actor its part of the seeds."""
         shared = self._ray.put(dict(weights))
-        pairs = zip(self._actors, shares, strict=True)
-        references = [actor.judge.remote(shared, share) for actor, share in pairs]
+        pairs = zip(self._actors, parts, strict=True)
+        references = [actor.evaluate.remote(shared, part) for actor, part in pairs]
         return [partial(self._get, reference) for reference in references]
 
     def _get(self, reference: Any) -> Any:
@@ -98,9 +100,9 @@ class RayCrew:
         ):
             return None
 
-    def outstanding(self) -> list[Order]:
-        """Orders sent and not taken."""
-        return [order for order, _ in self._sent.values()]
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return the requests that were sent and not taken."""
+        return [request for request, _ in self._sent.values()]
 
     def close(self) -> None:
         """Stop the actors, and the cluster if it was started here."""

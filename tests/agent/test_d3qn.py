@@ -317,7 +317,7 @@ def test_noise_explores_without_epsilon_and_rests_while_the_policy_is_judged() -
     agent = learner("noisy", act_with="online")
     assert len(set(explored(agent, 0.0, 50))) > 1
     row = torch.zeros(1, LAYOUT.size)
-    with agent.judged() as policy:
+    with agent.evaluation_mode() as policy:
         first = policy(row)
         explored(agent, 0.0, 1)
         assert torch.equal(policy(row), first)

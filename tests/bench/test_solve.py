@@ -104,8 +104,10 @@ def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
     trainer = Trainer(config, tmp_path)
     (tmp_path / "checkpoints").mkdir()
     trainer.run()
-    assert trainer.last_validated == trainer.decision  # so the policy is the validated one
-    expected = trainer.validations[-1]["success_rate"]
+    last = trainer.validator.last
+    assert last is not None
+    assert last.decision == trainer.progress.decision  # so the policy is the validated one
+    expected = last.success_rate
     assert Validation(config)(trainer.agent.policy) == expected
 
 

@@ -20,7 +20,7 @@ from flipperctl.config import TrainConfig, merged, parse
 from flipperctl.export import policy as export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
-from flipperctl.rollout.collect import Order
+from flipperctl.rollout.values import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
 from flipperctl.training.trainer import Trainer
@@ -31,7 +31,7 @@ SEEN = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32)
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """``best`` and ``last`` of a tiny run with an outstanding order, ``onnx`` and ``old``."""
+    """``best`` and ``last`` of a tiny run with an outstanding request, ``onnx`` and ``old``."""
     run = folder / "run"
     small = {"network": {"name": "at_d3qn", "terrain": [8], "fused": 8, "head": 8}}
     budget = {"train.decisions": 150, "train.validate_every": 100, "train.validation_episodes": 1}
@@ -39,9 +39,10 @@ def files(folder: Path) -> dict[str, bytes]:
     learner = trainer(config, run)
     learner.run()
     weights = arrays(learner.agent.online)
-    order = Order(learner.started, 5, 0.5, learner.decision, learner.updates, weights, 1.0)
-    learner.started += 1
-    learner.save([order])
+    now = learner.progress
+    request = RolloutRequest(now.started, 5, 0.5, now.decision, now.updates, weights, 1.0)
+    learner.progress.started += 1
+    learner.save([request])
     saved = checkpoint.read(run / checkpoint.BEST)
     export.export(saved, "onnx", folder / "step.onnx")
     whole = (folder / "step.onnx").read_bytes()
@@ -82,7 +83,8 @@ def read_checkpoint(path: Path) -> str:
     if saved.document.kind == "last":
         learner = Trainer(config, path.parents[1])
         learner.restore(saved)
-        known += [str(learner.decision), str(learner.epsilon), str(len(learner.replay))]
+        counted = (learner.progress.decision, learner.episodes.epsilon, len(learner.replay))
+        known += map(str, counted)
     return _hash(known)
 
 

@@ -43,14 +43,14 @@ def test_it_grows_with_success_and_a_resumed_run_goes_on_at_its_difficulty(
     assert {row["terrain"] for row in rows} == {"flat"}
 
     first = trainer(config, tmp_path / "parts")
-    first.run(stop=lambda: first.difficulty >= 0.5)
+    first.run(stop=lambda: first.progress.difficulty >= 0.5)
     second = trainer(config, tmp_path / "parts")
     second.restore(checkpoint.read(tmp_path / "parts" / checkpoint.LAST))
-    assert second.difficulty == 0.5
+    assert second.progress.difficulty == 0.5
     second.listeners.append(MetricsCsv(tail, []))
     second.run()
     rest = [row for row in read_rows(tail) if row["kind"] == "episode"]
-    for ours, theirs in zip(rest, rows[first.episode :], strict=True):
+    for ours, theirs in zip(rest, rows[first.progress.episode :], strict=True):
         for key in ("episode", "seed", "difficulty", "outcome", "return"):
             assert ours[key] == theirs[key]
 

@@ -46,7 +46,7 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 def test_a_resumed_run_equals_the_uninterrupted_one(trained: Path, tmp_path: Path) -> None:
     whole = checkpoint.read(trained / checkpoint.LAST)
     first = trainer(whole.config(), tmp_path)
-    first.run(stop=lambda: first.decision >= 120)
+    first.run(stop=lambda: first.progress.decision >= 120)
     stopped = checkpoint.read(tmp_path / checkpoint.LAST)
     assert 0 < stopped.document.state.updates < whole.document.state.updates
     second = trainer(stopped.config(), tmp_path)
@@ -85,7 +85,7 @@ def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Pa
     from flipperctl.agent.d3qn import D3qn, arrays
     from flipperctl.config import container
     from flipperctl.rollout.actor import Actor
-    from flipperctl.rollout.collect import Order
+    from flipperctl.rollout.values import RolloutRequest
 
     for name in ("noisy", "stacked"):
         settings = config(name)
@@ -94,11 +94,13 @@ def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Pa
         agent = D3qn(network, layout, 9, settings.agent, seed=1)
         weights = arrays(agent.online)
         actors = [Actor(container(settings), []) for _ in range(2)]
-        orders = [Order(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
-        actors[1].judge(weights, [3])  # leaves no trace in what is played next
+        requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
+        actors[1].evaluate(weights, [3])  # leaves no trace in what is played next
         one, again, other = (
-            actor.play(order, weights)
-            for actor, order in zip([*actors, actors[0]], [*orders[:1] * 2, orders[1]], strict=True)
+            actor.play(request, weights)
+            for actor, request in zip(
+                [*actors, actors[0]], [*requests[:1] * 2, requests[1]], strict=True
+            )
         )
         assert one.observations.shape[1] == network.frames * layout.size
         assert np.array_equal(one.actions, again.actions)

@@ -10,10 +10,11 @@ import torch
 
 from flipperctl import checkpoint, plugins
 from flipperctl.api import RewardTerm, Transition, registry, reward
+from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig, merged, parse
 from flipperctl.errors import NonFiniteError, WriteError
-from flipperctl.training import trainer as train
 from flipperctl.training.events import MetricsCsv, read_rows
+from flipperctl.training.validation import Validator
 from tests.short import short_config, trainer
 
 
@@ -32,7 +33,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
     tmp_path: Path, short_run: Path
 ) -> None:
     first = trainer(short_config(), tmp_path)
-    first.run(stop=lambda: first.decision >= 250)
+    first.run(stop=lambda: first.progress.decision >= 250)
     stopped = checkpoint.read(tmp_path / checkpoint.LAST)
     assert 250 <= stopped.document.state.decision < 600
 
@@ -52,7 +53,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
+def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_requests(
     tmp_path: Path, workers: int
 ) -> None:
     config = short_config(
@@ -67,7 +68,7 @@ def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_orders(
     whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
 
     first = trainer(config, tmp_path / "parts")
-    first.run(stop=lambda: first.decision >= 250)
+    first.run(stop=lambda: first.progress.decision >= 250)
     stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
     assert len(stopped.document.state.orders) == 2 * workers - 1
     second = trainer(stopped.config(), tmp_path / "parts")
@@ -107,7 +108,7 @@ def test_metrics_hold_a_row_an_episode_and_drop_what_lies_behind_a_resumed_check
     first.run()
     rows = read_rows(path)
     episodes = [row for row in rows if row["kind"] == "episode"]
-    assert [int(row["episode"]) for row in episodes] == list(range(1, first.episode + 1))
+    assert [int(row["episode"]) for row in episodes] == list(range(1, first.progress.episode + 1))
     parts = [
         sum(float(row[f"reward_{t}"]) for t in ("flipper", "pitch", "end")) for row in episodes
     ]
@@ -122,12 +123,12 @@ def test_metrics_hold_a_row_an_episode_and_drop_what_lies_behind_a_resumed_check
 
 
 def test_best_is_chosen_by_success_then_by_pitch_variation() -> None:
-    def validation(success: float, variation: float) -> dict[str, float]:
-        return {"success_rate": success, "pitch_variation": variation}
+    def validation(success: float, variation: float) -> Validation:
+        return Validation(decision=1, success_rate=success, t_cost=10.0, pitch_variation=variation)
 
-    learner = train.Trainer.__new__(train.Trainer)
-    learner.validations = [validation(0.9, 0.1), validation(1.0, 2.0), validation(1.0, 1.5)]
-    assert learner.best == validation(1.0, 1.5)
+    validator = Validator.__new__(Validator)
+    validator.history = [validation(0.9, 0.1), validation(1.0, 2.0), validation(1.0, 1.5)]
+    assert validator.best == validation(1.0, 1.5)
 
 
 def test_a_reward_that_is_no_number_stops_and_is_named(tmp_path: Path) -> None:

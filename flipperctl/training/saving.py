@@ -1,0 +1,106 @@
+"""A whole run as a checkpoint, and back.
+
+A checkpoint is taken between episodes: there the world holds no state, so a resumed run repeats
+the uninterrupted one bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.replay import Replay
+from flipperctl.checkpoint.document import Generators, OrderState, State, Validation
+from flipperctl.config import TrainConfig
+from flipperctl.errors import CheckpointError
+from flipperctl.rollout.values import RolloutRequest
+from flipperctl.training.progress import Progress
+from flipperctl.training.tensors import run_arrays
+
+_COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
+
+
+class RunSaver:
+    """Writes and reads everything that a run needs to go on."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        directory: Path,
+        agent: D3qn,
+        replay: Replay,
+        progress: Progress,
+        generators: Mapping[str, np.random.Generator],
+        history: list[Validation],
+    ) -> None:
+        """``generators``: explore, sample and noise; ``history``: the validations so far."""
+        self._config, self._directory = config, directory
+        self._agent, self._replay, self._progress = agent, replay, progress
+        self._generators, self._history = generators, history
+
+    def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
+        """Write ``last.safetensors``; a resumed run makes the ``outstanding`` requests again."""
+        tensors = self._agent.tensors()
+        for name, array in self._replay.filled().items():
+            tensors[f"replay.{name}"] = torch.from_numpy(array)
+        for version, weights in {r.version: r.weights for r in outstanding}.items():
+            for name, array in weights.items():
+                tensors[f"weights{version}.{name}"] = torch.from_numpy(array)
+        document = checkpoint.describe(self._config, "last", state=self._state(outstanding))
+        checkpoint.write(self._directory / checkpoint.LAST, document, tensors)
+
+    def save_best(self, best: Validation) -> None:
+        """Write ``best.safetensors``: the policy that was just validated."""
+        document = checkpoint.describe(
+            self._config, "best", decision=best.decision, validation=best.model_dump()
+        )
+        policy = self._agent.policy.state_dict()
+        tensors = {f"policy.{name}": tensor for name, tensor in policy.items()}
+        checkpoint.write(self._directory / checkpoint.BEST, document, tensors)
+
+    def restore(self, saved: checkpoint.Checkpoint) -> list[RolloutRequest]:
+        """Take back what ``save`` wrote; return the requests that were outstanding.
+
+        Raises:
+            CheckpointError: it is of an earlier version, or its tensors are not those of this run.
+        """
+        state = saved.document.state
+        if state is None:
+            raise CheckpointError(
+                f"{saved.path} is of an earlier version: its policy can be judged and exported, "
+                "but the run cannot go on"
+            )
+        replay, weights = run_arrays(saved, state, self._agent, self._replay)
+        self._agent.restore(saved.tensors, state.updates)
+        self._replay.restore(replay, state.replay_added)
+        for name, generator in state.generators.model_dump().items():
+            self._generators[name].bit_generator.state = generator
+        for name in _COUNTERS:
+            setattr(self._progress, name, getattr(state, name))
+        self._progress.recent.extend(state.recent)
+        self._history[:] = state.validations
+        return [
+            RolloutRequest(**order.model_dump(), weights=weights[order.version])
+            for order in state.orders
+        ]
+
+    def _state(self, outstanding: Sequence[RolloutRequest]) -> State:
+        counters = {name: getattr(self._progress, name) for name in _COUNTERS}
+        generators = {n: g.bit_generator.state for n, g in self._generators.items()}
+        orders = [
+            OrderState(**{name: getattr(request, name) for name in OrderState.model_fields})
+            for request in outstanding
+        ]
+        return State(
+            **counters,
+            recent=tuple(self._progress.recent),
+            validations=tuple(self._history),
+            orders=tuple(orders),
+            replay_added=self._replay.added,
+            generators=Generators.model_validate(generators),
+        )

@@ -1,0 +1,60 @@
+"""Validation: the policy on the same drawn episodes again and again, and which one was the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.checkpoint.document import Validation
+from flipperctl.config import TrainConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.statistics import reached
+from flipperctl.policies.trained import QPolicy
+from flipperctl.rollout.collect import Collector
+from flipperctl.rollout.episode import Row, play
+from flipperctl.rollout.seeds import episode_seed
+
+
+class Validator:
+    """Validates the agent's policy and keeps what came of it."""
+
+    def __init__(self, config: TrainConfig, agent: D3qn, env: FlipperEnv) -> None:
+        self._env, self._agent, self._frames = env, agent, config.network.frames
+        settings = config.train
+        self._seeds = [
+            episode_seed("validation", settings.validation_seed, index)
+            for index in range(settings.validation_episodes)
+        ]
+        self.history: list[Validation] = []
+
+    @property
+    def best(self) -> Validation | None:
+        """The best validation so far: by success, then by θ̂_R."""
+        return max(self.history, key=_score, default=None)
+
+    @property
+    def last(self) -> Validation | None:
+        """The last validation."""
+        return self.history[-1] if self.history else None
+
+    def validate(self, collector: Collector, decision: int) -> Validation:
+        """Play all episodes, shared out by the collector; ``decision``: how far the run is."""
+        rows = collector.evaluate(arrays(self._agent.policy), self._seeds, self._play)
+        good = reached(rows)
+        names = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
+        # Means over the episodes that reached the finish, as the paper measures; of all, if none.
+        means = {name: float(np.mean([row[name] for row in good or rows])) for name in names}
+        success = len(good) / len(rows)
+        self.history.append(Validation(decision=decision, success_rate=success, **means))
+        return self.history[-1]
+
+    def _play(self, seeds: Sequence[int]) -> list[Row]:
+        with self._agent.evaluation_mode() as module:
+            policy = QPolicy(module, self._frames)
+            return [play(self._env, policy, seed) for seed in seeds]
+
+
+def _score(validation: Validation) -> tuple[float, float]:
+    return validation.success_rate, -validation.pitch_variation
