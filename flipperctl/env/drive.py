@@ -25,6 +25,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.env.ends import Ends
+from flipperctl.guard import fault
 
 _TURN, _LOOK, _END = range(3)
 """What happens within a decision; at one moment, in this order."""
@@ -42,8 +43,11 @@ class Drive:
         period: float,
     ) -> None:
         """``period``: of the decisions [s]."""
-        engine, self.robot, perception = sections
-        self.world: World = engine.place(profile, self.robot, start)
+        self._engine, self.robot, perception = sections
+        try:
+            self.world: World = self._engine.place(profile, self.robot, start)
+        except BaseException as error:
+            raise fault(error, self._engine, "place") from error
         self.ends = Ends(profile, self.robot, episode, start.x, period)
         self.state = self.seen = self.world.state()
         """The state now, and the one that the robot perceives: ``perception.delay`` older."""
@@ -76,7 +80,10 @@ class Drive:
         self.poses = self._pose()
         for moment, what in self._moments:
             while done < moment:
-                poses = world.advance(moment - done, ends.limits)
+                try:
+                    poses = world.advance(moment - done, ends.limits)
+                except BaseException as error:
+                    raise fault(error, self._engine, "advance") from error
                 self.poses = np.concatenate([self.poses, poses])
                 if (outcome := ends.instant(world)) is not None:
                     return outcome

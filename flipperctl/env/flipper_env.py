@@ -38,6 +38,7 @@ from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
+from flipperctl.guard import fault
 from flipperctl.messages import close_match
 
 Observation = NDArray[np.float32]
@@ -142,7 +143,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        self._sensor = perception.over(self.profile, margin + 2.0)
+        try:
+            self._sensor = perception.over(self.profile, margin + 2.0)
+        except BaseException as error:
+            raise fault(error, perception, "over") from error
         self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
@@ -242,10 +246,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return state
 
     def _perceive(self, state: RobotState) -> Perception:
-        ground, angles = self._sensor.sense(state, self._sensor_rng)
         observation = np.empty(self.layout.size, dtype=np.float32)
-        observation[: self.layout.bins] = ground.heights
-        observation[self.layout.bins :] = angles.front, angles.rear, angles.pitch
+        try:
+            ground, angles = self._sensor.sense(state, self._sensor_rng)
+            observation[: self.layout.bins] = ground.heights
+            observation[self.layout.bins :] = angles.front, angles.rear, angles.pitch
+        except BaseException as error:
+            raise fault(error, self.config.perception, "sense") from error
         self._recent.append(observation)
         return Perception(
             observation,

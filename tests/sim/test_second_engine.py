@@ -48,3 +48,28 @@ def test_both_keep_the_contract() -> None:
     plugins.load([KINEMATIC])
     for check in checks(registry["sim", "kinematic"], registry["perception", "ruler"]):
         check()
+
+
+def test_an_engine_that_fails_is_named_with_its_line(tmp_path: Path) -> None:
+    text = KINEMATIC.read_text()
+    broken = text.replace("        poses = []\n", '        raise KeyError("no poses")\n', 1)
+    assert broken != text
+    (tmp_path / "broken.py").write_text(broken)
+    chosen = ["sim=kinematic", "--plugins", "broken.py", "--episodes", "1"]
+    done = call("eval", "--controller", "level", *chosen, cwd=tmp_path)
+    assert done.code == 1
+    line = 1 + text[: text.index("        poses = []\n")].count("\n")
+    assert "sim 'kinematic': advance raised KeyError: 'no poses'" in done.err
+    assert f"broken.py:{line}" in done.err
+
+
+def test_a_sensor_that_fails_is_named_with_its_line(tmp_path: Path) -> None:
+    broken = KINEMATIC.read_text().replace(
+        "        x, z = state.position\n", "        x = z = None\n"
+    )
+    (tmp_path / "broken.py").write_text(broken)
+    chosen = ["perception=ruler", "--plugins", "broken.py", "--episodes", "1"]
+    done = call("eval", "--controller", "level", *chosen, cwd=tmp_path)
+    assert done.code == 1
+    assert "perception 'ruler': sense raised TypeError" in done.err
+    assert "broken.py:" in done.err
