@@ -38,3 +38,15 @@ def test_pictures_show_each_bound(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     assert (tmp_path / "pictures" / "flat.png").read_bytes().startswith(b"\x89PNG")
     assert "--check" in refused("inspect", "plugins", "flat", "--output", "x", cwd=tmp_path)
+
+
+def test_a_plugin_that_would_leave_fails_its_checks_with_file_and_line(tmp_path: Path) -> None:
+    line = "        raise SystemExit(0)\n"
+    (tmp_path / "wall.py").write_text(WALL.rpartition("        return")[0] + line)
+    check = ["inspect", "plugins", "wall", "--check", "--json", "--plugins", "wall.py"]
+    done = call(*check, cwd=tmp_path)
+    assert done.code == 1
+    rows = {row["check"]: row for row in json.loads(done.out)}
+    where = f"SystemExit: 0 ({tmp_path / 'wall.py'}:11)"
+    assert where in rows["draws"]["message"]
+    assert rows["documented"]["ok"]
