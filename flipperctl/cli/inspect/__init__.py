@@ -1,8 +1,11 @@
 """``flipperctl inspect``: what is there, and what it does."""
 
+from importlib import import_module
+
 import typer
 
-from flipperctl.cli.inspect import checkpoint, config, plugins, reward, run, terrain
+VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config")
+"""Modules beside this one, each with a subcommand; help lists them in this order."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -13,6 +16,6 @@ def add_to(app: typer.Typer) -> None:
         no_args_is_help=True,
         rich_markup_mode="rich",
     )
-    for module in (plugins, terrain, reward, checkpoint, run, config):
-        module.add_to(group)
+    for name in VIEWS:
+        import_module(f"{__name__}.{name}").add_to(group)
     app.add_typer(group)
