@@ -33,7 +33,7 @@ from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
-from flipperctl.env.metrics import EpisodeMetrics
+from flipperctl.env.measures import MEASURES, EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
@@ -150,7 +150,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
-        self._metrics = EpisodeMetrics(self.state)
+        self._metrics = EpisodeMetrics(MEASURES)
         self._recent: deque[Observation] = deque(maxlen=MEMORY)
         self.perception = self._perceive(self.drive.seen)
         self._running = True
@@ -220,8 +220,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             sample_period=SAMPLE_PERIOD,
         )
         parts = self._reward(self.transition)
-        self._metrics.samples(poses[:, 2])
-        self._metrics.decision(after, parts)
+        self._metrics.add(self.transition, parts)
         self.perception = self._perceive(self.drive.seen)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:

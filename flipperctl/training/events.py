@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
+from flipperctl.env.measures import MEASURES
 from flipperctl.errors import WriteError
 from flipperctl.files import failure, make_folder, write_bytes
 
@@ -43,13 +44,8 @@ COLUMNS = (
     "difficulty",
     "outcome",
     "success_rate",
-    "decisions",
-    "return",
-    "t_cost",
-    "pitch_variation",
-    "pitch_variation_100hz",
-    "max_pitch",
-    "flipper_travel",
+    *("decisions", "return"),
+    *(measure.name for measure in MEASURES if measure.name != "decisions"),
     "start_shift",
     "start_front",
     "start_rear",

@@ -1,0 +1,31 @@
+"""The numbers of one episode, gathered while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from flipperctl.api import Transition
+from flipperctl.env.measures.measure import Measure
+
+
+class EpisodeMetrics:
+    """Gathers measures and the parts of the reward."""
+
+    def __init__(self, measures: Sequence[type[Measure]]) -> None:
+        self._measures = [measure() for measure in measures]
+        self._parts: dict[str, float] = {}
+
+    def add(self, t: Transition, parts: Mapping[str, float]) -> None:
+        """Take in one decision and the weighted parts of its reward."""
+        for measure in self._measures:
+            measure.add(t)
+        for name, value in parts.items():
+            self._parts[name] = self._parts.get(name, 0.0) + value
+
+    def summary(self) -> dict[str, float]:
+        """Return plain numbers by name: each measure, the return, and each term's part of it."""
+        return {
+            **{measure.name: measure.value for measure in self._measures},
+            "return": sum(self._parts.values()),
+            **{f"reward_{name}": value for name, value in self._parts.items()},
+        }
