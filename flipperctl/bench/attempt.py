@@ -13,7 +13,7 @@ from flipperctl.bench.settings import BenchSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import reached
-from flipperctl.policies.trained import QPolicy
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
 
@@ -105,6 +105,6 @@ class Validation:
 
     def __call__(self, module: torch.nn.Module) -> float:
         """Share of the episodes that reach the finish."""
-        policy = QPolicy(module)
+        policy = TrainedPolicy(module)
         seeds = (episode_seed("validation", self._seed, i) for i in range(self._episodes))
         return len(reached([play(self._env, policy, seed) for seed in seeds])) / self._episodes

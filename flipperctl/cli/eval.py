@@ -13,7 +13,7 @@ from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.config import EvalConfig
-    from flipperctl.policies.trained import ControllerSource
+    from flipperctl.policies.source import PolicySource
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
@@ -111,20 +111,20 @@ def evaluate(
         console().print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _plugin(name: str, option: str) -> ControllerSource:
+def _plugin(name: str, option: str) -> PolicySource:
     from flipperctl import plugins as loader
-    from flipperctl.policies.trained import ControllerSource
+    from flipperctl.policies.source import PolicySource
 
     plugin = loader.create("controller", name, option)
-    return ControllerSource(settings=loader.container(plugin))
+    return PolicySource(settings=loader.container(plugin))
 
 
 def _judge(
     document: dict[str, Any],
     config: EvalConfig,
-    source: ControllerSource,
-    baseline: ControllerSource | None,
-    others: list[ControllerSource],
+    source: PolicySource,
+    baseline: PolicySource | None,
+    others: list[PolicySource],
 ) -> list[dict[str, Any]]:
     from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.statistics import differences, scene_summary
@@ -154,8 +154,8 @@ def _judge(
 
 def _cross(
     config: EvalConfig,
-    source: ControllerSource,
-    others: list[ControllerSource],
+    source: PolicySource,
+    others: list[PolicySource],
     rows: list[dict[str, Any]],
 ) -> None:
     """Note in each row who crossed the draw: the controller itself, or who tried after it."""
@@ -172,7 +172,7 @@ def _cross(
 
 
 def _play(
-    config: EvalConfig, source: ControllerSource, label: str, only: list[int] | None = None
+    config: EvalConfig, source: PolicySource, label: str, only: list[int] | None = None
 ) -> list[dict[str, Any]]:
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.evaluation.episodes import evaluate as run
@@ -217,7 +217,7 @@ def _picture_names(document: dict[str, Any]) -> list[str]:
     ]
 
 
-def _draw(file: Path, config: EvalConfig, source: ControllerSource) -> None:
+def _draw(file: Path, config: EvalConfig, source: PolicySource) -> None:
     """A picture of the scene's first episode."""
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.evaluation.episodes import Player

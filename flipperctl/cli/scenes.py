@@ -9,12 +9,12 @@ from flipperctl import plugins
 from flipperctl.cli import compose
 from flipperctl.config import EvalConfig
 from flipperctl.policies.exported import exported_config, is_exported
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 
 
 def scenes(
     overrides: list[str], checkpoint: Path | None, controller: str | None
-) -> list[tuple[EvalConfig, ControllerSource]]:
+) -> list[tuple[EvalConfig, PolicySource]]:
     """What to evaluate: a configuration a scene, and the controller; one of the two is given.
 
     Raises:
@@ -25,12 +25,12 @@ def scenes(
     if checkpoint is None:
         plugins.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
-        return [(config, ControllerSource(settings=settings)) for config, settings in found]
+        return [(config, PolicySource(settings=settings)) for config, settings in found]
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
     primary = compose.offer_trained(trained)
-    source = ControllerSource(checkpoint=file)
+    source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:
-        source.make(config.perception)  # a wrong layout is found before the first episode
+        source.build(config.perception)  # a wrong layout is found before the first episode
     return [(config, source) for config in configs]

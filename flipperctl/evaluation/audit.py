@@ -14,14 +14,14 @@ import numpy as np
 
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import episode_seed
 
 
 def audit(
     config: EnvConfig,
-    source: ControllerSource,
+    source: PolicySource,
     *,
     episodes: int,
     seed: int,
@@ -36,7 +36,7 @@ def audit(
     its declared lower bound (None if it declares none, or weighs nothing).
     """
     env = FlipperEnv(config=config)
-    controller = source.make(config.perception)
+    controller = source.build(config.perception)
     paid: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
 

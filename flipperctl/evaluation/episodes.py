@@ -16,7 +16,7 @@ from flipperctl.api import Profile, RobotState
 from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions, play
 from flipperctl.rollout.processes import Job, WorkerDiedError, Workers
 from flipperctl.rollout.seeds import episode_seed
@@ -30,14 +30,14 @@ class Player:
     def __init__(
         self,
         config: EnvConfig,
-        source: ControllerSource,
+        source: PolicySource,
         seed: int,
         report_progress: Callable[[float], None] = lambda fraction: None,
     ) -> None:
         """``report_progress`` is called with the fraction of an episode's search that is done."""
         self._env = FlipperEnv(config=config)
         self._report_progress = report_progress
-        self._controller = source.make(config.perception)
+        self._controller = source.build(config.perception)
         self._seed = seed
 
     def episode(self, index: int) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Player:
 
 def evaluate(
     config: EnvConfig,
-    source: ControllerSource,
+    source: PolicySource,
     *,
     episodes: int | Sequence[int],
     seed: int,
@@ -100,7 +100,7 @@ _player: Player | FlipperctlError | None = None  # one a worker process
 
 
 def _begin(
-    config: dict[str, Any], source: ControllerSource, seed: int, plugin_paths: list[str]
+    config: dict[str, Any], source: PolicySource, seed: int, plugin_paths: list[str]
 ) -> None:
     global _player
     import torch

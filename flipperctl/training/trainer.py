@@ -35,7 +35,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.statistics import reached
 from flipperctl.files import write_json
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.trained import QPolicy
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector, Crew, InProcess, Order, Pipelined, Weights
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.processes import ProcessCrew
@@ -231,7 +231,7 @@ class Trainer:
 
         def own(seeds: Sequence[int]) -> list[Row]:
             with self.agent.judged() as module:
-                policy = QPolicy(module, self.config.network.frames)
+                policy = TrainedPolicy(module, self.config.network.frames)
                 return [play(self._validation_env, policy, seed) for seed in seeds]
 
         rows = collector.judge(arrays(self.agent.policy), stream, own)

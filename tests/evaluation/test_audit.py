@@ -8,13 +8,13 @@ from flipperctl.api import Controller, Perception, Policy, Simulator
 from flipperctl.config import EnvConfig
 from flipperctl.evaluation.audit import audit
 from flipperctl.evaluation.episodes import evaluate
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 
-PLANNER = ControllerSource(settings={"name": "planner", "width": 2, "budget": 200})
+PLANNER = PolicySource(settings={"name": "planner", "width": 2, "budget": 200})
 
 
-@pytest.mark.parametrize("source", [PLANNER, ControllerSource(settings={"name": "okada"})])
-def test_the_audit_pays_what_the_evaluation_pays(source: ControllerSource) -> None:
+@pytest.mark.parametrize("source", [PLANNER, PolicySource(settings={"name": "okada"})])
+def test_the_audit_pays_what_the_evaluation_pays(source: PolicySource) -> None:
     config = EnvConfig(terrain="step", rewards={"pitch": "pitch", "travel": "travel"})
     found = audit(config, source, episodes=2, seed=5)
     rows = list(evaluate(config, source, episodes=2, seed=5))
@@ -43,7 +43,7 @@ def test_every_episode_is_begun_and_a_search_moves_the_progress() -> None:
             return self._action
 
     reported: list[float] = []
-    source = ControllerSource(settings={"name": "searches"})
+    source = PolicySource(settings={"name": "searches"})
     audit(EnvConfig(terrain="flat"), source, episodes=2, seed=0, report=reported.append)
     assert len(begun) == 2
     assert reported == [0.5, 1.0, 1.5, 2.0]

@@ -11,11 +11,11 @@ from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import evaluate
 from flipperctl.evaluation.statistics import differences, interval, paired, scene_summary
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.processes import Workers
 from flipperctl.rollout.seeds import episode_seed
 
-OKADA = ControllerSource(settings={"name": "okada"})
+OKADA = PolicySource(settings={"name": "okada"})
 
 
 def test_two_processes_give_the_rows_of_one() -> None:
@@ -48,13 +48,13 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
 
 
 def test_a_policy_is_judged_on_another_terrain(short_run: Path) -> None:
-    source = ControllerSource(checkpoint=short_run / checkpoint.BEST)
+    source = PolicySource(checkpoint=short_run / checkpoint.BEST)
     rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
     assert rows[0]["outcome"] in ("reached", "stuck", "timeout", "overturned")
 
 
 def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
-    source = ControllerSource(checkpoint=short_run / checkpoint.BEST)
+    source = PolicySource(checkpoint=short_run / checkpoint.BEST)
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
         list(evaluate(config, source, episodes=1, seed=0))
@@ -123,7 +123,7 @@ def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:
 def test_every_controller_has_a_source() -> None:
     for name in plugins.names("controller"):
         little = {"budget": 50} if name == "planner" else {}
-        source = ControllerSource(settings={"name": name, **little})
+        source = PolicySource(settings={"name": name, **little})
         assert source.label() == name
         rows = list(evaluate(EnvConfig(terrain="flat"), source, episodes=1, seed=0))
         assert len(rows) == 1

@@ -9,7 +9,7 @@ from flipperctl.cli import compose
 from flipperctl.config import container
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import evaluate
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 
 SHIPPED = sorted(checkpoint.shipped().items())
 
@@ -26,7 +26,7 @@ def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: 
     (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()
-    rows = list(evaluate(config, ControllerSource(checkpoint=path), episodes=5, seed=0))
+    rows = list(evaluate(config, PolicySource(checkpoint=path), episodes=5, seed=0))
     assert sum(row["outcome"] == "reached" for row in rows) >= 4
 
 
