@@ -15,7 +15,7 @@ from flipperctl.api import ObservationLayout
 from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env import ground
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
-from flipperctl.evaluation.episodes import evaluate
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.guard import fault
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import RUN, call
@@ -53,7 +53,7 @@ def use(what: Misbehaviour, file: Path) -> None:
             greedy(module, np.zeros(layout.size, np.float32))
         Noise(module).draw(np.random.default_rng(0))
         return
-    list(evaluate(config, source, episodes=1, seed=0))
+    list(play_episodes(config, source, episodes=1, seed=0))
 
 
 def cases() -> list[Misbehaviour]:

@@ -1,4 +1,8 @@
-"""What ``eval`` and ``inspect reward`` evaluate: scenes and whoever drives them."""
+"""The scenes that ``eval`` and ``inspect reward`` evaluate, and the policy that drives there.
+
+In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
+for each scene.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,15 @@ from pathlib import Path
 from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
 from flipperctl.cli import compose
-from flipperctl.config import EvalConfig
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.exported import exported_config, is_exported
 from flipperctl.policies.source import PolicySource
 
 
-def scenes(
-    overrides: list[str], checkpoint: Path | None, controller: str | None
-) -> list[tuple[EvalConfig, PolicySource]]:
-    """What to evaluate: a configuration a scene, and the controller; one of the two is given.
+def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None) -> list[Scene]:
+    """Return a configuration and the policy's source for each scene.
+
+    Either ``checkpoint`` or ``controller`` is given.
 
     Raises:
         CheckpointError: there is no such policy, or its observation layout is another one.

@@ -7,7 +7,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError, PolicyError
-from flipperctl.evaluation.episodes import evaluate
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy as export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
@@ -26,9 +26,9 @@ def test_the_exported_policy_drives_as_the_trained_one(short_run: Path, exported
     config = EnvConfig(terrain="step")
     trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
     robot = PolicySource(checkpoint=exported)
-    expected = list(evaluate(config, trained, episodes=3, seed=1))
-    assert list(evaluate(config, robot, episodes=3, seed=1)) == expected
-    assert list(evaluate(config, robot, episodes=3, seed=1, jobs=2)) == expected
+    expected = list(play_episodes(config, trained, episodes=3, seed=1))
+    assert list(play_episodes(config, robot, episodes=3, seed=1)) == expected
+    assert list(play_episodes(config, robot, episodes=3, seed=1, jobs=2)) == expected
 
 
 def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:
