@@ -89,9 +89,9 @@ def run(
     found = scenes(given, checkpoint, controller)
     against = PolicySource.of_plugin(baseline, "--baseline") if baseline else None
     names = [name for name in (passable or "").split(",") if name]
-    crossers = [PolicySource.of_plugin(name, "--passable") for name in names]
+    references = [PolicySource.of_plugin(name, "--passable") for name in names]
     folder = make_folder(output) if output else None
-    result = evaluate(found, baseline=against, crossers=crossers, progress=episodes_progress)
+    result = evaluate(found, baseline=against, references=references, progress=episodes_progress)
     if folder:
         from flipperctl.report.scenes import draw_scenes
 

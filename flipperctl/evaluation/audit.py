@@ -50,7 +50,7 @@ class AuditResult:
     """Sum of all weighted terms, a mean over the episodes [-]."""
     terms: Mapping[str, TermAudit]
     seed: int
-    """Seed of the evaluation's draws."""
+    """Seed of the evaluation."""
     conditions: Conditions
 
     def container(self) -> dict[str, Any]:

@@ -17,15 +17,15 @@ _REWARD = "reward_"
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """The outcome, the measures and the drawn values of one episode."""
+    """The outcome, the measures and the sampled values of one episode."""
 
     episode: int
     """Its index in the evaluation, from 0."""
     seed: int
-    """Equal seeds give equal draws, whoever drives."""
+    """Equal seeds give equal ground and an equal start, whichever policy drives."""
     outcome: Outcome
     terrain: str
-    """Label of the drawn profile: of a mix, the part that was drawn."""
+    """Label of the sampled profile: of a mix, the part that was chosen."""
     decisions: int
     t_cost: float
     """Time to the end of the episode [s]."""
@@ -41,10 +41,11 @@ class EpisodeResult:
     """Sum of all weighted reward terms over the episode [-]."""
     rewards: Mapping[str, float]
     """Each term's weighted part of the return [-]."""
-    draws: Mapping[str, float]
-    """What was drawn for the episode: the start, and what ``randomise`` names; SI units."""
+    sampled: Mapping[str, float]
+    """Values sampled for the episode: the start's, and those that ``randomise`` names; SI units."""
     crossed_by: str | None = None
-    """Label of the policy that crossed this draw, empty if none did; None if it was not asked."""
+    """Label of a policy that reached the finish with this seed; empty if none did, None where no
+    other policy was asked."""
 
     @classmethod
     def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
@@ -67,7 +68,7 @@ class EpisodeResult:
             flipper_travel=rest.pop("flipper_travel"),
             episode_return=rest.pop("return"),
             rewards={n.removeprefix(_REWARD): rest.pop(n) for n in row if n.startswith(_REWARD)},
-            draws=rest,
+            sampled=rest,
         )
 
     @property
@@ -90,6 +91,6 @@ class EpisodeResult:
             "flipper_travel": self.flipper_travel,
             "return": self.episode_return,
             **{f"{_REWARD}{name}": value for name, value in self.rewards.items()},
-            **self.draws,
+            **self.sampled,
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
         }

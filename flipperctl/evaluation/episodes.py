@@ -37,7 +37,7 @@ class EpisodeRunner:
     ) -> None:
         """Build the environment and the policy.
 
-        ``seed`` of the evaluation's draws. ``report_progress`` is called with the fraction of an
+        ``seed`` is that of the evaluation. ``report_progress`` is called with the fraction of an
         episode's search that is done.
 
         Raises:

@@ -39,10 +39,10 @@ class Measure(Interval):
 
 @dataclass(frozen=True)
 class PairedDifference(Interval):
-    """The mean difference, a policy's value less its baseline's, over equal draws."""
+    """The mean difference, a policy's value less its baseline's, over equal seeds."""
 
     episodes: int
-    """Draws on which both reached the finish."""
+    """Seeds with which both reached the finish."""
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Passable:
-    """Success on the draws that a policy is known to cross."""
+    """Success over the episodes that some policy is known to cross."""
 
     episodes: int
-    """How many draws these are."""
+    """How many episodes these are."""
     success_rate: float | None
-    """None if there is no such draw."""
+    """None if there is no such episode."""
     success: Interval | None
 
     def container(self) -> dict[str, Any]:
@@ -110,9 +110,9 @@ class Summary:
     episode_return: Measure
     """[-]"""
     passable: Passable | None
-    """None if nobody was asked who crosses the draws."""
+    """None if no other policy was asked to cross what this one did not."""
     parts: Mapping[str, Summary]
-    """Where several kinds of terrain were drawn, the summary of each by its label; else empty."""
+    """Where several kinds of terrain were sampled, the summary of each by its label; else empty."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -135,7 +135,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class Differences:
-    """A policy less its baseline, draw by draw; None where no draw was crossed by both."""
+    """A policy less its baseline, seed by seed; None where both reached the finish with none."""
 
     t_cost: PairedDifference | None
     """[s]"""
@@ -144,7 +144,7 @@ class Differences:
     pitch_variation_100hz: PairedDifference | None
     """θ̂_R at samples 10 ms apart [rad]."""
     parts: Mapping[str, Differences]
-    """Where several kinds of terrain were drawn, those of each by its label; else empty."""
+    """Where several kinds of terrain were sampled, those of each by its label; else empty."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -158,7 +158,7 @@ class Differences:
 
 @dataclass(frozen=True)
 class BaselineResult:
-    """A baseline on the draws of a scene, and the policy's differences to it."""
+    """A baseline in the same episodes of a scene, and the policy's differences to it."""
 
     controller: str
     summary: Summary
@@ -180,7 +180,7 @@ class SceneResult:
 
     summary: Summary
     seed: int
-    """Seed of the evaluation's draws."""
+    """Seed of the evaluation."""
     conditions: Conditions
     baseline: BaselineResult | None
     episodes: tuple[EpisodeResult, ...]

@@ -1,4 +1,4 @@
-"""The evaluation of a policy on scenes, beside a baseline and others that try what it fails.
+"""The evaluation of a policy on scenes, beside a baseline and references.
 
 In: a configuration and a policy's source for each scene. Out: an ``EvaluationResult``, which the
 command line, reports and other programs read; nothing is printed or written here.
@@ -35,13 +35,13 @@ def evaluate(
     scenes: Sequence[Scene],
     *,
     baseline: PolicySource | None = None,
-    crossers: Sequence[PolicySource] = (),
+    references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
 ) -> EvaluationResult:
     """Evaluate one policy on each scene.
 
-    ``baseline`` plays the same draws for comparison. ``crossers`` try in turn what was not
-    crossed, so that success is known of the draws that any of them crosses.
+    ``baseline`` plays the same episodes for comparison. ``references`` try in turn the episodes
+    that the policy did not cross, to find out which can be crossed at all.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
@@ -49,7 +49,7 @@ def evaluate(
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    results = [evaluate_scene(c, s, baseline, crossers, progress) for c, s in scenes]
+    results = [evaluate_scene(c, s, baseline, references, progress) for c, s in scenes]
     return EvaluationResult(scenes[0][1].label(), tuple(results))
 
 
@@ -57,14 +57,14 @@ def evaluate_scene(
     config: EvalConfig,
     source: PolicySource,
     baseline: PolicySource | None = None,
-    crossers: Sequence[PolicySource] = (),
+    references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
 ) -> SceneResult:
     """Evaluate a policy on one scene; see ``evaluate``."""
     terrain = config.terrain.plugin_name
     episodes = _play(config, source, terrain, progress)
-    if crossers:
-        episodes = _crossed(config, source, crossers, episodes, progress)
+    if references:
+        episodes = _crossed_by_references(config, source, references, episodes, progress)
     other = None
     if baseline is not None:
         label = baseline.label()
@@ -92,21 +92,21 @@ def compare(
     )
 
 
-def _crossed(
+def _crossed_by_references(
     config: EvalConfig,
     source: PolicySource,
-    crossers: Sequence[PolicySource],
+    references: Sequence[PolicySource],
     episodes: Sequence[EpisodeResult],
     progress: Progress,
 ) -> list[EpisodeResult]:
-    """Return the episodes with who crossed the draw: the policy itself, or who tried after it."""
+    """Return the episodes with who crossed them: the policy itself, or a reference after it."""
     crossed_by = {e.episode: source.label() if e.reached else "" for e in episodes}
-    for crosser in crossers:
+    for reference in references:
         left = [index for index, label in crossed_by.items() if not label]
-        label = f"{config.terrain.plugin_name}, {crosser.label()} on what was not crossed"
-        for result in _play(config, crosser, label, progress, left):
+        label = f"{config.terrain.plugin_name}, {reference.label()} on what was not crossed"
+        for result in _play(config, reference, label, progress, left):
             if result.reached:
-                crossed_by[result.episode] = crosser.label()
+                crossed_by[result.episode] = reference.label()
     return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
 
 

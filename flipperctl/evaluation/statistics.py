@@ -1,4 +1,4 @@
-"""Means with 95 % bootstrap intervals, the summary of episodes, and differences on equal draws."""
+"""Means with 95 % bootstrap intervals, the summary of episodes, and differences at equal seeds."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def summarise(terrain: str, episodes: Sequence[EpisodeResult]) -> Summary:
 
 
 def _parts(episodes: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
-    """Return the episodes of each kind of terrain, if more than one kind was drawn."""
+    """Return the episodes of each kind of terrain, if there is more than one kind."""
     labels = sorted({e.terrain for e in episodes})
     if len(labels) < 2:
         return {}
@@ -107,7 +107,7 @@ def _success(episodes: Sequence[EpisodeResult]) -> Interval:
 def _passable(episodes: Sequence[EpisodeResult], reached: int) -> Passable | None:
     if all(e.crossed_by is None for e in episodes):
         return None
-    # A draw that nobody is known to cross says nothing about a policy.
+    # An episode that no policy is known to cross says nothing about this one.
     fair = [e for e in episodes if e.crossed_by]
     if not fair:
         return Passable(0, None, None)
@@ -129,13 +129,13 @@ def _measure(values: Sequence[float]) -> Measure | None:
 
 
 def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
-    """Return the mean differences of the paper's measures, ours less theirs, on equal draws."""
+    """Return the mean differences of the paper's measures, ours less theirs, at equal seeds."""
     parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
     return _differences(paired(ours, theirs), parts)
 
 
 def paired(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> list[Pair]:
-    """Return the pairs of episodes on equal draws in which both reached the finish."""
+    """Return the pairs of episodes of equal seeds in which both reached the finish."""
     others = {e.seed: e for e in theirs if e.reached}
     return [(e, others[e.seed]) for e in ours if e.reached and e.seed in others]
 

@@ -17,6 +17,6 @@ def sample(seed: int, outcome: str, value: float, terrain: str = "step", **more:
         "flipper_travel": 3 * value,
         "episode_return": -value,
         "rewards": {"pitch": -value},
-        "draws": {"start_shift": 0.01},
+        "sampled": {"start_shift": 0.01},
     }
     return EpisodeResult(seed, seed, Outcome(outcome), terrain, **{**fields, **more})

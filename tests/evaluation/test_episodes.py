@@ -65,7 +65,7 @@ def test_flippers_held_level_cross_flat_ground_at_belt_speed_without_a_swing() -
         assert result.outcome is Outcome.REACHED
         # 1 m before, 2 m of flat ground and 1 m past it at 0.2 m/s, less the shift of the start;
         # an episode ends at a sample of 10 ms after that.
-        assert result.t_cost == pytest.approx((4.0 - result.draws["start_shift"]) / 0.2, abs=0.03)
+        assert result.t_cost == pytest.approx((4.0 - result.sampled["start_shift"]) / 0.2, abs=0.03)
         assert result.decisions == -(-round(100 * result.t_cost) // 60)
         for swing in (result.pitch_variation, result.max_pitch, result.flipper_travel):
             assert swing == pytest.approx(0.0, abs=1e-3)

@@ -1,4 +1,4 @@
-"""A policy on scenes, beside a baseline and others that try what it fails."""
+"""A policy on scenes, beside a baseline and references that try what it fails."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,8 +22,8 @@ FLAT = EvalConfig(terrain="flat", eval=TWO)
 """On it okada holds its flippers level too."""
 
 
-def test_a_baseline_and_others_play_the_draws_of_each_scene() -> None:
-    found = evaluate([(STEP, LEVEL), (FLAT, LEVEL)], baseline=OKADA, crossers=[RANDOM, OKADA])
+def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
+    found = evaluate([(STEP, LEVEL), (FLAT, LEVEL)], baseline=OKADA, references=[RANDOM, OKADA])
     assert found.controller == "level"
     step, flat = found.scenes
     assert (step.terrain, flat.terrain) == ("step", "flat")
@@ -72,7 +72,7 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
     assert [done for done in reported if done] == [[1, 2]] * 5
 
 
-def test_without_others_nobody_is_asked() -> None:
+def test_without_references_no_episode_says_who_crossed_it() -> None:
     found = evaluate_scene(FLAT, LEVEL)
     assert found.baseline is None
     assert found.summary.passable is None
