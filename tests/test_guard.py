@@ -15,9 +15,9 @@ from flipperctl.api import ObservationLayout
 from flipperctl.config import EnvConfig, merged, parse
 from flipperctl.env import ground
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
-from flipperctl.evaluation.episodes import evaluate
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.guard import fault
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from tests.cli.call import RUN, call
 from tests.long.misbehaving import unnamed
 from tests.long.misbehaviour import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
@@ -33,9 +33,9 @@ def use(what: Misbehaviour, file: Path) -> None:
     defaults = plugins.defaults(plugins.get(what.kind, "odd", what.kind))
     if what.kind == "controller":
         config = parse(EnvConfig, merged(EnvConfig(terrain="flat"), FLAT))
-        source = ControllerSource(settings=defaults)
+        source = PolicySource(settings=defaults)
     else:
-        source = ControllerSource(settings={"name": "level"})
+        source = PolicySource(settings={"name": "level"})
     if what.kind == "terrain":
         config = EnvConfig(terrain="odd")
         plugins.container(config.terrain)
@@ -53,7 +53,7 @@ def use(what: Misbehaviour, file: Path) -> None:
             greedy(module, np.zeros(layout.size, np.float32))
         Noise(module).draw(np.random.default_rng(0))
         return
-    list(evaluate(config, source, episodes=1, seed=0))
+    list(play_episodes(config, source, episodes=1, seed=0))
 
 
 def cases() -> list[Misbehaviour]:

@@ -12,8 +12,8 @@ import torch
 from flipperctl.bench.settings import BenchSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.statistics import reached
-from flipperctl.policies.trained import QPolicy
+from flipperctl.evaluation.statistics import success_rate
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
 
@@ -104,7 +104,7 @@ class Validation:
         self._episodes = config.train.validation_episodes
 
     def __call__(self, module: torch.nn.Module) -> float:
-        """Share of the episodes that reach the finish."""
-        policy = QPolicy(module)
+        """Return the fraction of the episodes that reach the finish, 0 to 1."""
+        policy = TrainedPolicy(module)
         seeds = (episode_seed("validation", self._seed, i) for i in range(self._episodes))
-        return len(reached([play(self._env, policy, seed) for seed in seeds])) / self._episodes
+        return success_rate([play(self._env, policy, seed) for seed in seeds])

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
-from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import ConfigError
+from flipperctl.evaluation.conditions import Conditions
 
 NOMINAL, TRAINED = "nominal", "trained"
 
@@ -52,16 +52,15 @@ def no_training(exported: bool) -> str:
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
 
 
-def lines(document: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
-    """One line for each set of conditions of the scenes: name, seed, hashes, what they are.
+def lines(scenes: Iterable[tuple[str, int, Conditions]]) -> Iterator[str]:
+    """Yield a line for each set of conditions: name, seed, hashes, and the settings in words.
 
-    ``shown``: each scene's conditions in words (``Conditions.line``).
+    ``scenes``: each scene's terrain, seed and conditions.
     """
     groups: dict[tuple[str, int, str], list[str]] = {}
-    for scene, words in zip(document["scenes"], shown, strict=True):
-        conditions = scene["conditions"]
-        key = (conditions["name"], scene["seed"], words)
-        groups.setdefault(key, []).append(f"{scene['terrain']} {conditions['hash']}")
+    for terrain, seed, conditions in scenes:
+        key = (conditions.name, seed, conditions.line())
+        groups.setdefault(key, []).append(f"{terrain} {conditions.hash}")
     for (name, seed, words), hashes in groups.items():
         unique = ", ".join(dict.fromkeys(hashes))
         yield f"conditions {name}, seed {seed}, {unique}: {words}"

@@ -1,4 +1,8 @@
-"""What ``eval`` and ``inspect reward`` evaluate: scenes and whoever drives them."""
+"""The scenes that ``eval`` and ``inspect reward`` evaluate, and the policy that drives there.
+
+In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
+for each scene.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,15 @@ from pathlib import Path
 from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
 from flipperctl.cli import compose
-from flipperctl.config import EvalConfig
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.exported import exported_config, is_exported
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 
 
-def scenes(
-    overrides: list[str], checkpoint: Path | None, controller: str | None
-) -> list[tuple[EvalConfig, ControllerSource]]:
-    """What to evaluate: a configuration a scene, and the controller; one of the two is given.
+def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None) -> list[Scene]:
+    """Return a configuration and the policy's source for each scene.
+
+    Either ``checkpoint`` or ``controller`` is given.
 
     Raises:
         CheckpointError: there is no such policy, or its observation layout is another one.
@@ -25,12 +29,12 @@ def scenes(
     if checkpoint is None:
         plugins.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
-        return [(config, ControllerSource(settings=settings)) for config, settings in found]
+        return [(config, PolicySource(settings=settings)) for config, settings in found]
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
     primary = compose.offer_trained(trained)
-    source = ControllerSource(checkpoint=file)
+    source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:
-        source.make(config.perception)  # a wrong layout is found before the first episode
+        source.build(config.perception)  # a wrong layout is found before the first episode
     return [(config, source) for config in configs]

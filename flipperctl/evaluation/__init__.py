@@ -1,1 +1,1 @@
-"""Evaluation: episodes of any policy, their statistics, the audit of rewards."""
+"""Evaluation: any policy on any scene; typed results, statistics, files, audits of rewards."""

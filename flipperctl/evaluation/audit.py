@@ -7,67 +7,117 @@ that saturates at most steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from flipperctl.config import EnvConfig
+from flipperctl.api import FloatArray, RewardTerm
+from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import episode_seed
 
 
+@dataclass(frozen=True)
+class TermAudit:
+    """The weighted values of one term at all decisions [-]."""
+
+    weight: float
+    mean: float
+    lowest: float
+    highest: float
+    share: float
+    """Its fraction of the sum of all terms' absolute values, 0 to 1."""
+    saturated: float | None
+    """Fraction of decisions at its declared lower bound, 0 to 1; None if it declares none, or its
+    weight is 0."""
+
+
+@dataclass(frozen=True)
+class AuditResult:
+    """What a policy was paid on a terrain."""
+
+    controller: str
+    """Label of the policy."""
+    terrain: str
+    episodes: int
+    decisions: int
+    mean_return: float
+    """Sum of all weighted terms, a mean over the episodes [-]."""
+    terms: Mapping[str, TermAudit]
+    seed: int
+    """Seed of the evaluation."""
+    conditions: Conditions
+
+    def container(self) -> dict[str, Any]:
+        """Return the document of ``inspect reward --json``."""
+        return {
+            "controller": self.controller,
+            "terrain": self.terrain,
+            "episodes": self.episodes,
+            "decisions": self.decisions,
+            "return": self.mean_return,
+            "terms": {name: asdict(term) for name, term in self.terms.items()},
+            "seed": self.seed,
+            "conditions": self.conditions.container(),
+        }
+
+
 def audit(
-    config: EnvConfig,
-    source: ControllerSource,
+    config: EvalConfig,
+    source: PolicySource,
     *,
     episodes: int,
-    seed: int,
     report: Callable[[float], None] = lambda done: None,
-) -> dict[str, Any]:
-    """Play the episodes of an evaluation and sum up each term.
+) -> AuditResult:
+    """Play the first episodes of an evaluation and sum up each term.
 
-    ``report`` is told how many episodes are done, a search before an episode as a part of it.
+    ``report`` is called with the number of episodes done, a search before an episode as a fraction
+    of it.
 
-    For each: ``mean``, ``lowest`` and ``highest`` weighted value of a decision; ``share``, its
-    part of the sum of all terms' absolute values; ``saturated``, the fraction of decisions at
-    its declared lower bound (None if it declares none, or weighs nothing).
+    Raises:
+        FlipperctlError: the policy cannot be built or failed.
     """
     env = FlipperEnv(config=config)
-    controller = source.make(config.perception)
+    policy = source.build(config.perception)
     paid: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
 
-        def search(share: float, before: int = index) -> None:
-            report(before + share)
+        def search(fraction: float, before: int = index) -> None:
+            report(before + fraction)
 
-        drawn = episode_seed("evaluation", seed, index)
-        for decision in decisions(env, controller, drawn, report_progress=search):
+        seed = episode_seed("evaluation", config.eval.seed, index)
+        for decision in decisions(env, policy, seed, report_progress=search):
             for name, value in decision.rewards.items():
                 paid[name].append(value)
         report(index + 1.0)
-    values = {name: np.array(column) for name, column in paid.items()}
-    whole = sum(float(np.abs(column).sum()) for column in values.values())
-    terms: dict[str, Any] = {}
-    for name, column in values.items():
-        term = config.rewards[name]
-        floor, sign = term.bounds[0] * term.weight, np.sign(term.weight)
-        floored = math.isfinite(floor) and sign != 0
-        terms[name] = {
-            "weight": term.weight,
-            "mean": float(column.mean()),
-            "lowest": float(column.min()),
-            "highest": float(column.max()),
-            "share": float(np.abs(column).sum()) / whole if whole else 0.0,
-            "saturated": float((sign * column <= sign * floor).mean()) if floored else None,
-        }
-    return {
-        "controller": source.label(),
-        "terrain": config.terrain.plugin_name,
-        "episodes": episodes,
-        "decisions": len(next(iter(values.values()), np.empty(0))),
-        "return": sum(float(column.sum()) for column in values.values()) / episodes,
-        "terms": terms,
-    }
+    values = {name: np.array(column) for name, column in paid.items()}  # each (D,)
+    total = sum(float(np.abs(column).sum()) for column in values.values())
+    return AuditResult(
+        source.label(),
+        config.terrain.plugin_name,
+        episodes,
+        decisions=len(next(iter(values.values()), np.empty(0))),
+        mean_return=sum(float(column.sum()) for column in values.values()) / episodes,
+        terms={name: _term(config.rewards[name], v, total) for name, v in values.items()},
+        seed=config.eval.seed,
+        conditions=Conditions.of(config),
+    )
+
+
+def _term(term: RewardTerm, values: FloatArray, total: float) -> TermAudit:
+    """Sum up the (D,) weighted values of a term; ``total`` is the absolute sum of all terms."""
+    floor, sign = term.bounds[0] * term.weight, np.sign(term.weight)
+    floored = math.isfinite(floor) and sign != 0
+    return TermAudit(
+        weight=term.weight,
+        mean=float(values.mean()),
+        lowest=float(values.min()),
+        highest=float(values.max()),
+        share=float(np.abs(values).sum()) / total if total else 0.0,
+        saturated=float((sign * values <= sign * floor).mean()) if floored else None,
+    )

@@ -1,4 +1,4 @@
-"""The conditions of an evaluation: what decides its draws and its physics, and a short hash of it.
+"""The conditions of an evaluation: what decides its ground and its physics, and a short hash of it.
 
 In: an evaluation's configuration. Out: plain data for files, a line for people, and eight digits
 that are equal where two evaluations are comparable.
@@ -23,10 +23,10 @@ _DIGITS = 8
 
 @dataclass(frozen=True)
 class Conditions:
-    """Under what an evaluation's episodes are drawn and driven."""
+    """The settings under which the episodes of an evaluation are sampled and driven."""
 
     name: str
-    """The named conditions that overrides were laid over."""
+    """The named conditions to which overrides were applied."""
     settings: Mapping[str, Any]
     """``terrain`` with all its fields, ``robot``, ``sim``, ``perception``, ``episode`` and
     ``randomise``, without what has no influence."""
@@ -35,7 +35,7 @@ class Conditions:
 
     @classmethod
     def of(cls, config: EvalConfig) -> Conditions:
-        """The conditions of an evaluation."""
+        """Return the conditions of an evaluation."""
         whole = container(config.environment())
         left_out = {
             "sim": config.sim.without_effect,
@@ -50,23 +50,23 @@ class Conditions:
 
     @property
     def hash(self) -> str:
-        """The first eight hexadecimal digits of the SHA-256 of the settings as canonical JSON.
+        """Eight hexadecimal digits, the first of the SHA-256 of the settings as canonical JSON.
 
         Keys are sorted, nothing is between the tokens, characters beyond ASCII are escaped. Equal
-        hashes: episodes of the same distribution. Equal seeds beside it: the same draws, one by
-        one, whoever drives.
+        hashes mean episodes of the same distribution; with equal seeds too, episode by episode the
+        same ground, start and physics, whichever policy drives.
         """
         text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
     def container(self) -> dict[str, Any]:
-        """As plain data: ``name``, ``hash`` and what was hashed."""
+        """Return plain data: ``name``, ``hash`` and the settings that were hashed."""
         return {"name": self.name, "hash": self.hash, **self.settings}
 
     def line(self) -> str:
-        """What is randomised and where the settings differ from the defaults, in one line.
+        """Return one line: what is randomised and where the settings differ from the defaults.
 
-        The terrain, which tables name, is not in it.
+        The line does not hold the terrain, which tables name.
         """
         drawn = [
             _shown(Randomise, name, value)

@@ -1,6 +1,6 @@
-"""Evaluation: a controller on a scene, episode after episode, in one process or several.
+"""The episodes of an evaluation, one after the other, in one process or several.
 
-In: an environment configuration and a controller's source. Out: one row an episode, the same
+In: an environment configuration and a policy's source. Out: one result an episode, the same
 whatever the number of processes.
 """
 
@@ -16,7 +16,8 @@ from flipperctl.api import Profile, RobotState
 from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions, play
 from flipperctl.rollout.processes import Job, WorkerDiedError, Workers
 from flipperctl.rollout.seeds import episode_seed
@@ -24,96 +25,105 @@ from flipperctl.rollout.seeds import episode_seed
 _log = logging.getLogger(__name__)
 
 
-class Player:
-    """An environment and a controller, ready to play any episode of an evaluation."""
+class EpisodeRunner:
+    """An environment and a policy, ready to play any episode of an evaluation."""
 
     def __init__(
         self,
         config: EnvConfig,
-        source: ControllerSource,
+        source: PolicySource,
         seed: int,
         report_progress: Callable[[float], None] = lambda fraction: None,
     ) -> None:
-        """``report_progress`` is called with the fraction of an episode's search that is done."""
+        """Build the environment and the policy.
+
+        ``seed`` is that of the evaluation. ``report_progress`` is called with the fraction of an
+        episode's search that is done.
+
+        Raises:
+            FlipperctlError: the policy cannot be built, as ``PolicySource.build`` says.
+        """
         self._env = FlipperEnv(config=config)
         self._report_progress = report_progress
-        self._controller = source.make(config.perception)
+        self._policy = source.build(config.perception)
         self._seed = seed
 
-    def episode(self, index: int) -> dict[str, Any]:
-        """The row of one episode."""
+    def play(self, index: int) -> EpisodeResult:
+        """Play one episode, counted from 0, to its end."""
         seed = episode_seed("evaluation", self._seed, index)
-        return {
-            "episode": index,
-            **play(self._env, self._controller, seed, report_progress=self._report_progress),
-        }
+        row = play(self._env, self._policy, seed, report_progress=self._report_progress)
+        return EpisodeResult.of(index, row)
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
-        """The states at every decision of one episode, and the ground it went over."""
+        """Play one episode; return the states at all T + 1 decisions, and the ground below."""
         seed = episode_seed("evaluation", self._seed, index)
-        seen = [d.transition for d in decisions(self._env, self._controller, seed)]
-        return [seen[0].before, *(t.after for t in seen)], self._env.profile
+        transitions = [d.transition for d in decisions(self._env, self._policy, seed)]
+        return [transitions[0].before, *(t.after for t in transitions)], self._env.profile
 
 
-def evaluate(
+def play_episodes(
     config: EnvConfig,
-    source: ControllerSource,
+    source: PolicySource,
     *,
     episodes: int | Sequence[int],
     seed: int,
     jobs: int = 1,
     report_progress: Callable[[float], None] = lambda fraction: None,
-) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the episodes, in order, as they are done.
+) -> Iterator[EpisodeResult]:
+    """Yield the results of the episodes, in order, each as soon as it is known.
 
-    ``episodes``: how many, from 0, or which. ``report_progress`` is called with the fraction of an
-    episode's search that is done, where one process plays them all.
+    ``episodes``: how many, from 0, or which. ``jobs``: the number of processes; a worker that dies
+    is replaced. ``report_progress`` is called with the fraction of an episode's search that is
+    done, where one process plays them all.
+
+    Raises:
+        FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
     """
     indices = range(episodes) if isinstance(episodes, int) else episodes
     if jobs == 1 or not indices:
-        player = Player(config, source, seed, report_progress)
-        yield from map(player.episode, indices)
+        runner = EpisodeRunner(config, source, seed, report_progress)
+        yield from map(runner.play, indices)
         return
     arguments = (container(config.environment()), source, seed, plugins.given())
-    workers = Workers(min(jobs, len(indices)), _begin, arguments)
+    workers = Workers(min(jobs, len(indices)), _start_worker, arguments)
     try:
-        waiting = deque(workers.submit(_episode, index) for index in indices)
+        waiting = deque(workers.submit(_play_in_worker, index) for index in indices)
         for index in indices:
             yield _result(workers, waiting.popleft(), index)
     finally:
         workers.close()
 
 
-def _result(workers: Workers, job: Job, index: int) -> dict[str, Any]:
-    """The row of an episode; played again if its worker died, since equal seeds give equal rows."""
+def _result(workers: Workers, job: Job, index: int) -> EpisodeResult:
+    """Wait for an episode; play it again if its worker died, since equal seeds give equal ones."""
     for _ in range(workers.count + 2):  # all may have died at once
         try:
-            row: dict[str, Any] = workers.result(job)
-            return row
+            result: EpisodeResult = workers.result(job)
+            return result
         except WorkerDiedError:
             _log.warning("a worker died and is replaced; episode %d is played again", index)
-            job = workers.submit(_episode, index)
+            job = workers.submit(_play_in_worker, index)
     raise FlipperctlError(f"episode {index} of the evaluation killed its worker again and again")
 
 
-_player: Player | FlipperctlError | None = None  # one a worker process
+_runner: EpisodeRunner | FlipperctlError | None = None  # one a worker process
 
 
-def _begin(
-    config: dict[str, Any], source: ControllerSource, seed: int, plugin_paths: list[str]
+def _start_worker(
+    config: dict[str, Any], source: PolicySource, seed: int, plugin_paths: list[str]
 ) -> None:
-    global _player
+    global _runner
     import torch
 
     torch.set_num_threads(1)
     try:
         plugins.load(plugin_paths)
-        _player = Player(parse(EnvConfig, config), source, seed)
+        _runner = EpisodeRunner(parse(EnvConfig, config), source, seed)
     except FlipperctlError as error:  # an initialiser's error would only break the pool
-        _player = error
+        _runner = error
 
 
-def _episode(index: int) -> dict[str, Any]:
-    if not isinstance(_player, Player):
-        raise _player or RuntimeError("the worker was not begun")
-    return _player.episode(index)
+def _play_in_worker(index: int) -> EpisodeResult:
+    if not isinstance(_runner, EpisodeRunner):
+        raise _runner or RuntimeError("the worker was not started")
+    return _runner.play(index)

@@ -1,31 +1,41 @@
-"""Means with 95 % bootstrap intervals, and the summary of a scene."""
+"""Means with 95 % bootstrap intervals, the summary of episodes, and differences at equal seeds."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from flipperctl.api import Outcome
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.results import (
+    Differences,
+    Interval,
+    Measure,
+    Outcomes,
+    PairedDifference,
+    Passable,
+    Summary,
+)
 
 RESAMPLES = 10_000
-REACHED_ONLY = ("t_cost", "pitch_variation", "pitch_variation_100hz", "flipper_travel")
-"""Measures that say something only of episodes that reached the finish."""
-PAIRED = ("t_cost", "pitch_variation", "pitch_variation_100hz")
-"""Measures that are compared draw by draw."""
 
-Rows = Sequence[Mapping[str, Any]]
+Row = Mapping[str, Any]
+"""A flat row of ``rollout.episode.play``."""
+Pair = tuple[EpisodeResult, EpisodeResult]
 
 
-def interval(values: Sequence[float]) -> dict[str, float] | None:
-    """Mean with the 2.5 and 97.5 % percentiles of the resampled mean; None without values.
+def interval(values: Sequence[float]) -> Interval:
+    """Return the mean of (K,) values, with the 2.5 and 97.5 % percentiles of the resampled mean.
 
     The resampling is seeded, so equal values give equal intervals (Efron 1979).
+
+    Raises:
+        ValueError: there are no values.
     """
     if len(values) == 0:
-        return None
+        raise ValueError("an interval needs at least one value")
     array = np.asarray(values, dtype=np.float64)
     rng = np.random.default_rng(0)
     # In slices, so that 10,000 resamples of a long list stay small in memory.
@@ -33,75 +43,116 @@ def interval(values: Sequence[float]) -> dict[str, float] | None:
         [rng.choice(array, (100, len(array))).mean(axis=1) for _ in range(RESAMPLES // 100)]
     )
     low, high = np.quantile(means, (0.025, 0.975))
-    return {"mean": float(array.mean()), "low": float(low), "high": float(high)}
+    return Interval(float(array.mean()), float(low), float(high))
 
 
-def reached(rows: Rows) -> list[Mapping[str, Any]]:
-    """The rows of episodes that reached the finish."""
+def reached(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of episodes that reached the finish."""
     return [row for row in rows if row["outcome"] == Outcome.REACHED]
 
 
-def scene_summary(terrain: str, rows: Rows) -> dict[str, Any]:
-    """One entry of ``scenes`` in ``eval --json``; times [s], angles [rad].
+def success_rate(rows: Sequence[Row]) -> float:
+    """Return the fraction of the rows' episodes that reached the finish, 0 to 1.
 
-    Where more than one kind of terrain was drawn, ``parts`` has the summary of each by its label.
+    Raises:
+        ZeroDivisionError: there are no rows.
     """
-    summary = _summary(terrain, rows)
-    if len(groups := _by_label(rows)) > 1:
-        summary["parts"] = {label: _summary(label, part) for label, part in groups.items()}
-    return summary
+    return len(reached(rows)) / len(rows)
 
 
-def _by_label(rows: Rows) -> dict[str, list[Mapping[str, Any]]]:
-    """The rows of each kind of terrain that was drawn."""
-    labels = sorted({str(row["terrain"]) for row in rows})
-    return {label: [row for row in rows if row["terrain"] == label] for label in labels}
+def summarise(terrain: str, episodes: Sequence[EpisodeResult]) -> Summary:
+    """Return the summary of one policy's episodes on a terrain.
+
+    Raises:
+        ValueError: there are no episodes.
+    """
+    parts = {label: _summary(label, part, {}) for label, part in _parts(episodes).items()}
+    return _summary(terrain, episodes, parts)
 
 
-def _summary(terrain: str, rows: Rows) -> dict[str, Any]:
-    good = reached(rows)
-    success = interval([float(row["outcome"] == Outcome.REACHED) for row in rows])
-    summary: dict[str, Any] = {
-        "terrain": terrain,
-        "episodes": len(rows),
-        "success_rate": len(good) / len(rows),
-        "success": success,
-        "outcomes": {str(o): Counter(row["outcome"] for row in rows)[str(o)] for o in Outcome},
-    }
-    for name in REACHED_ONLY:
-        summary[name] = _measure([row[name] for row in good])
-    if any("crossed_by" in row for row in rows):
-        # A draw that nobody is known to cross says nothing about a policy.
-        fair = [row for row in rows if row["crossed_by"]]
-        summary["passable"] = {
-            "episodes": len(fair),
-            "success_rate": len(good) / len(fair) if fair else None,
-            "success": interval([float(row["outcome"] == Outcome.REACHED) for row in fair]),
-        }
-    summary["max_pitch"] = _measure([row["max_pitch"] for row in rows])
-    summary["return"] = _measure([row["return"] for row in rows])
-    return summary
+def _parts(episodes: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
+    """Return the episodes of each kind of terrain, if there is more than one kind."""
+    labels = sorted({e.terrain for e in episodes})
+    if len(labels) < 2:
+        return {}
+    return {label: [e for e in episodes if e.terrain == label] for label in labels}
 
 
-def _measure(values: Sequence[float]) -> dict[str, float] | None:
+def _summary(
+    terrain: str, episodes: Sequence[EpisodeResult], parts: Mapping[str, Summary]
+) -> Summary:
+    success = _success(episodes)
+    good = [e for e in episodes if e.reached]
+    return Summary(
+        terrain,
+        len(episodes),
+        success_rate=len(good) / len(episodes),
+        success=success,
+        outcomes=Outcomes.of(e.outcome for e in episodes),
+        t_cost=_measure([e.t_cost for e in good]),
+        pitch_variation=_measure([e.pitch_variation for e in good]),
+        pitch_variation_100hz=_measure([e.pitch_variation_100hz for e in good]),
+        flipper_travel=_measure([e.flipper_travel for e in good]),
+        max_pitch=measure([e.max_pitch for e in episodes]),
+        episode_return=measure([e.episode_return for e in episodes]),
+        passable=_passable(episodes, len(good)),
+        parts=parts,
+    )
+
+
+def _success(episodes: Sequence[EpisodeResult]) -> Interval:
+    return interval([float(e.reached) for e in episodes])
+
+
+def _passable(episodes: Sequence[EpisodeResult], reached: int) -> Passable | None:
+    if all(e.crossed_by is None for e in episodes):
+        return None
+    # An episode that no policy is known to cross says nothing about this one.
+    fair = [e for e in episodes if e.crossed_by]
+    if not fair:
+        return Passable(0, None, None)
+    return Passable(len(fair), reached / len(fair), _success(fair))
+
+
+def measure(values: Sequence[float]) -> Measure:
+    """Return the interval of (K,) values, and their range.
+
+    Raises:
+        ValueError: there are no values.
+    """
     found = interval(values)
-    return found and {**found, "range": float(max(values) - min(values))}
+    return Measure(found.mean, found.low, found.high, float(max(values) - min(values)))
 
 
-def differences(rows: Rows, others: Rows) -> dict[str, Any]:
-    """``paired`` for each of the paper's measures; of a mix also ``parts``, by label."""
-    found: dict[str, Any] = {name: paired(rows, others, name) for name in PAIRED}
-    if len(groups := _by_label(rows)) > 1:
-        found["parts"] = {
-            label: {name: paired(part, others, name) for name in PAIRED}
-            for label, part in groups.items()
-        }
-    return found
+def _measure(values: Sequence[float]) -> Measure | None:
+    return measure(values) if values else None
 
 
-def paired(rows: Rows, others: Rows, name: str) -> dict[str, Any] | None:
-    """The mean difference of a measure on equal draws where both reached the finish."""
-    other = {row["seed"]: row for row in reached(others)}
-    both = [(r[name], other[r["seed"]][name]) for r in reached(rows) if r["seed"] in other]
-    found = interval([mine - theirs for mine, theirs in both])
-    return found and {**found, "episodes": len(both)}
+def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
+    """Return the mean differences of the paper's measures, ours less theirs, at equal seeds."""
+    parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
+    return _differences(paired(ours, theirs), parts)
+
+
+def paired(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> list[Pair]:
+    """Return the pairs of episodes of equal seeds in which both reached the finish."""
+    others = {e.seed: e for e in theirs if e.reached}
+    return [(e, others[e.seed]) for e in ours if e.reached and e.seed in others]
+
+
+def _differences(pairs: Sequence[Pair], parts: Mapping[str, Differences]) -> Differences:
+    return Differences(
+        t_cost=_difference(pairs, lambda e: e.t_cost),
+        pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
+        pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),
+        parts=parts,
+    )
+
+
+def _difference(
+    pairs: Sequence[Pair], value: Callable[[EpisodeResult], float]
+) -> PairedDifference | None:
+    if not pairs:
+        return None
+    found = interval([value(mine) - value(other) for mine, other in pairs])
+    return PairedDifference(found.mean, found.low, found.high, len(pairs))

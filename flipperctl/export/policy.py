@@ -29,7 +29,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
 from flipperctl.files import write_bytes
 from flipperctl.guard import fault
-from flipperctl.policies.trained import QPolicy, policy_module
+from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
 from flipperctl.runtime.checksum import CHECKSUM, FORMAT_VERSION, PLACEHOLDER, PREFIX, sealed
@@ -117,7 +117,7 @@ def observation_layout(layout: ObservationLayout) -> list[dict[str, str]]:
     ]
 
 
-class _Recorder(QPolicy):
+class _Recorder(TrainedPolicy):
     """Acts like the policy and notes what its network sees."""
 
     def __init__(self, module: torch.nn.Module, frames: int) -> None:

@@ -1,6 +1,7 @@
-"""An exported file judged in the simulator as the robot runs it.
+"""An exported file as a policy in the simulator, run as the robot runs it.
 
-In: a file of ``flipperctl export onnx``. Out: a controller, and the evaluation that it asks for.
+In: a file of ``flipperctl export onnx``. Out: a policy, and the evaluation that its metadata
+describe.
 """
 
 from __future__ import annotations
@@ -14,9 +15,14 @@ from flipperctl.runtime import OnnxPolicy
 
 
 class ExportedPolicy:
-    """Greedy in the Q-values of an exported file."""
+    """Acts greedily in the Q-values of an exported file."""
 
     def __init__(self, file: Path) -> None:
+        """Read the file.
+
+        Raises:
+            PolicyError: the file is missing, damaged or not one of flipperctl.
+        """
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
 
@@ -25,28 +31,28 @@ class ExportedPolicy:
         self._policy.reset()
 
     def act(self, p: Perception) -> int:
-        """The action of the largest Q-value."""
+        """Return the index of the action of the largest Q-value, 0 to 8."""
         return self._policy.act(p.observation)
 
 
 def is_exported(file: Path) -> bool:
-    """Whether a file is meant as an exported policy, not as a checkpoint."""
+    """Return whether a file is meant as an exported policy, not as a checkpoint."""
     return file.suffix == ".onnx"
 
 
 def exported_config(file: Path) -> EvalConfig:
-    """The file's own evaluation: its robot, its layout and its terrain, all as in training.
+    """Return the file's own evaluation: its robot, layout and terrain, all as in training.
 
-    A file of format 1 says only the terrain's name, which then has its defaults.
+    A file of format 1 holds only the terrain's name, which then has its defaults.
 
     Raises:
         PolicyError: flipperctl did not export the file, or this version lacks what it names.
     """
-    says = OnnxPolicy(file).interface
+    interface = OnnxPolicy(file).interface
     settings = {
-        "terrain": dict(says.terrain_config),
-        "robot": dict(says.robot),
-        "perception": {"bins": says.bins, "bin_width": says.bin_width},
+        "terrain": dict(interface.terrain_config),
+        "robot": dict(interface.robot),
+        "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
     }
     try:
         return parse(EvalConfig, settings)

@@ -1,45 +1,43 @@
-"""A trained network as a controller, and controllers from a description of a few words."""
+"""A trained network as a policy.
+
+In: a checkpoint. Out: its network with the trained weights, and the policy that acts by it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
-
 import torch
 
-from flipperctl import plugins
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import stacked
-from flipperctl.api import ACTIONS, ObservationLayout, Perception, Policy, Simulator
-from flipperctl.checkpoint import Checkpoint, read
+from flipperctl.api import ACTIONS, Perception, Simulator
+from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.policies.exported import ExportedPolicy, is_exported
-from flipperctl.policies.plugin import PluginPolicy
 
 
-class QPolicy:
-    """Greedy in the Q-values of a network, which is in ``eval()`` mode."""
+class TrainedPolicy:
+    """Acts greedily in the Q-values of a network, which is in ``eval()`` mode."""
 
     def __init__(self, module: torch.nn.Module, frames: int = 1) -> None:
-        """``frames``: observations that the network takes in at once."""
+        """``frames`` is the number of observations that the network takes in at once."""
         self.module = module
         self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; a network knows only what it perceives."""
+        """Begin an episode; a network remembers nothing from one to the next."""
 
     def act(self, p: Perception) -> int:
-        """The action of the largest Q-value."""
+        """Return the index of the action of the largest Q-value, 0 to 8."""
         return greedy(self.module, stacked(p.recent, self.frames), self._device)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
-    """The network of a checkpoint with its trained weights, on the CPU.
+    """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
+
+    It maps observations (B, F · (N + 3)) of F frames in SI units to Q-values (B, 9).
 
     Raises:
         CheckpointError: the weights do not fit the network.
@@ -60,47 +58,3 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         ) from error
     module.load_state_dict(weights)
     return module.eval().requires_grad_(False)
-
-
-@dataclass(frozen=True)
-class ControllerSource:
-    """Where a controller comes from; small enough to be handed to another process."""
-
-    checkpoint: Path | None = None
-    """Or a file of ``flipperctl export onnx``."""
-    settings: dict[str, Any] | None = None
-    """``name`` and fields of a controller plugin."""
-
-    def label(self) -> str:
-        """What tables and files call it."""
-        if self.checkpoint is not None:
-            return str(self.checkpoint)
-        return str((self.settings or {})["name"])
-
-    def make(self, layout: ObservationLayout) -> Policy:
-        """The controller.
-
-        Raises:
-            CheckpointError: the policy was trained on another observation layout.
-        """
-        if self.checkpoint is None:
-            return PluginPolicy(plugins.create("controller", self.settings, "controller"))
-        bins, bin_width, policy = _opened(self.checkpoint)
-        if (bins, bin_width) != (layout.bins, layout.bin_width):
-            raise CheckpointError(
-                f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
-                "perception.bins and perception.bin_width ask for "
-                f"{layout.bins} of {layout.bin_width:g} m"
-            )
-        return policy
-
-
-def _opened(file: Path) -> tuple[int, float, Policy]:
-    """The number and width of the bins that a policy takes, and the policy."""
-    if is_exported(file):
-        exported = ExportedPolicy(file)
-        return exported.interface.bins, exported.interface.bin_width, exported
-    checkpoint = read(file)
-    config = checkpoint.config()
-    policy = QPolicy(policy_module(checkpoint), config.network.frames)
-    return config.perception.bins, config.perception.bin_width, policy

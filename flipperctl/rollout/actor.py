@@ -16,7 +16,7 @@ from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.trained import QPolicy
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration
 from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
@@ -39,7 +39,7 @@ class Actor:
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
         """Play an episode of each seed greedily."""
         self._load(weights)
-        policy = QPolicy(self._module.eval(), self._frames)
+        policy = TrainedPolicy(self._module.eval(), self._frames)
         return [play(self._env, policy, seed) for seed in seeds]
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:

@@ -11,7 +11,7 @@ from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import reached
-from flipperctl.policies.trained import QPolicy
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import episode_seed
@@ -52,7 +52,7 @@ class Validator:
 
     def _play(self, seeds: Sequence[int]) -> list[Row]:
         with self._agent.evaluation_mode() as module:
-            policy = QPolicy(module, self._frames)
+            policy = TrainedPolicy(module, self._frames)
             return [play(self._env, policy, seed) for seed in seeds]
 
 

@@ -7,10 +7,10 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError, PolicyError
-from flipperctl.evaluation.episodes import evaluate
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy as export
 from flipperctl.policies.exported import exported_config
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from tests.cli.call import call
 from tests.runtime import linear
 
@@ -24,11 +24,11 @@ def exported(short_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_exported_policy_drives_as_the_trained_one(short_run: Path, exported: Path) -> None:
     config = EnvConfig(terrain="step")
-    trained = ControllerSource(checkpoint=short_run / checkpoint.BEST)
-    robot = ControllerSource(checkpoint=exported)
-    expected = list(evaluate(config, trained, episodes=3, seed=1))
-    assert list(evaluate(config, robot, episodes=3, seed=1)) == expected
-    assert list(evaluate(config, robot, episodes=3, seed=1, jobs=2)) == expected
+    trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
+    robot = PolicySource(checkpoint=exported)
+    expected = list(play_episodes(config, trained, episodes=3, seed=1))
+    assert list(play_episodes(config, robot, episodes=3, seed=1)) == expected
+    assert list(play_episodes(config, robot, episodes=3, seed=1, jobs=2)) == expected
 
 
 def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_a_policy_of_a_mix_is_judged_on_that_mix(tmp_path: Path) -> None:
 def test_another_layout_is_refused(exported: Path) -> None:
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
-        ControllerSource(checkpoint=exported).make(config.perception)
+        PolicySource(checkpoint=exported).build(config.perception)
 
 
 def test_a_terrain_that_is_not_installed_is_named(tmp_path: Path) -> None:

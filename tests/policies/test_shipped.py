@@ -8,8 +8,8 @@ from flipperctl import checkpoint
 from flipperctl.cli import compose
 from flipperctl.config import container
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.episodes import evaluate
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.policies.source import PolicySource
 
 SHIPPED = sorted(checkpoint.shipped().items())
 
@@ -26,8 +26,8 @@ def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: 
     (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()
-    rows = list(evaluate(config, ControllerSource(checkpoint=path), episodes=5, seed=0))
-    assert sum(row["outcome"] == "reached" for row in rows) >= 4
+    results = list(play_episodes(config, PolicySource(checkpoint=path), episodes=5, seed=0))
+    assert sum(result.reached for result in results) >= 4
 
 
 @pytest.mark.parametrize(("name", "path"), SHIPPED)

@@ -18,6 +18,7 @@ from flipperctl.errors import OutputError, WriteError
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
 from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
+from flipperctl.report.scenes import picture_names
 from flipperctl.report.terrain import terrain_figure
 
 ROBOT = RobotGeometry()
@@ -241,3 +242,8 @@ def test_a_failure_half_way_leaves_what_was_there(
         save(Figure(), path)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:
+    names = picture_names(["flat", "step", "flat", "flat"])
+    assert names == ["flat.png", "step.png", "flat_2.png", "flat_3.png"]

@@ -10,9 +10,9 @@ import torch
 from flipperctl import checkpoint, plugins
 from flipperctl.api import Network
 from flipperctl.config import EnvConfig, TrainConfig
-from flipperctl.evaluation.episodes import evaluate
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy as export
-from flipperctl.policies.trained import ControllerSource
+from flipperctl.policies.source import PolicySource
 from flipperctl.runtime import OnnxPolicy
 from tests.short import short_config, trainer
 
@@ -76,9 +76,9 @@ def test_the_exported_policy_drives_as_the_trained_one(
     assert entry.shape[1] == 18 * frames
     judged = EnvConfig(terrain="step")
     expected = list(
-        evaluate(judged, ControllerSource(trained / checkpoint.BEST), episodes=3, seed=1)
+        play_episodes(judged, PolicySource(trained / checkpoint.BEST), episodes=3, seed=1)
     )
-    assert list(evaluate(judged, ControllerSource(path), episodes=3, seed=1)) == expected
+    assert list(play_episodes(judged, PolicySource(path), episodes=3, seed=1)) == expected
 
 
 def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Path) -> None:

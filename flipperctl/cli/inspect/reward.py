@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.audit import AuditResult
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
@@ -46,37 +49,32 @@ def show(
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
     from flipperctl.cli.compose import only
-    from flipperctl.cli.conditions import lines
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.audit import audit
-    from flipperctl.evaluation.conditions import Conditions
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
     config, source = only(scenes(list(overrides or []), checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
     with episodes_progress(label, episodes) as report:
-        found = audit(config, source, episodes=episodes, seed=config.eval.seed, report=report)
-    conditions = Conditions.of(config)
-    found |= {"seed": config.eval.seed, "conditions": conditions.container()}
+        found = audit(config, source, episodes=episodes, report=report)
     if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    _print(found)
-    for line in lines({"scenes": [found]}, [conditions.line()]):
-        print(line)
+        print(json.dumps(found.container(), indent=2))
+    else:
+        _print(found)
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(found: AuditResult) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from flipperctl.cli.conditions import lines
     from flipperctl.cli.console import console
 
     title = (
-        f"{found['controller']} on {found['terrain']}: {found['episodes']} episodes, "
-        f"{found['decisions']} decisions, mean return {found['return']:.2f}"
+        f"{found.controller} on {found.terrain}: {found.episodes} episodes, "
+        f"{found.decisions} decisions, mean return {found.mean_return:.2f}"
     )
     table = Table(title=title, title_justify="left")
     table.add_column("term", no_wrap=True)
@@ -84,13 +82,14 @@ def _print(found: dict[str, Any]) -> None:
         table.add_column(escape(heading))
     table.add_column("share of the return")
     table.add_column("saturated")
-    for name, term in found["terms"].items():
-        saturated = term["saturated"]
+    for name, term in found.terms.items():
         table.add_row(
             name,
-            f"{term['weight']:g}",
-            *(f"{term[key]:.4f}" for key in ("mean", "lowest", "highest")),
-            f"{term['share']:.1%}",
-            "–" if saturated is None else f"{saturated:.1%}",
+            f"{term.weight:g}",
+            *(f"{value:.4f}" for value in (term.mean, term.lowest, term.highest)),
+            f"{term.share:.1%}",
+            "–" if term.saturated is None else f"{term.saturated:.1%}",
         )
     console().print(table)
+    for line in lines([(found.terrain, found.seed, found.conditions)]):
+        print(line)

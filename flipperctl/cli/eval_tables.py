@@ -1,0 +1,102 @@
+"""The tables of ``flipperctl eval``.
+
+In: the result of an evaluation. Out: a table of its scenes, and one of the differences to a
+baseline.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from rich.markup import escape
+from rich.table import Table
+
+from flipperctl.evaluation.results import (
+    Differences,
+    EvaluationResult,
+    Interval,
+    SceneResult,
+    Summary,
+)
+
+
+def table(result: EvaluationResult) -> Table:
+    """Return a table with a row a scene, and a dim one for each part of a mix."""
+    found = Table(title=result.controller, title_justify="left")
+    passable = any(scene.summary.passable for scene in result.scenes)
+    success = ["success", *(["passable", "of these"] if passable else [])]
+    for heading in ("terrain", "episodes", *success, "outcomes", "t_cost [s]"):
+        found.add_column(escape(heading))
+    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]", "flipper travel [rad]"):
+        found.add_column(escape(heading))
+    for name, scene in _named(result):
+        found.add_row(*_cells(name, scene.summary))
+        for label, part in scene.summary.parts.items():
+            found.add_row(*_cells(f"  {label}", part), style="dim")
+    return found
+
+
+def comparison(result: EvaluationResult) -> Table:
+    """Return a table of the paired differences to the baseline.
+
+    Raises:
+        IndexError: no scene has a baseline.
+    """
+    scenes = [(name, scene.baseline) for name, scene in _named(result)]
+    compared = [(name, other) for name, other in scenes if other is not None]
+    baseline = compared[0][1].controller
+    title = f"difference to {baseline} on the same draws, where both reached the finish"
+    found = Table(title=title, title_justify="left")
+    for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
+        found.add_column(escape(heading))
+    for name, other in compared:
+        found.add_row(*_difference_cells(name, other.summary, other.difference))
+        for label, part in other.difference.parts.items():
+            cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
+            found.add_row(*cells, style="dim")
+    return found
+
+
+def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
+    """Yield each scene and its terrain; with the hash of its conditions where several are on it."""
+    counts = Counter(scene.terrain for scene in result.scenes)
+    for scene in result.scenes:
+        alone = counts[scene.terrain] == 1
+        yield scene.terrain if alone else f"{scene.terrain} {scene.conditions.hash}", scene
+
+
+def _cells(name: str, summary: Summary) -> list[str]:
+    fair = summary.passable
+    counts = summary.outcomes.container()
+    return [
+        name,
+        str(summary.episodes),
+        _shown(summary.success, 3),
+        *([str(fair.episodes), _shown(fair.success, 3)] if fair else []),
+        " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count),
+        _shown(summary.t_cost, 1),
+        _shown(summary.pitch_variation),
+        _shown(summary.pitch_variation_100hz),
+        _shown(summary.max_pitch),
+        _shown(summary.flipper_travel),
+    ]
+
+
+def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
+    pairs = difference.pitch_variation
+    return [
+        name,
+        str(pairs.episodes if pairs else 0),
+        _shown(other.success, 3),
+        _shown(difference.t_cost, 1),
+        _shown(pairs),
+    ]
+
+
+def _shown(interval: Interval | None, digits: int = 2) -> str:
+    if interval is None:
+        return "–"
+    numbers = (interval.mean, interval.low, interval.high)
+    mean, low, high = (f"{number:.{digits}f}" for number in numbers)
+    return f"{mean} [{low}, {high}]"

@@ -1,0 +1,96 @@
+"""What one episode of an evaluation gave.
+
+In: the flat row that ``rollout.episode.play`` returns. Out: the same numbers, by name and type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from flipperctl.api import Outcome
+
+_REWARD = "reward_"
+"""What a row puts before the name of a reward term."""
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """The outcome, the measures and the sampled values of one episode."""
+
+    episode: int
+    """Its index in the evaluation, from 0."""
+    seed: int
+    """Equal seeds give equal ground and an equal start, whichever policy drives."""
+    outcome: Outcome
+    terrain: str
+    """Label of the sampled profile: of a mix, the part that was chosen."""
+    decisions: int
+    t_cost: float
+    """Time to the end of the episode [s]."""
+    pitch_variation: float
+    """θ̂_R, the sum of the pitch's absolute changes between decisions [rad] (paper Eq. 8)."""
+    pitch_variation_100hz: float
+    """The same sum, between samples that are 10 ms apart [rad]."""
+    max_pitch: float
+    """Largest absolute pitch [rad]."""
+    flipper_travel: float
+    """Sum of both flipper pairs' absolute changes of angle between decisions [rad]."""
+    episode_return: float
+    """Sum of all weighted reward terms over the episode [-]."""
+    rewards: Mapping[str, float]
+    """Each term's weighted part of the return [-]."""
+    sampled: Mapping[str, float]
+    """Values sampled for the episode: the start's, and those that ``randomise`` names; SI units."""
+    crossed_by: str | None = None
+    """Label of a policy that reached the finish with this seed; empty if none did, None where no
+    other policy was asked."""
+
+    @classmethod
+    def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
+        """Return the result that a row of ``rollout.episode.play`` holds.
+
+        Raises:
+            KeyError: the row lacks a measure.
+        """
+        rest = dict(row)
+        return cls(
+            episode,
+            seed=rest.pop("seed"),
+            outcome=Outcome(rest.pop("outcome")),
+            terrain=rest.pop("terrain"),
+            decisions=rest.pop("decisions"),
+            t_cost=rest.pop("t_cost"),
+            pitch_variation=rest.pop("pitch_variation"),
+            pitch_variation_100hz=rest.pop("pitch_variation_100hz"),
+            max_pitch=rest.pop("max_pitch"),
+            flipper_travel=rest.pop("flipper_travel"),
+            episode_return=rest.pop("return"),
+            rewards={n.removeprefix(_REWARD): rest.pop(n) for n in row if n.startswith(_REWARD)},
+            sampled=rest,
+        )
+
+    @property
+    def reached(self) -> bool:
+        """Whether the robot reached the finish."""
+        return self.outcome is Outcome.REACHED
+
+    def row(self) -> dict[str, Any]:
+        """Return the flat row of ``episodes.csv``; its keys are in the order of the columns."""
+        return {
+            "episode": self.episode,
+            "seed": self.seed,
+            "outcome": str(self.outcome),
+            "terrain": self.terrain,
+            "decisions": self.decisions,
+            "t_cost": self.t_cost,
+            "pitch_variation": self.pitch_variation,
+            "pitch_variation_100hz": self.pitch_variation_100hz,
+            "max_pitch": self.max_pitch,
+            "flipper_travel": self.flipper_travel,
+            "return": self.episode_return,
+            **{f"{_REWARD}{name}": value for name, value in self.rewards.items()},
+            **self.sampled,
+            **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
+        }

@@ -1,0 +1,44 @@
+"""The files of an evaluation: ``episodes.csv``, a row an episode, and ``summary.json``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from flipperctl.evaluation.results import EvaluationResult
+from flipperctl.files import write_bytes, write_json
+
+
+def write(folder: Path, result: EvaluationResult) -> None:
+    """Write both files into a folder that is there, each whole or not at all.
+
+    Raises:
+        OutputError: a file cannot be written.
+        WriteError: writing failed half way; the file that was there before is untouched.
+    """
+    rows = list(episode_rows(result))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(folder / "episodes.csv", text.getvalue().encode())
+    write_json(folder / "summary.json", result.container())
+
+
+def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
+    """Yield a flat row an episode: of each scene those of the policy, then its baseline's."""
+    for scene in result.scenes:
+        conditions = {
+            "conditions": scene.conditions.name,
+            "conditions_hash": scene.conditions.hash,
+        }
+        players = [(result.controller, scene.episodes)]
+        if scene.baseline:
+            players.append((scene.baseline.controller, scene.baseline.episodes))
+        for label, episodes in players:
+            for episode in episodes:
+                who = {"scene": scene.terrain, "controller": label}
+                yield {**who, **episode.row(), **conditions}

@@ -1,0 +1,139 @@
+"""The evaluation of a policy on scenes, beside a baseline and references.
+
+In: a configuration and a policy's source for each scene. Out: an ``EvaluationResult``, which the
+command line, reports and other programs read; nothing is printed or written here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
+from flipperctl.evaluation.statistics import differences, summarise
+from flipperctl.policies.source import PolicySource
+
+Scene = tuple[EvalConfig, PolicySource]
+"""``config.eval`` says how many episodes, of which seed, in how many processes."""
+Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
+"""Opens the progress of some episodes, by a label and their number; yields what is called with the
+number of episodes done, a search before an episode as a fraction of it."""
+
+
+@contextmanager
+def no_progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
+    """Show nothing."""
+    yield lambda done: None
+
+
+def evaluate(
+    scenes: Sequence[Scene],
+    *,
+    baseline: PolicySource | None = None,
+    references: Sequence[PolicySource] = (),
+    progress: Progress = no_progress,
+) -> EvaluationResult:
+    """Evaluate one policy on each scene.
+
+    ``baseline`` plays the same episodes for comparison. ``references`` try in turn the episodes
+    that the policy did not cross, to find out which can be crossed at all.
+
+    Raises:
+        FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
+        ValueError: there are no scenes.
+    """
+    if not scenes:
+        raise ValueError("an evaluation needs at least one scene")
+    results = [evaluate_scene(c, s, baseline, references, progress) for c, s in scenes]
+    return EvaluationResult(scenes[0][1].label(), tuple(results))
+
+
+def evaluate_scene(
+    config: EvalConfig,
+    source: PolicySource,
+    baseline: PolicySource | None = None,
+    references: Sequence[PolicySource] = (),
+    progress: Progress = no_progress,
+) -> SceneResult:
+    """Evaluate a policy on one scene; see ``evaluate``."""
+    terrain = config.terrain.plugin_name
+    episodes = _play(config, source, terrain, progress)
+    if references:
+        episodes = _crossed_by_references(config, source, references, episodes, progress)
+    other = None
+    if baseline is not None:
+        label = baseline.label()
+        played = _play(config, baseline, f"{terrain}, {label}", progress)
+        other = compare(terrain, episodes, label, played)
+    return SceneResult(
+        summarise(terrain, episodes),
+        config.eval.seed,
+        Conditions.of(config),
+        other,
+        tuple(episodes),
+    )
+
+
+def compare(
+    terrain: str, ours: Sequence[EpisodeResult], label: str, theirs: Sequence[EpisodeResult]
+) -> BaselineResult:
+    """Return the summary of a baseline's episodes, and how ours differ from them.
+
+    Raises:
+        ValueError: there are none.
+    """
+    return BaselineResult(
+        label, summarise(terrain, theirs), differences(ours, theirs), tuple(theirs)
+    )
+
+
+def _crossed_by_references(
+    config: EvalConfig,
+    source: PolicySource,
+    references: Sequence[PolicySource],
+    episodes: Sequence[EpisodeResult],
+    progress: Progress,
+) -> list[EpisodeResult]:
+    """Return the episodes with who crossed them: the policy itself, or a reference after it."""
+    crossed_by = {e.episode: source.label() if e.reached else "" for e in episodes}
+    for reference in references:
+        left = [index for index, label in crossed_by.items() if not label]
+        label = f"{config.terrain.plugin_name}, {reference.label()} on what was not crossed"
+        for result in _play(config, reference, label, progress, left):
+            if result.reached:
+                crossed_by[result.episode] = reference.label()
+    return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
+
+
+def _play(
+    config: EvalConfig,
+    source: PolicySource,
+    label: str,
+    progress: Progress,
+    indices: Sequence[int] | None = None,
+) -> list[EpisodeResult]:
+    """Play the episodes of these indices, or all of the evaluation, and show how far it is."""
+    settings = config.eval
+    chosen = range(settings.episodes) if indices is None else indices
+    results: list[EpisodeResult] = []
+    with progress(label, len(chosen)) as report:
+
+        def search(fraction: float) -> None:
+            report(len(results) + fraction)
+
+        for result in play_episodes(
+            config,
+            source,
+            episodes=chosen,
+            seed=settings.seed,
+            jobs=settings.jobs,
+            report_progress=search,
+        ):
+            results.append(result)
+            report(len(results))
+    return results

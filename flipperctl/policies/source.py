@@ -1,0 +1,77 @@
+"""Where a policy comes from, in a few words that another process can be given.
+
+In: a file, or the name and settings of a controller plugin. Out: a policy, trained, exported or
+ruled alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flipperctl import plugins
+from flipperctl.api import ObservationLayout, Policy
+from flipperctl.checkpoint import read
+from flipperctl.errors import CheckpointError
+from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.trained import TrainedPolicy, policy_module
+
+
+@dataclass(frozen=True)
+class PolicySource:
+    """Where a policy comes from: a file or a controller plugin; one of the two is given."""
+
+    checkpoint: Path | None = None
+    """A checkpoint, or a file of ``flipperctl export onnx``."""
+    settings: dict[str, Any] | None = None
+    """``name`` and fields of a controller plugin."""
+
+    @classmethod
+    def of_plugin(cls, name: str, path: str) -> PolicySource:
+        """Return the source of a registered controller at its defaults.
+
+        ``path``: the option or configuration key that asks for it, for the error.
+
+        Raises:
+            ConfigError: there is no such controller, or its defaults are not valid.
+        """
+        return cls(settings=plugins.container(plugins.create("controller", name, path)))
+
+    def label(self) -> str:
+        """Return the name that tables and files use: the file's path or the plugin's name."""
+        if self.checkpoint is not None:
+            return str(self.checkpoint)
+        return str((self.settings or {})["name"])
+
+    def build(self, layout: ObservationLayout) -> Policy:
+        """Build the policy for observations of this layout.
+
+        Raises:
+            CheckpointError: the policy was trained on another observation layout, or its file is
+                missing or damaged.
+            PolicyError: the exported file is damaged.
+            PluginFailedError: the controller's code failed.
+        """
+        if self.checkpoint is None:
+            return PluginPolicy(plugins.create("controller", self.settings, "controller"))
+        bins, bin_width, policy = _open(self.checkpoint)
+        if (bins, bin_width) != (layout.bins, layout.bin_width):
+            raise CheckpointError(
+                f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
+                "perception.bins and perception.bin_width ask for "
+                f"{layout.bins} of {layout.bin_width:g} m"
+            )
+        return policy
+
+
+def _open(file: Path) -> tuple[int, float, Policy]:
+    """Return the number of bins that a file's policy takes, their width [m] and the policy."""
+    if is_exported(file):
+        exported = ExportedPolicy(file)
+        return exported.interface.bins, exported.interface.bin_width, exported
+    checkpoint = read(file)
+    config = checkpoint.config()
+    policy = TrainedPolicy(policy_module(checkpoint), config.network.frames)
+    return config.perception.bins, config.perception.bin_width, policy

@@ -1,0 +1,36 @@
+"""A picture a scene of an evaluation: the policy's first episode on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flipperctl.evaluation.episodes import EpisodeRunner
+from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.report.episode import episode_figure
+from flipperctl.report.figure import save
+
+
+def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_progress) -> None:
+    """Play the first episode of each scene again and write its picture into the folder.
+
+    Raises:
+        OutputError: a picture cannot be written.
+        WriteError: writing failed half way.
+    """
+    names = picture_names([config.terrain.plugin_name for config, _ in scenes])
+    for name, (config, source) in zip(names, scenes, strict=True):
+        terrain = config.terrain.plugin_name
+        with progress(f"{terrain}, picture", 1) as report:
+            states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
+        figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
+        save(figure, folder / name)
+
+
+def picture_names(terrains: Sequence[str]) -> list[str]:
+    """Return a file name a scene: its terrain, with a number from its second scene on."""
+    counts = [terrains[:index].count(terrain) for index, terrain in enumerate(terrains)]
+    return [
+        f"{terrain}_{before + 1}.png" if before else f"{terrain}.png"
+        for terrain, before in zip(terrains, counts, strict=True)
+    ]

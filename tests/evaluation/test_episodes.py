@@ -1,0 +1,134 @@
+"""The episodes of an evaluation: known outcomes and times, whatever the number of processes."""
+
+import os
+import signal
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint, plugins
+from flipperctl.api import Outcome
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.episodes import EpisodeRunner, play_episodes
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.processes import Workers
+from flipperctl.rollout.seeds import episode_seed
+
+LEVEL = PolicySource(settings={"name": "level"})
+OKADA = PolicySource(settings={"name": "okada"})
+HIGH = {"name": "step", "low": 0.4, "high": 0.4}
+
+
+def test_two_processes_give_the_results_of_one() -> None:
+    config = EnvConfig(terrain="step")
+    one = list(play_episodes(config, OKADA, episodes=4, seed=3))
+    two = list(play_episodes(config, OKADA, episodes=4, seed=3, jobs=2))
+    assert one == two
+    assert [result.episode for result in one] == [0, 1, 2, 3]
+    assert [result.seed for result in one] == [episode_seed("evaluation", 3, i) for i in range(4)]
+
+
+def test_chosen_episodes_are_those_of_the_whole_evaluation() -> None:
+    config = EnvConfig(terrain="flat")
+    whole = list(play_episodes(config, LEVEL, episodes=4, seed=3))
+    assert list(play_episodes(config, LEVEL, episodes=[3, 1], seed=3)) == [whole[3], whole[1]]
+    assert list(play_episodes(config, LEVEL, episodes=[], seed=3, jobs=2)) == []
+
+
+def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    started = []
+    create = Workers.__init__
+
+    def remembered(self: Workers, *arguments: object) -> None:
+        create(self, *arguments)
+        started.append(self)
+
+    monkeypatch.setattr(Workers, "__init__", remembered)
+    config = EnvConfig(terrain="stair")
+    results = play_episodes(config, OKADA, episodes=30, seed=3, jobs=2)
+    first = next(results)
+    for pid in started[0].processes():
+        os.kill(pid, signal.SIGKILL)
+    assert [first, *results] == list(play_episodes(config, OKADA, episodes=30, seed=3))
+    assert "a worker died and is replaced; episode" in caplog.text
+
+
+def test_flippers_held_level_cross_flat_ground_at_belt_speed_without_a_swing() -> None:
+    for result in play_episodes(EnvConfig(terrain="flat"), LEVEL, episodes=3, seed=0):
+        assert result.outcome is Outcome.REACHED
+        # 1 m before, 2 m of flat ground and 1 m past it at 0.2 m/s, less the shift of the start;
+        # an episode ends at a sample of 10 ms after that.
+        assert result.t_cost == pytest.approx((4.0 - result.sampled["start_shift"]) / 0.2, abs=0.03)
+        assert result.decisions == -(-round(100 * result.t_cost) // 60)
+        for swing in (result.pitch_variation, result.max_pitch, result.flipper_travel):
+            assert swing == pytest.approx(0.0, abs=1e-3)
+        assert result.episode_return == pytest.approx(sum(result.rewards.values()))
+        assert result.rewards["end"] == 10.0
+
+
+def test_flippers_held_level_stop_at_a_step_that_okada_climbs() -> None:
+    config = EnvConfig(terrain=HIGH)
+    for source, outcome in ((LEVEL, Outcome.STUCK), (OKADA, Outcome.REACHED)):
+        results = list(play_episodes(config, source, episodes=2, seed=0))
+        assert [result.outcome for result in results] == [outcome] * 2
+
+
+def test_an_episode_that_nothing_else_ends_ends_at_its_last_decision() -> None:
+    config = EnvConfig(terrain=HIGH, episode={"stuck_window": 200, "slack": 1.2})
+    (result,) = play_episodes(config, LEVEL, episodes=1, seed=0)
+    assert result.outcome is Outcome.TIMEOUT
+    # From 1 m before the edge to 1 m past it at 0.2 m/s, in decisions of 0.6 s, 1.2 times.
+    assert result.decisions == pytest.approx(1.2 * 2.0 / 0.2 / 0.6, abs=1)
+    assert result.t_cost == pytest.approx(0.6 * result.decisions)
+
+
+def test_a_trained_policy_drives_another_terrain_greedily(short_run: Path) -> None:
+    file = short_run / checkpoint.BEST
+    config = EnvConfig(terrain="flat")
+    (result,) = play_episodes(config, PolicySource(file), episodes=1, seed=5)
+    assert (result.terrain, result.outcome) == ("flat", Outcome.REACHED)
+    assert result.t_cost == pytest.approx(20.0, abs=0.5)
+    policy = PolicySource(file).build(config.perception)
+    row = play(FlipperEnv(config=config), policy, episode_seed("evaluation", 5, 0))
+    assert list(result.row().items()) == [("episode", 0), *row.items()]
+    assert EpisodeResult.of(0, row) == result
+
+
+def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
+    source = PolicySource(short_run / checkpoint.BEST)
+    config = EnvConfig(terrain="flat", perception={"bins": 11})
+    with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
+        list(play_episodes(config, source, episodes=1, seed=0))
+
+
+def test_the_streams_of_seeds_never_meet() -> None:
+    streams = ("training", "validation", "evaluation")
+    seeds = [episode_seed(s, seed, i) for s in streams for seed in (0, 1) for i in range(500)]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> None:
+    for name in plugins.names("controller"):
+        little = {"budget": 200, "width": 2} if name == "planner" else {}
+        source = PolicySource(settings={"name": name, **little})
+        assert source.label() == name
+        (result,) = play_episodes(EnvConfig(terrain="flat"), source, episodes=1, seed=0)
+        assert result.outcome is Outcome.REACHED, name
+
+
+def test_a_trace_is_the_episode_at_its_decisions() -> None:
+    runner = EpisodeRunner(EnvConfig(terrain="step"), OKADA, 3)
+    result = runner.play(2)
+    states, profile = runner.trace(2)
+    assert len(states) == result.decisions + 1
+    assert (states[0].time, states[-1].time) == (0.0, result.t_cost)
+    assert profile.label == "step"
+    swing = sum(abs(b.pitch - a.pitch) for a, b in pairwise(states))
+    assert swing == pytest.approx(result.pitch_variation)

@@ -1,0 +1,84 @@
+"""A policy on scenes, beside a baseline and references that try what it fails."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.results import Interval, Outcomes, PairedDifference, Passable
+from flipperctl.evaluation.scenes import evaluate, evaluate_scene
+from flipperctl.policies.source import PolicySource
+
+LEVEL, OKADA, RANDOM = (
+    PolicySource.of_plugin(name, "here") for name in ("level", "okada", "random")
+)
+TWO = {"episodes": 2, "seed": 4}
+STEP = EvalConfig(terrain={"name": "step", "low": 0.4, "high": 0.4}, eval=TWO)
+"""Flippers held level stop at it, okada climbs it, random ones overturn the robot."""
+FLAT = EvalConfig(terrain="flat", eval=TWO)
+"""On it okada holds its flippers level too."""
+
+
+def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
+    found = evaluate([(STEP, LEVEL), (FLAT, LEVEL)], baseline=OKADA, references=[RANDOM, OKADA])
+    assert found.controller == "level"
+    step, flat = found.scenes
+    assert (step.terrain, flat.terrain) == ("step", "flat")
+    assert step.seed == flat.seed == 4
+    assert step.conditions == Conditions.of(STEP)
+    assert step.episodes[0].seed == flat.episodes[0].seed
+
+    assert step.summary.outcomes == Outcomes(reached=0, overturned=0, stuck=2, timeout=0)
+    assert [e.crossed_by for e in step.episodes] == ["okada", "okada"]
+    assert step.summary.passable == Passable(2, 0.0, Interval(0.0, 0.0, 0.0))
+    assert step.baseline is not None
+    assert step.baseline.controller == "okada"
+    assert step.baseline.summary.success_rate == 1.0
+    assert step.baseline.difference.t_cost is None
+    played = play_episodes(STEP, OKADA, episodes=2, seed=4)
+    assert step.baseline.episodes == tuple(played)
+
+    assert [e.crossed_by for e in flat.episodes] == ["level", "level"]
+    assert flat.summary.passable == Passable(2, 1.0, Interval(1.0, 1.0, 1.0))
+    assert flat.baseline is not None
+    assert flat.baseline.difference.t_cost == PairedDifference(0.0, 0.0, 0.0, 2)
+    assert [e.crossed_by for e in flat.baseline.episodes] == [None, None]
+
+
+def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
+    opened: list[tuple[str, int]] = []
+    reported: list[list[float]] = []
+
+    @contextmanager
+    def progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
+        opened.append((label, episodes))
+        done: list[float] = []
+        reported.append(done)
+        yield done.append
+
+    for config in (STEP, FLAT):
+        evaluate_scene(config, LEVEL, OKADA, [OKADA], progress)
+    assert opened == [
+        ("step", 2),
+        ("step, okada on what was not crossed", 2),
+        ("step, okada", 2),
+        ("flat", 2),
+        ("flat, okada on what was not crossed", 0),
+        ("flat, okada", 2),
+    ]
+    assert [done for done in reported if done] == [[1, 2]] * 5
+
+
+def test_without_references_no_episode_says_who_crossed_it() -> None:
+    found = evaluate_scene(FLAT, LEVEL)
+    assert found.baseline is None
+    assert found.summary.passable is None
+    assert "crossed_by" not in found.episodes[0].row()
+
+
+def test_an_evaluation_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one scene"):
+        evaluate([])
