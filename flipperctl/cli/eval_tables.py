@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from rich.markup import escape
 from rich.table import Table
 
+from flipperctl.env.measures import Measure
+from flipperctl.evaluation.episode import further_measures
 from flipperctl.evaluation.results import (
     Differences,
     EvaluationResult,
@@ -30,6 +32,8 @@ def table(result: EvaluationResult) -> Table:
         found.add_column(escape(heading))
     for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]", "flipper travel [rad]"):
         found.add_column(escape(heading))
+    for measure in _further():
+        found.add_column(escape(measure.heading))
     for name, scene in _named(result):
         found.add_row(*_cells(name, scene.summary))
         for label, part in scene.summary.parts.items():
@@ -80,7 +84,13 @@ def _cells(name: str, summary: Summary) -> list[str]:
         _shown(summary.pitch_variation_100hz),
         _shown(summary.max_pitch),
         _shown(summary.flipper_travel),
+        *(_shown(summary.further[measure.name], measure.digits) for measure in _further()),
     ]
+
+
+def _further() -> list[type[Measure]]:
+    """Return the measures beyond those that have a column of their own."""
+    return [measure for measure in further_measures() if measure.heading]
 
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:

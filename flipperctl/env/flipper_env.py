@@ -30,10 +30,9 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, merged, parse
-from flipperctl.env import ground
+from flipperctl.env import ground, measures
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
-from flipperctl.env.measures import MEASURES, EpisodeMetrics
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
@@ -150,7 +149,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
-        self._metrics = EpisodeMetrics(MEASURES)
+        self._metrics = measures.EpisodeMetrics(measures.MEASURES)
         self._recent: deque[Observation] = deque(maxlen=MEMORY)
         self.perception = self._perceive(self.drive.seen)
         self._running = True

@@ -6,10 +6,11 @@ In: the flat row that ``rollout.episode.play`` returns. Out: the same numbers, b
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from flipperctl.api import Outcome
+from flipperctl.env import measures
 
 _REWARD = "reward_"
 """What a row puts before the name of a reward term."""
@@ -43,6 +44,8 @@ class EpisodeResult:
     """Each term's weighted part of the return [-]."""
     sampled: Mapping[str, float]
     """Values sampled for the episode: the start's, and those that ``randomise`` names; SI units."""
+    further: Mapping[str, float] = field(default_factory=dict)
+    """Measures of ``env.measures.MEASURES`` beyond those above, by name, in their own units."""
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None where no
     other policy was asked."""
@@ -55,6 +58,7 @@ class EpisodeResult:
             KeyError: the row lacks a measure.
         """
         rest = dict(row)
+        further = {measure.name: rest.pop(measure.name) for measure in further_measures()}
         return cls(
             episode,
             seed=rest.pop("seed"),
@@ -69,6 +73,7 @@ class EpisodeResult:
             episode_return=rest.pop("return"),
             rewards={n.removeprefix(_REWARD): rest.pop(n) for n in row if n.startswith(_REWARD)},
             sampled=rest,
+            further=further,
         )
 
     @property
@@ -89,8 +94,14 @@ class EpisodeResult:
             "pitch_variation_100hz": self.pitch_variation_100hz,
             "max_pitch": self.max_pitch,
             "flipper_travel": self.flipper_travel,
+            **self.further,
             "return": self.episode_return,
             **{f"{_REWARD}{name}": value for name, value in self.rewards.items()},
             **self.sampled,
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
         }
+
+
+def further_measures() -> list[type[measures.Measure]]:
+    """Return the measures that ``EpisodeResult`` has no field for."""
+    return [m for m in measures.MEASURES if m.name not in EpisodeResult.__dataclass_fields__]

@@ -111,6 +111,8 @@ class Summary:
     """[-]"""
     passable: Passable | None
     """None if no other policy was asked to cross what this one did not."""
+    further: Mapping[str, Measure | None]
+    """Measures beyond those above, by name."""
     parts: Mapping[str, Summary]
     """Where several kinds of terrain were sampled, the summary of each by its label; else empty."""
 
@@ -126,6 +128,7 @@ class Summary:
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
             "flipper_travel": _data(self.flipper_travel),
+            **{name: _data(found) for name, found in self.further.items()},
             **({"passable": self.passable.container()} if self.passable else {}),
             "max_pitch": self.max_pitch.container(),
             "return": self.episode_return.container(),

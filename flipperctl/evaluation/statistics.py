@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import Outcome
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.episode import EpisodeResult, further_measures
 from flipperctl.evaluation.results import (
     Differences,
     Interval,
@@ -95,6 +95,10 @@ def _summary(
         flipper_travel=_measure([e.flipper_travel for e in good]),
         max_pitch=measure([e.max_pitch for e in episodes]),
         episode_return=measure([e.episode_return for e in episodes]),
+        further={
+            m.name: _measure([e.further[m.name] for e in (good if m.reached_only else episodes)])
+            for m in further_measures()
+        },
         passable=_passable(episodes, len(good)),
         parts=parts,
     )

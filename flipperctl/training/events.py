@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from flipperctl.env.measures import MEASURES
+from flipperctl.env import measures
 from flipperctl.errors import WriteError
 from flipperctl.files import failure, make_folder, write_bytes
 
@@ -35,25 +35,14 @@ class Listener(Protocol):
         """The run ended, in whatever way."""
 
 
-COLUMNS = (
-    "kind",
-    "decision",
-    "episode",
-    "seed",
-    "terrain",
-    "difficulty",
-    "outcome",
-    "success_rate",
-    *("decisions", "return"),
-    *(measure.name for measure in MEASURES if measure.name != "decisions"),
-    "start_shift",
-    "start_front",
-    "start_rear",
-    "epsilon",
-    "loss",
-    "lag",
-    "seconds",
-)
+def columns() -> tuple[str, ...]:
+    """Return the columns that every ``metrics.csv`` has."""
+    named = [measure.name for measure in measures.MEASURES if measure.name != "decisions"]
+    return (
+        *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
+        *("success_rate", "decisions", "return", *named),
+        *("start_shift", "start_front", "start_rear", "epsilon", "loss", "lag", "seconds"),
+    )
 
 
 class MetricsCsv:
@@ -70,7 +59,7 @@ class MetricsCsv:
 
         ``resume_at``: rows behind this decision are dropped; None begins a new file.
         """
-        self._columns = [*COLUMNS, *draws, *(f"reward_{term}" for term in terms)]
+        self._columns = [*columns(), *draws, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
             kept = [row for row in _whole_rows(path) if int(row["decision"]) <= resume_at]
