@@ -63,9 +63,15 @@ def refusal(
     method: str,
     text: str,
     raised: type[FlipperctlError] = PluginFailedError,
+    *,
+    owner: type | None = None,
 ) -> FlipperctlError:
-    """The exception for what a plugin's method returned, as ``text`` says."""
-    return raised(f"{called(plugin)}: {method} {text} ({definition(plugin, method)})")
+    """The exception for what a plugin's method returned, as ``text`` says.
+
+    ``owner``: the class that has the method, where it is one of an object that the plugin built.
+    """
+    where = definition(owner or plugin, method)
+    return raised(f"{called(plugin)}: {method} {text} ({where})")
 
 
 def called(plugin: Plugin | type[Plugin]) -> str:
@@ -102,9 +108,9 @@ def import_place(error: BaseException, file: Path | None) -> str:
     return _last(own or [s for s in outside if _is_foreign(s[0])] or outside)
 
 
-def definition(plugin: Plugin | type[Plugin], method: str = "") -> str:
+def definition(plugin: Plugin | type, method: str = "") -> str:
     """File and line at which a method is defined, or its plugin; its module for what has none."""
-    cls = _class(plugin)
+    cls: type = plugin if isinstance(plugin, type) else type(plugin)
     found = inspect.getattr_static(cls, method, None) if method else None
     code = getattr(getattr(found, "fget", found), "__code__", None)
     if code is not None:

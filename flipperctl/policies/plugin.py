@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flipperctl.api import Controller, Perception, Policy, Simulator
+from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.guard import fault, refusal, shown
 
@@ -48,5 +49,7 @@ class PluginPolicy:
         except BaseException as error:
             raise fault(error, self._controller, "act") from error
         if index is None:
-            raise refusal(self._controller, "act", f"returned {shown(answer)}; {ALLOWED}")
+            owner = None if isinstance(self._policy, Rule) else type(self._policy)
+            text = f"returned {shown(answer)}; {ALLOWED}"
+            raise refusal(self._controller, "act", text, owner=owner)
         return index

@@ -34,7 +34,7 @@ RETURNED = {
         *("Profile([(0, 0), (1, float('nan'))])", "Profile([(0, 0), (float('inf'), 0)])"),
         *("Profile([(1, 0), (0, 0)])", "Profile([(1e12, 0), (1e12, 1)])", "Profile([1, 2])"),
         *("Profile([(0, 0), (5000, 0)])", "Profile([(0, 0), (1, 101)])", "Profile([(0, 0)], 5)"),
-        "Profile(np.stack([np.linspace(0, 9, 90_000), np.arange(90_000) % 2], 1))",
+        "Profile(np.stack([np.linspace(0, 900, 90_000), np.arange(90_000) % 2], 1))",
     ),
     ("terrain", "at"): ("None", "'flat'", "3", "Profile([(0, 0)])"),
     ("terrain", "first_difficulty"): (*BAD_NUMBERS, "2.0", "-0.1"),
@@ -56,6 +56,7 @@ RETURNED = {
     ),
     ("network", "frames"): ("0", "33", "'2'", "None", "1e300", "2.0", "-1"),
     ("network", "quantiles"): ("None", "torch.zeros(1)", "torch.zeros(len(x), 9)", "'q'"),
+    ("controller", "build"): ("None", "'mind'", "4", "Controller", "object()"),
     ("controller", "act"): (
         *("None", "'4'", "4.5", "9", "-1", "True", "np.float64(4)", "np.array([4])", "[4]"),
         *("float('nan')", "1e300", "object()", "10**30", "()", "np.array([1, 2])"),
@@ -67,7 +68,7 @@ SPOTS = {
     "terrain": ("generate", "at", "first_difficulty", "next_difficulty"),
     "reward": ("__call__", "bounds", "potential"),
     "network": ("build", "forward", "frames", "quantiles", "draw_noise"),
-    "controller": ("begin", "act"),
+    "controller": ("build", "reset", "act"),
 }
 BEFORE = ("import", "factory", "validator", "field validator", "serialiser")
 """Spots that every kind has."""
@@ -178,14 +179,19 @@ class Odd(Network):
         return Net(size)
 """,
     "controller": """\
-@controller("odd")
-class Odd(Controller):
-{common}
-    def begin(self, simulator):
-        {begin}
+class Mind:
+    def reset(self, simulator):
+        {reset}
     def act(self, p):
         {act}
         return 4
+
+@controller("odd")
+class Odd(Controller):
+{common}
+    def build(self):
+        {build}
+        return Mind()
 """,
 }
 QUANTILES = """\
