@@ -116,7 +116,7 @@ class OfCrew:
 
 def in_processes(config: TrainConfig, workers: int) -> Collector:
     """As ``train.workers``."""
-    return OfCrew(config, ProcessCrew(workers, container(config), plugins.given()))
+    return OfCrew(config, ProcessCrew(workers, container(config), plugins.configured_paths()))
 
 
 def on_ray(config: TrainConfig, workers: int) -> Collector:
@@ -125,7 +125,7 @@ def on_ray(config: TrainConfig, workers: int) -> Collector:
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)
-    return OfCrew(config, RayCrew(settings, container(config), plugins.given()))
+    return OfCrew(config, RayCrew(settings, container(config), plugins.configured_paths()))
 
 
 def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:

@@ -112,11 +112,11 @@ def evaluate(
 
 
 def _plugin(name: str, option: str) -> ControllerSource:
-    from flipperctl import plugins as loader
+    from flipperctl.config import resolver
     from flipperctl.policies.trained import ControllerSource
 
-    plugin = loader.create("controller", name, option)
-    return ControllerSource(settings=loader.container(plugin))
+    plugin = resolver.create("controller", name, option)
+    return ControllerSource(settings=resolver.container(plugin))
 
 
 def _judge(

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl import plugins
-from flipperctl.cli import compose
-from flipperctl.config import EvalConfig
+from flipperctl.cli import compose, config_store
+from flipperctl.config import EvalConfig, resolver
 from flipperctl.policies.exported import exported_config, is_exported
 from flipperctl.policies.trained import ControllerSource
 
@@ -21,14 +20,14 @@ def scenes(
         CheckpointError: there is no such policy, or its observation layout is another one.
         ConfigError: an override is wrong.
     """
-    compose.offer_defaults()
+    config_store.offer_defaults()
     if checkpoint is None:
-        plugins.get("controller", controller, "--controller")
+        resolver.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, ControllerSource(settings=settings)) for config, settings in found]
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
-    primary = compose.offer_trained(trained)
+    primary = config_store.offer_trained(trained)
     source = ControllerSource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:

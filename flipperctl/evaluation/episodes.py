@@ -74,7 +74,7 @@ def evaluate(
         player = Player(config, source, seed, report_progress)
         yield from map(player.episode, indices)
         return
-    arguments = (container(config.environment()), source, seed, plugins.given())
+    arguments = (container(config.environment()), source, seed, plugins.configured_paths())
     workers = Workers(min(jobs, len(indices)), _begin, arguments)
     try:
         waiting = deque(workers.submit(_episode, index) for index in indices)

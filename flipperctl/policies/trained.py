@@ -8,13 +8,13 @@ from typing import Any
 
 import torch
 
-from flipperctl import plugins
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS, ObservationLayout, Perception, Policy, Simulator
 from flipperctl.checkpoint import Checkpoint, read
 from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.config import resolver
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.plugin import PluginPolicy
@@ -84,7 +84,7 @@ class ControllerSource:
             CheckpointError: the policy was trained on another observation layout.
         """
         if self.checkpoint is None:
-            return PluginPolicy(plugins.create("controller", self.settings, "controller"))
+            return PluginPolicy(resolver.create("controller", self.settings, "controller"))
         bins, bin_width, policy = _opened(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(

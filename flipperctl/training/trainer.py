@@ -156,7 +156,7 @@ class Trainer:
                 self._generators["noise"],
             )
             return InProcess(env, policy, self._next_seed, lambda: self.difficulty, frames)
-        document, paths = container(config), plugins.given()
+        document, paths = container(config), plugins.configured_paths()
         crew: Crew
         if config.collector.name == "ray":
             from flipperctl.rollout.ray_workers import RayCrew

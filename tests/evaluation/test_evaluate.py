@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
+from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import evaluate
@@ -121,7 +122,7 @@ def test_paired_compares_equal_draws_where_both_reached_the_finish() -> None:
 
 
 def test_every_controller_has_a_source() -> None:
-    for name in plugins.names("controller"):
+    for name in registered_names("controller"):
         little = {"budget": 50} if name == "planner" else {}
         source = ControllerSource(settings={"name": name, **little})
         assert source.label() == name
