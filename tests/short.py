@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from flipperctl import checkpoint
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.training.trainer import Trainer
 
 SHORT = {
@@ -19,7 +19,7 @@ SHORT = {
 def short_config(**more: object) -> TrainConfig:
     """600 decisions on steps."""
     base = TrainConfig(terrain="step", network="at_d3qn", seed=7)
-    return parse(TrainConfig, merged(base, {**SHORT, **more}))
+    return with_overrides(base, {**SHORT, **more})
 
 
 def trainer(config: TrainConfig, folder: Path) -> Trainer:

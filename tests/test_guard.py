@@ -12,7 +12,7 @@ from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
 from flipperctl.agent.noise import Noise
 from flipperctl.api import ObservationLayout
-from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.config import EnvConfig, resolver, with_overrides
 from flipperctl.env import ground
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
 from flipperctl.evaluation.episodes import play_episodes
@@ -30,24 +30,24 @@ FLAT = {"episode.run_out": 0.2}
 def use(what: Misbehaviour, file: Path) -> None:
     """Use the plugin as the commands do, until it was at work."""
     plugins.load([file])
-    defaults = plugins.defaults(plugins.get(what.kind, "odd", what.kind))
+    defaults = resolver.defaults(resolver.get(what.kind, "odd", what.kind))
     if what.kind == "controller":
-        config = parse(EnvConfig, merged(EnvConfig(terrain="flat"), FLAT))
+        config = with_overrides(EnvConfig(terrain="flat"), FLAT)
         source = PolicySource(settings=defaults)
     else:
         source = PolicySource(settings={"name": "level"})
     if what.kind == "terrain":
         config = EnvConfig(terrain="odd")
-        plugins.container(config.terrain)
+        resolver.container(config.terrain)
         ground.first_difficulty(config.terrain)
         ground.next_difficulty(config.terrain, 1.0, True)
     if what.kind == "reward":
-        config = parse(EnvConfig, merged(EnvConfig(terrain="flat"), {"rewards.odd": "odd", **FLAT}))
-        plugins.container(config.rewards["odd"])
+        config = with_overrides(EnvConfig(terrain="flat"), {"rewards.odd": "odd", **FLAT})
+        resolver.container(config.rewards["odd"])
     if what.kind == "network":
         layout = ObservationLayout()
-        network = plugins.create("network", "odd", "network")
-        plugins.container(network)
+        network = resolver.create("network", "odd", "network")
+        resolver.container(network)
         module = build_network(network, layout, 9).train()
         for _ in range(what.call):
             greedy(module, np.zeros(layout.size, np.float32))
@@ -106,9 +106,9 @@ def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
 
 
 def test_an_error_of_the_core_passes_through_a_plugin() -> None:
-    okada = plugins.create("controller", "okada", "controller")
+    okada = resolver.create("controller", "okada", "controller")
     with pytest.raises(ConfigError) as raised:
-        plugins.get("terrain", "no such", "terrain")
+        resolver.get("terrain", "no such", "terrain")
     with pytest.raises(ConfigError, match="there is no terrain plugin 'no such'"):
         fault(raised.value, okada, "begin")
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import plugins
+from flipperctl.api.plugin import registered_names
+from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, PluginError
 
 pytestmark = pytest.mark.usefixtures("registry")
@@ -29,8 +31,10 @@ class Ridge(Terrain):
 
 
 def test_the_built_ins_come_through_the_entry_point() -> None:
-    assert {"flat", "step", "stair", "paper_step", "paper_stair"} <= set(plugins.names("terrain"))
-    assert {"flipper", "pitch", "end"} <= set(plugins.names("reward"))
+    assert {"flat", "step", "stair", "paper_step", "paper_stair"} <= set(
+        registered_names("terrain")
+    )
+    assert {"flipper", "pitch", "end"} <= set(registered_names("reward"))
 
 
 def test_a_script_may_import_a_built_in_before_the_plugins_are_loaded() -> None:
@@ -43,7 +47,7 @@ def test_a_file_is_loaded_once(tmp_path: Path) -> None:
     file = write(tmp_path / "mine.py")
     plugins.load([file])
     plugins.load([file])
-    assert plugins.create("terrain", "ridge", "terrain").generate(None).end == 0.6
+    assert resolver.create("terrain", "ridge", "terrain").generate(None).end == 0.6
 
 
 def test_a_folder_gives_all_its_files_but_private_ones(tmp_path: Path) -> None:
@@ -51,8 +55,8 @@ def test_a_folder_gives_all_its_files_but_private_ones(tmp_path: Path) -> None:
     write(tmp_path / "two.py", "two")
     write(tmp_path / "_private.py", "three")
     plugins.load([tmp_path])
-    assert {"one", "two"} <= set(plugins.names("terrain"))
-    assert "three" not in plugins.names("terrain")
+    assert {"one", "two"} <= set(registered_names("terrain"))
+    assert "three" not in registered_names("terrain")
 
 
 def test_the_variable_names_files_and_folders(
@@ -64,7 +68,7 @@ def test_the_variable_names_files_and_folders(
     write(folder / "two.py", "two")
     monkeypatch.setenv("FLIPPERCTL_PLUGINS", f"{file}{os.pathsep}{folder}")
     plugins.load()
-    assert {"one", "two"} <= set(plugins.names("terrain"))
+    assert {"one", "two"} <= set(registered_names("terrain"))
 
 
 def test_worker_processes_inherit_the_paths(
@@ -73,7 +77,7 @@ def test_worker_processes_inherit_the_paths(
     write(tmp_path / "mine.py")
     monkeypatch.chdir(tmp_path)
     plugins.load(["mine.py"])
-    script = "from flipperctl import plugins; plugins.load(); print(plugins.names('terrain'))"
+    script = "from flipperctl import api, plugins; plugins.load(); print(api.registry)"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, cwd="/", check=True
     )
@@ -86,7 +90,7 @@ def test_nothing_is_loaded_from_the_working_directory_unasked(
     write(tmp_path / "mine.py")
     monkeypatch.chdir(tmp_path)
     plugins.load()
-    assert "ridge" not in plugins.names("terrain")
+    assert "ridge" not in registered_names("terrain")
 
 
 @pytest.mark.parametrize(
@@ -114,11 +118,11 @@ def test_a_plugin_that_fails_half_way_leaves_nothing_behind(tmp_path: Path) -> N
     file.write_text(file.read_text() + "\n1 / 0\n")
     with pytest.raises(PluginError):
         plugins.load([file])
-    assert "ridge" not in plugins.names("terrain")
-    assert "stair" in plugins.names("terrain")
+    assert "ridge" not in registered_names("terrain")
+    assert "stair" in registered_names("terrain")
     write(file)  # mended, it loads
     plugins.load([file])
-    assert "ridge" in plugins.names("terrain")
+    assert "ridge" in registered_names("terrain")
 
 
 def test_a_file_that_registers_nothing_is_an_error(tmp_path: Path) -> None:
@@ -147,7 +151,7 @@ def test_a_built_in_name_is_not_taken_silently(tmp_path: Path) -> None:
 
 def test_the_same_name_in_another_family_is_free(tmp_path: Path) -> None:
     plugins.load([write(tmp_path / "mine.py", "pitch")])
-    assert plugins.get("terrain", "pitch", "") is not plugins.get("reward", "pitch", "")
+    assert resolver.get("terrain", "pitch", "") is not resolver.get("reward", "pitch", "")
 
 
 @pytest.mark.parametrize(
@@ -172,7 +176,7 @@ def test_a_bad_name_and_a_wrong_family_are_errors(tmp_path: Path) -> None:
 
 def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
     with pytest.raises(ConfigError) as error:
-        plugins.get("terrain", "stairs", "terrain")
+        resolver.get("terrain", "stairs", "terrain")
     assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
     assert "did you mean 'stair'?" in str(error.value)
     assert "paper_step" in str(error.value)
@@ -181,4 +185,4 @@ def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> Non
 @pytest.mark.parametrize("settings", [3, None, {}, {"rise": 0.1}])
 def test_settings_without_a_name_are_an_error(settings: object) -> None:
     with pytest.raises(ConfigError, match="terrain: a plugin's name, or a mapping with 'name'"):
-        plugins.create("terrain", settings, "terrain")
+        resolver.create("terrain", settings, "terrain")

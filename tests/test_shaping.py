@@ -5,7 +5,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import (
     Outcome,
     Profile,
@@ -14,7 +13,7 @@ from flipperctl.api import (
     Shaping,
     Transition,
 )
-from flipperctl.config import EnvConfig, TrainConfig, merged, parse
+from flipperctl.config import EnvConfig, TrainConfig, resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 
@@ -79,7 +78,7 @@ def test_a_shaped_task_has_the_optimal_policy_of_the_task(seed: int) -> None:
 
 def episode(seed: int, **settings: Any) -> list[Transition]:
     """One episode on the stair with random actions."""
-    env = FlipperEnv(config=parse(EnvConfig, merged(EnvConfig(terrain="stair"), settings)))
+    env = FlipperEnv(config=with_overrides(EnvConfig(terrain="stair"), settings))
     env.reset(seed=seed)
     rng, transitions, over = np.random.default_rng(seed), [], False
     while not over:
@@ -97,7 +96,7 @@ def discounted(parts: list[float]) -> float:
 # The shaping telescopes on what the robot really does, so that no policy gains by it.
 def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
     """Whatever the end, a timeout included."""
-    term = plugins.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
+    term = resolver.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     assert isinstance(term, Shaping)
     ends = set()
     for settings in ({}, {"episode.slack": 1.01}, {"episode.stuck_progress": 2.0}):
@@ -114,7 +113,7 @@ def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
 
 def test_n_step_sums_of_shaping_telescope() -> None:
     """The learner bootstraps behind n decisions: γ^n Φ(there) is what its value then lacks."""
-    term = plugins.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
+    term = resolver.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     transitions = episode(0)
     for n in (1, 3, 5):
         part = transitions[4 : 4 + n]
@@ -131,7 +130,7 @@ SHAPED = {"rewards.way": {"name": "shaped_progress"}}
 
 def train(**settings: Any) -> TrainConfig:
     base = TrainConfig(terrain="stair", network="at_d3qn")
-    return parse(TrainConfig, merged(base, {**SHAPED, **settings}))
+    return with_overrides(base, {**SHAPED, **settings})
 
 
 def test_the_shaping_s_discount_is_the_agent_s() -> None:

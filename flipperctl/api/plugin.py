@@ -1,9 +1,9 @@
-"""What all plugins share: their base, their names and the registry."""
+"""What all plugins share: their base, the registry of their names, and what a name selects."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, TypeVar
 
 from flipperctl.api.values import Settings
@@ -49,3 +49,34 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
         return cls
 
     return decorate
+
+
+def registered_names(kind: str) -> list[str]:
+    """Return the registered names of one family, sorted."""
+    return sorted(name for family, name in registry if family == kind)
+
+
+def selected(kind: str, value: object) -> tuple[type[Plugin], dict[str, Any]]:
+    """Return the class and the fields that a name, or a mapping with ``name``, selects.
+
+    Raises:
+        TypeError: ``value`` is neither.
+        LookupError: no plugin of this family has the name.
+    """
+    if isinstance(value, str):
+        value = {"name": value}
+    if not isinstance(value, Mapping) or "name" not in value:
+        raise TypeError("a name, or a mapping with 'name' and fields, is allowed")
+    cls = registry.get((kind, str(value["name"])))
+    if cls is None:
+        raise LookupError(f"there is no {kind} plugin {value['name']!r}")
+    return cls, {key: field for key, field in value.items() if key != "name"}
+
+
+def mapping(plugin: Plugin, *, brief: bool) -> dict[str, Any]:
+    """Return the plain mapping with ``name`` and fields that selects an equal plugin.
+
+    ``brief``: a plugin inside it that has all its defaults is written as its name alone.
+    """
+    fields = plugin.model_dump(mode="json", context={"brief": brief})
+    return {"name": plugin.plugin_name, **fields}

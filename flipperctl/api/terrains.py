@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, PlainSerializer, SerializationInfo
 from pydantic_core import PydanticCustomError
 
-from flipperctl.api.plugin import Plugin, register, registry
+from flipperctl.api.plugin import Plugin, mapping, register, registered_names, selected
 from flipperctl.api.values import Profile
 
 
@@ -50,33 +50,34 @@ class Terrain(Plugin, ABC):
 
 
 def _nested_terrain(value: object) -> object:
-    """The terrain meant by its name, or by a mapping with ``name`` and its fields."""
+    """Return the terrain that a name, or a mapping with ``name`` and fields, selects."""
     if isinstance(value, Terrain):
         return value
-    if isinstance(value, str):
-        value = {"name": value}
-    if not isinstance(value, Mapping) or "name" not in value:
-        raise ValueError("a terrain's name, or a mapping with 'name' and its fields, is allowed")
-    cls = registry.get(("terrain", str(value["name"])))
-    if cls is None:
-        known = sorted(name for kind, name in registry if kind == "terrain")
-        context = {"kind": "terrain", "name": str(value["name"]), "known": known}
-        raise PydanticCustomError("unknown_plugin", "there is no {kind} plugin '{name}'", context)
-    return cls(**{key: field for key, field in value.items() if key != "name"})
+    try:
+        cls, fields = selected("terrain", value)
+    except TypeError as error:
+        raise ValueError(
+            "a terrain's name, or a mapping with 'name' and its fields, is allowed"
+        ) from error
+    except LookupError as error:
+        known = registered_names("terrain")
+        name = value["name"] if isinstance(value, Mapping) else value
+        context = {"kind": "terrain", "name": str(name), "known": known}
+        raise PydanticCustomError(
+            "unknown_plugin", "there is no {kind} plugin '{name}'", context
+        ) from error
+    return cls(**fields)
 
 
-def _nested_container(plugin: Plugin, info: SerializationInfo) -> Any:
-    """What ``_nested_terrain`` takes; in the context ``brief`` a name alone if it says it all."""
-    context = info.context or {}
-    if context.get("brief") and plugin == type(plugin)():
+def _nested_mapping(plugin: Plugin, info: SerializationInfo) -> Any:
+    """Return what ``_nested_terrain`` takes; if brief, the name alone where it says it all."""
+    brief = bool((info.context or {}).get("brief"))
+    if brief and plugin == type(plugin)():
         return plugin.plugin_name
-    fields = plugin.model_dump(mode="json", context=context)
-    return {"name": plugin.plugin_name, **fields}
+    return mapping(plugin, brief=brief)
 
 
-AnyTerrain = Annotated[
-    Terrain, BeforeValidator(_nested_terrain), PlainSerializer(_nested_container)
-]
+AnyTerrain = Annotated[Terrain, BeforeValidator(_nested_terrain), PlainSerializer(_nested_mapping)]
 """The type of a field that takes another terrain: an instance, a name, or a mapping."""
 
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from flipperctl import plugins
 from flipperctl.api import SAMPLE_PERIOD
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import quantity, ratio
-from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.config import resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import episode_seed
@@ -52,9 +51,9 @@ def measure(bench: Bench) -> dict[str, Any]:
 
 def variations(bench: Bench, scene: str, substep: float) -> list[float | None]:
     """θ̂_R of each start [rad]; None where the finish was not reached."""
-    whole = merged(bench.config.environment(), {"terrain": scene, "sim.substep": substep})
-    env = FlipperEnv(config=parse(EnvConfig, whole))
-    policy = plugins.create("controller", bench.settings.controller, "bench.controller").build()
+    changes = {"terrain": scene, "sim.substep": substep}
+    env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))
+    policy = resolver.create("controller", bench.settings.controller, "bench.controller").build()
     s = bench.settings
     seeds = (episode_seed("evaluation", s.seed, index) for index in range(s.starts))
     rows = [play(env, policy, seed) for seed in seeds]

@@ -18,7 +18,7 @@ from flipperctl import checkpoint
 from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import in_turn, quantity
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.export.policy import export
 from flipperctl.training.trainer import Trainer
@@ -103,7 +103,7 @@ def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
         "train.validation_episodes": 1,
     }
     (folder / checkpoint.BEST).parent.mkdir()
-    trainer = Trainer(parse(TrainConfig, merged(config, changes)), folder)
+    trainer = Trainer(with_overrides(config, changes), folder)
     trainer.run()
     return trainer
 

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl import plugins
 from flipperctl.api import ACTIONS, SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.spread import quantity, ratio
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
 from flipperctl.rollout.episode import decisions
@@ -57,7 +56,7 @@ class Recording:
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     """Play an episode with a controller plugin and note all that happens."""
     env, robot = FlipperEnv(config=config), config.robot
-    policy = plugins.create("controller", controller, "bench.controller").build()
+    policy = resolver.create("controller", controller, "bench.controller").build()
     env.reset(seed=seed)
     state = env.state
     target = Start(float(state.position[0]), state.front, state.rear)

@@ -117,7 +117,7 @@ class OfWorkers:
 
 def in_processes(config: TrainConfig, workers: int) -> Collector:
     """As ``train.workers``."""
-    return OfWorkers(config, ProcessWorkers(workers, container(config), plugins.given()))
+    return OfWorkers(config, ProcessWorkers(workers, container(config), plugins.configured_paths()))
 
 
 def on_ray(config: TrainConfig, workers: int) -> Collector:
@@ -126,7 +126,7 @@ def on_ray(config: TrainConfig, workers: int) -> Collector:
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)
-    return OfWorkers(config, RayWorkers(settings, container(config), plugins.given()))
+    return OfWorkers(config, RayWorkers(settings, container(config), plugins.configured_paths()))
 
 
 def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:

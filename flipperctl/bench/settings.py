@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import Field
 
 from flipperctl.api import Settings
-from flipperctl.config import TrainConfig, parse
+from flipperctl.config import TrainConfig, parse, with_overrides
 
 SMALL: Mapping[str, Any] = {
     "repeats": 2,
@@ -82,5 +82,4 @@ def sizes(*, small: bool, changes: Mapping[str, Any]) -> BenchSettings:
     Raises:
         ConfigError: a key or a value that is not allowed.
     """
-    given = {**(SMALL if small else {}), **changes}
-    return parse(BenchSettings, given)
+    return with_overrides(parse(BenchSettings, SMALL if small else {}), changes)

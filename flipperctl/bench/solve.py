@@ -19,7 +19,7 @@ from flipperctl.bench.attempt import Attempt, Listens
 from flipperctl.bench.extras import extra
 from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.spread import quantity, ratio
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.training.trainer import Trainer
 
@@ -86,7 +86,7 @@ def configured(bench: Bench, seed: int) -> TrainConfig:
         "train.validate_every": s.validate_every,
         "train.validation_episodes": s.validation_episodes,
     }
-    return parse(TrainConfig, merged(bench.config, changes))
+    return with_overrides(bench.config, changes)
 
 
 def ours(config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:

@@ -17,11 +17,11 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
-from flipperctl import __version__, plugins
+from flipperctl import __version__
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
 from flipperctl.checkpoint.document import Document, State
-from flipperctl.config import TrainConfig, container, parse
+from flipperctl.config import TrainConfig, container, parse, resolver
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match
@@ -85,7 +85,7 @@ def describe(
 
     chosen: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     chosen += config.rewards.values()
-    used = [part for plugin in chosen for part in plugins.nested(plugin)]
+    used = [part for plugin in chosen for part in resolver.nested(plugin)]
     return Document(
         format=documents.FORMAT,
         kind=kind,

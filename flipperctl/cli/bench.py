@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -136,22 +136,21 @@ def composed(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSe
     Raises:
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
     """
-    from omegaconf import OmegaConf
-
     from flipperctl.bench.settings import sizes
-    from flipperctl.cli import compose
+    from flipperctl.cli import compose, config_store
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import values
+    from flipperctl.config import resolver
 
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
-    with compose.translated():
-        changes = cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.from_dotlist(own)))
+    with convert_hydra_errors():
+        changes = values(own)
     try:
         settings = sizes(small=small, changes=changes)
     except ConfigError as error:
         raise ConfigError(f"{SECTION}{error}") from error
-    from flipperctl import plugins as loader
-
-    loader.get("controller", settings.controller, f"{SECTION}controller")
-    compose.offer_defaults()
+    resolver.get("controller", settings.controller, f"{SECTION}controller")
+    config_store.offer_defaults()
     configs = compose.compose_train([o for o in overrides if not o.startswith(SECTION)])
     if len(configs) > 1:
         raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
-
+from flipperctl.cli.overrides import parsed
 from flipperctl.config import EvalConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
@@ -17,7 +16,7 @@ NOMINAL, TRAINED = "nominal", "trained"
 def chosen(overrides: Sequence[str]) -> str:
     """The name of the conditions that the overrides choose."""
     name = NOMINAL
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
+    for override in parsed(overrides):
         if override.key_or_group == "conditions":
             name = NOMINAL if override.is_delete() else str(override.value() or NOMINAL)
     return name
@@ -29,7 +28,7 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
     Raises:
         ConfigError: with the range that it is drawn from.
     """
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
+    for override in parsed(overrides):
         for section, name, ends in config.randomise.ranges():
             # The nominal turning rate stays the one that decisions are timed by.
             if override.key_or_group == f"{section}.{name}" and name != "flipper_speed":

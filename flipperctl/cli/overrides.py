@@ -1,10 +1,11 @@
-"""Overrides as the user typed them: slips that Hydra has no clear words for, and how to quote."""
+"""Overrides as the user typed them: reading, slips that Hydra has no clear words for, quoting."""
 
 from __future__ import annotations
 
 import re
 import shlex
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -14,6 +15,32 @@ from flipperctl.errors import ConfigError
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
+def parsed(overrides: Iterable[str]) -> list[Override]:
+    """Return the overrides as Hydra reads them.
+
+    Raises:
+        OverrideParseException: Hydra cannot read one of them.
+    """
+    found: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
+    return found
+
+
+def values(overrides: Iterable[str]) -> dict[str, Any]:
+    """Return the value of each key, for what takes overrides of values and composes nothing.
+
+    Raises:
+        OverrideParseException: Hydra cannot read one of the overrides.
+        ConfigError: one is no plain ``key=value``, as a list of values is not.
+    """
+    found = {}
+    for override in parsed(overrides):
+        plain = not (override.is_delete() or override.is_add() or override.is_force_add())
+        if not plain or override.is_sweep_override():
+            raise ConfigError(f"{override.input_line}: one value is allowed here, as in key=value")
+        found[override.key_or_group] = override.value()
+    return found
+
+
 def check_folders(overrides: Iterable[str]) -> None:
     """Refuse an empty name for a folder: runs would lie between the user's own files.
 
@@ -21,13 +48,29 @@ def check_folders(overrides: Iterable[str]) -> None:
         OverrideParseException: Hydra cannot read one of the overrides.
         ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
     """
-    parsed: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
-    for override in parsed:
+    for override in parsed(overrides):
         key = override.get_key_element()
         if key in _FOLDERS and override.value() in ("", None):
             raise ConfigError(
                 f"{key}: the name of a folder is allowed, . for the one you are in; "
                 f"the value is {override.value()!r}"
+            )
+
+
+def check_mappings(overrides: Iterable[str]) -> None:
+    """Refuse an empty mapping: Hydra merges it into what is there, so that nothing would change.
+
+    Raises:
+        OverrideParseException: Hydra cannot read one of the overrides.
+        ConfigError: with what drops what is there.
+    """
+    for override in parsed(overrides):
+        if not override.is_delete() and override.value() == {}:
+            key = override.get_key_element()
+            drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
+            raise ConfigError(
+                f"{override.input_line}: a mapping is merged into what is there, and an empty one "
+                f"changes nothing; {drop}"
             )
 
 
@@ -54,21 +97,6 @@ def check_words(overrides: Sequence[str]) -> None:
 
 
 def quoted(key: str, value: str) -> str:
-    """An override whose value Hydra takes as it is, quoted for the shell too."""
+    """Return an override whose value Hydra takes as it is, quoted for the shell too."""
     escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
     return shlex.quote(f'{key}="{escaped}"')
-
-
-def wrong_choice(error: Exception, overrides: Sequence[str], groups: Sequence[str]) -> ConfigError:
-    """The error for what Hydra says of a group whose choice is no name, as in ``terrain=3``."""
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
-        key, value = override.get_key_element(), override.value()
-        names = value if isinstance(value, list) else [value]
-        optional = key == "experiment" and value is None
-        if key in (*groups, "experiment") and not optional and not _all_names(names):
-            return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
-    return ConfigError(" ".join(str(error).split()))
-
-
-def _all_names(values: Iterable[object]) -> bool:
-    return all(isinstance(value, str) for value in values)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl import plugins
-from flipperctl.cli import compose
+from flipperctl.cli import compose, config_store
+from flipperctl.config import resolver
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.exported import exported_config, is_exported
 from flipperctl.policies.source import PolicySource
@@ -25,14 +25,14 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
         CheckpointError: there is no such policy, or its observation layout is another one.
         ConfigError: an override is wrong.
     """
-    compose.offer_defaults()
+    config_store.offer_defaults()
     if checkpoint is None:
-        plugins.get("controller", controller, "--controller")
+        resolver.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, PolicySource(settings=settings)) for config, settings in found]
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
-    primary = compose.offer_trained(trained)
+    primary = config_store.offer_trained(trained)
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from pydantic import Field
 
 from flipperctl.api import Settings
+from flipperctl.cli.overrides import parsed
 from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution],
 
     space: dict[str, BaseDistribution] = {}
     fixed = []
-    for override in OverridesParser.create().parse_overrides(list(arguments)):
+    for override in parsed(arguments):
         key = override.get_key_element()
         if override.is_interval_sweep():
             sweep: Any = override.value()

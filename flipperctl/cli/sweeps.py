@@ -11,16 +11,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from hydra.core.config_store import ConfigStore
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
-from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli.comparison import SweepRun, compare, sweep_run
+from flipperctl.cli.overrides import parsed
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import make_folder
 from flipperctl.training.lock import hold
@@ -29,16 +26,6 @@ UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
 """``hydra.sweep.subdir`` of train.yaml, which gives way to the names of what is swept."""
 _LONGEST = 120
 """Characters of a folder's name; file systems allow 255 bytes."""
-_TARGET = "hydra_plugins.flipperctl.ListSweeper"
-
-
-def offer() -> None:
-    """Take the place of ``hydra/sweeper=basic``, the default."""
-    # Hydra finds sweepers by this name alone, and only below hydra_plugins; the class stays here,
-    # so that worker processes can import it.
-    Plugins.instance().class_name_to_class[_TARGET] = ListSweeper
-    node = {"_target_": _TARGET, "max_batch_size": None, "params": None}
-    ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=node)
 
 
 def folder_name(number: int, swept: Mapping[str, str]) -> str:
@@ -112,36 +99,37 @@ class SweepLauncher:
         return {key.lstrip("+~"): values[key] for key in self.swept if key in values}
 
 
-class ListSweeper(Sweeper):
+class ListSweep:
     """Hydra's basic sweeper, with named folders and a table at the end."""
 
-    def __init__(self, max_batch_size: int | None, params: DictConfig | None) -> None:
-        self._settings: dict[str, Any] = {"max_batch_size": max_batch_size, "params": params}
-
-    def setup(
-        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    def __init__(
+        self,
+        settings: Mapping[str, Any],
+        *,
+        hydra_context: HydraContext,
+        task_function: TaskFunction,
+        config: DictConfig,
     ) -> None:
-        """Called by Hydra before ``sweep``."""
+        """``settings``: those of Hydra's basic sweeper."""
         # Not at the head of this file: Hydra loads its own plugins anew when it looks for them.
         from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-        self._sweeper = cast("Any", BasicSweeper(**self._settings))
+        self._params = settings["params"] or {}
+        self._sweeper = cast("Any", BasicSweeper(**settings))
         self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
         self._folder = Path(str(config.hydra.sweep.dir))
         self._jobs = SweepLauncher(self._sweeper.launcher, named=leaves_naming(config))
         self._sweeper.launcher = _Raising(self._jobs)
 
-    def sweep(self, arguments: list[str]) -> None:
+    def run(self, arguments: list[str]) -> None:
         """Train every combination.
 
         Raises:
             FlipperctlError: the first of the jobs' errors, after all jobs had their turn.
             RunHeldError: another process works in the sweep's folder.
         """
-        params = self._settings["params"] or {}
-        given = [*(f"{key}={value}" for key, value in params.items()), *arguments]
-        overrides = OverridesParser.create().parse_overrides(given)
-        self._jobs.swept = [o.get_key_element() for o in overrides if o.is_sweep_override()]
+        given = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
+        self._jobs.swept = [o.get_key_element() for o in parsed(given) if o.is_sweep_override()]
         with hold(make_folder(self._folder), "sweep"):
             try:
                 self._sweeper.sweep(arguments)

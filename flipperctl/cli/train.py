@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -78,19 +78,19 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from hydra.core.utils import env_override
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose, sweeper, sweeps
+    from flipperctl.cli import config_store
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.training import shown
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
 
-    compose.offer_defaults()
-    sweeps.offer()
-    sweeper.offer()
+    config_store.offer_defaults()
+    config_store.offer_sweepers()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
     _check(overrides, compose=check)
     errors: list[BaseException] = []
-    paths = loader.given()  # a worker on a running cluster has another environment
+    paths = loader.configured_paths()  # a worker on a running cluster has another environment
 
     def task(composed: Any) -> float | None:
         try:
@@ -106,14 +106,12 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
-    application = hydra.main(version_base="1.3", config_path=compose.CONFIGS, config_name="train")(
-        task
-    )
+    configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
     given, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
         # Hydra passes exceptions on, instead of printing them itself.
-        with compose.translated(), env_override({"HYDRA_FULL_ERROR": "1"}):
-            application()
+        with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
+            configured(task)()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -132,20 +130,25 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
 
 def _check(overrides: list[str], *, compose: bool) -> None:
     """Refuse what is wrong before Hydra makes a directory."""
-    from flipperctl.cli import compose as composer
-    from flipperctl.cli.overrides import check_folders, check_words
+    from flipperctl.cli.combinations import interval_probes
+    from flipperctl.cli.compose import compose_train
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import check_folders, check_mappings, check_words
 
     options = any(override.startswith("-") for override in overrides)
     if not options:  # else words may be an option's values
         check_words(overrides)
-    with composer.translated():
-        check_folders(o for o in overrides if "=" in o and not o.startswith("-"))
-    composer.check_mappings([o for o in overrides if "=" in o and not o.startswith("-")])
+    assigned = [o for o in overrides if "=" in o and not o.startswith("-")]
+    with convert_hydra_errors():
+        check_folders(assigned)
+        check_mappings(assigned)
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if compose and not options:
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
-        for probe in ([], *composer.interval_probes(own)):
-            for config in composer.compose_train([*own, *probe]):
+        with convert_hydra_errors():
+            probes = [[], *interval_probes(own)]
+        for probe in probes:
+            for config in compose_train([*own, *probe]):
                 _check_device(config)
                 _check_terrain(config)
                 _check_network(config)
@@ -223,9 +226,8 @@ def _check_network(config: TrainConfig) -> None:
 
 
 def _resume(run: Path, overrides: list[str]) -> None:
-    from omegaconf import OmegaConf
-
-    from flipperctl.cli.compose import translated
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import values
     from flipperctl.cli.training import go_on
     from flipperctl.errors import ConfigError
 
@@ -235,6 +237,6 @@ def _resume(run: Path, overrides: list[str]) -> None:
                 f"{override!r}: a resumed run keeps its configuration; "
                 "only train.<field>=… and device=… can be given with --resume"
             )
-    with translated():
-        changes = cast("dict[str, Any]", OmegaConf.to_container(OmegaConf.from_dotlist(overrides)))
+    with convert_hydra_errors():
+        changes = values(overrides)
     go_on(run, changes, _check_device)

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
 from flipperctl.cli.progress import progress
-from flipperctl.config import TrainConfig, container, merged, parse
+from flipperctl.config import TrainConfig, container, with_overrides
 from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
 from flipperctl.files import make_folder, write_bytes
 from flipperctl.training import run_folder
@@ -61,7 +61,7 @@ def go_on(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], Non
     directory = run_folder.find(run)
     with hold(directory):
         saved, config = run_folder.read(directory)
-        config = parse(TrainConfig, merged(config, changes))
+        config = with_overrides(config, changes)
         check(config)
         run_folder.clear_leftovers(directory)
         trainer = Trainer(config, directory)

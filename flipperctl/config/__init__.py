@@ -1,7 +1,7 @@
 """The composed configuration as frozen pydantic models.
 
 ``sections`` holds the settings, ``randomise`` what is drawn for each episode, ``models`` whole
-configurations.
+configurations; ``resolver`` makes them from names and overrides.
 """
 
 from flipperctl.config.models import (
@@ -10,11 +10,9 @@ from flipperctl.config.models import (
     EnvConfig,
     EvalConfig,
     TrainConfig,
-    container,
-    merged,
-    parse,
 )
 from flipperctl.config.randomise import Randomise
+from flipperctl.config.resolver import container, parse, with_overrides
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -38,6 +36,6 @@ __all__ = [
     "Train",
     "TrainConfig",
     "container",
-    "merged",
     "parse",
+    "with_overrides",
 ]

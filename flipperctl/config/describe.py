@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Literal, get_args, get_origin
 
-from flipperctl import plugins
 from flipperctl.api import Plugin, Robot, Settings
-from flipperctl.config import DEFAULT_ENGINE, Randomise
+from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
 from flipperctl.config.randomise import PLACES
 from flipperctl.messages import bounds, meaning, unit
 
@@ -110,7 +109,7 @@ def _allowed(cls: type[Settings], name: str) -> str:
     """The bounds of a field, or the values that it may take."""
     if issubclass(cls, Randomise) and name in PLACES:
         section = PLACES[name]
-        drawn_from = Robot if section == "robot" else plugins.get(section, DEFAULT_ENGINE, section)
+        drawn_from = Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
         return bounds(drawn_from, name)
     info = cls.model_fields[name]
     lengths = [getattr(item, "min_length", None) for item in info.metadata]
@@ -131,5 +130,5 @@ def _values(annotation: Any) -> Iterator[str]:
 
 def _plain(config: Settings) -> dict[str, Any]:
     if isinstance(config, Plugin):
-        return plugins.container(config, brief=True)
+        return resolver.container(config, brief=True)
     return config.model_dump(mode="json", context={"brief": True})

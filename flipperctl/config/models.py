@@ -1,18 +1,16 @@
 """The composed configuration as frozen pydantic models.
 
-In: plain containers (from Hydra, a checkpoint or keyword arguments). Out: validated models with
-plugin instances inside. The sections and their settings stand in ``sections``.
+In: plain containers, through ``resolver.parse``. Out: validated models with plugin instances
+inside. The sections and their settings stand in ``sections``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError, model_validator
-from pydantic_core import PydanticSerializationError
 
-from flipperctl import plugins
 from flipperctl.api import (
     Engine,
     Network,
@@ -24,6 +22,7 @@ from flipperctl.api import (
     Terrain,
 )
 from flipperctl.config.randomise import Randomise, replaced
+from flipperctl.config.resolver import container, create
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -32,24 +31,24 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
-from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
 
 
 def _terrain(value: object) -> object:
-    return plugins.create("terrain", value, "terrain")
+    return create("terrain", value, "terrain")
 
 
 def _network(value: object) -> object:
-    return plugins.create("network", value, "network")
+    return create("network", value, "network")
 
 
 def _engine(value: object) -> object:
-    return plugins.create("sim", _named(value), "sim")
+    return create("sim", _named(value), "sim")
 
 
 def _sensor(value: object) -> object:
-    return plugins.create("perception", _named(value), "perception")
+    return create("perception", _named(value), "perception")
 
 
 def _named(value: object) -> object:
@@ -69,19 +68,17 @@ def _rewards(value: object) -> object:
                 f"rewards.{key}: there is no such term{close_match(str(key), complete)}; "
                 f"known: {', '.join(complete)}; a new one needs a name"
             )
-    return {str(k): plugins.create("reward", v, f"rewards.{k}") for k, v in value.items()}
+    return {str(k): create("reward", v, f"rewards.{k}") for k, v in value.items()}
 
 
 def _reward_containers(value: Mapping[str, RewardTerm]) -> dict[str, Any]:
-    return {name: plugins.container(term) for name, term in value.items()}
+    return {name: container(term) for name, term in value.items()}
 
 
-ConfiguredTerrain = Annotated[
-    Terrain, BeforeValidator(_terrain), PlainSerializer(plugins.container)
-]
-AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(plugins.container)]
-AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(plugins.container)]
-AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(plugins.container)]
+ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(container)]
+AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(container)]
+AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(container)]
+AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(container)]
 AnyRewards = Annotated[
     dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_reward_containers)
 ]
@@ -200,63 +197,3 @@ class TrainConfig(EnvConfig):
                     f"~rewards.{name}"
                 )
         return self
-
-
-ConfigT = TypeVar("ConfigT", bound=Settings)
-
-
-def parse(model: type[ConfigT], container: Mapping[str, Any]) -> ConfigT:
-    """Validate a composed container.
-
-    Raises:
-        ConfigError: one line with the configuration path, the value and what is allowed.
-    """
-    try:
-        return model(**container)
-    except ValidationError as error:
-        raise ConfigError(explain(error, "", model)) from error
-
-
-def container(config: Settings) -> dict[str, Any]:
-    """The plain container from which ``parse`` makes an equal configuration.
-
-    Raises:
-        PluginError: a plugin in it cannot be written as JSON.
-    """
-    try:
-        return config.model_dump(mode="json")
-    except PydanticSerializationError as error:
-        if isinstance(error.__cause__, FlipperctlError):  # pydantic wraps what a plugin raises
-            raise error.__cause__ from error
-        raise
-
-
-def merged(config: Settings, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """The container of ``config`` with nested or dotted overrides laid over it.
-
-    A reward term set to None is dropped, and so are all by an empty mapping of rewards.
-    """
-    result = container(config)
-    for key, value in overrides.items():
-        if key == "rewards" and value == {}:  # nothing to lay over what is there
-            result[key] = {}
-            continue
-        *parents, leaf = key.split(".")
-        node = result
-        for parent in parents:
-            node = node.setdefault(parent, {})
-            if not isinstance(node, dict):
-                raise ConfigError(f"{key}: {parent} is a value, no section; it is {node!r}")
-        _lay_over(node, leaf, value)
-    if isinstance(rewards := result.get("rewards"), dict):
-        result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
-    return result
-
-
-def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
-    old = node.get(key)
-    if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
-        for inner, item in value.items():
-            _lay_over(old, inner, item)
-    else:  # a copy, since a later override may lie inside it
-        node[key] = dict(value) if isinstance(value, Mapping) else value

@@ -29,7 +29,7 @@ from flipperctl.api import (
     Start,
     Transition,
 )
-from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground, measures
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
@@ -84,7 +84,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             )
         if config is None:
             plugins.load()
-            config = parse(EnvConfig, merged(EnvConfig(terrain=terrain), overrides))
+            config = with_overrides(EnvConfig(terrain=terrain), overrides)
         self.config = config
         self.robot = config.robot
         """As the episode drew it."""

@@ -84,7 +84,7 @@ def play_episodes(
         runner = EpisodeRunner(config, source, seed, report_progress)
         yield from map(runner.play, indices)
         return
-    arguments = (container(config.environment()), source, seed, plugins.given())
+    arguments = (container(config.environment()), source, seed, plugins.configured_paths())
     workers = Workers(min(jobs, len(indices)), _start_worker, arguments)
     try:
         waiting = deque(workers.submit(_play_in_worker, index) for index in indices)

@@ -20,11 +20,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl import __version__, plugins
+from flipperctl import __version__
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import ACTIONS, ObservationLayout, Perception
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
 from flipperctl.files import write_bytes
@@ -85,7 +85,7 @@ def properties(checkpoint: Checkpoint) -> dict[str, str]:
         "decision_period": robot.decision_period,
         "robot": geometry,
         "terrain": config.terrain.plugin_name,
-        "terrain_config": plugins.container(config.terrain),
+        "terrain_config": resolver.container(config.terrain),
         "seed": config.seed,
         "network": config.network.plugin_name,
     }

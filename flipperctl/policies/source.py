@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl import plugins
 from flipperctl.api import ObservationLayout, Policy
 from flipperctl.checkpoint import read
+from flipperctl.config import resolver
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.plugin import PluginPolicy
@@ -37,7 +37,7 @@ class PolicySource:
         Raises:
             ConfigError: there is no such controller, or its defaults are not valid.
         """
-        return cls(settings=plugins.container(plugins.create("controller", name, path)))
+        return cls(settings=resolver.container(resolver.create("controller", name, path)))
 
     def label(self) -> str:
         """Return the name that tables and files use: the file's path or the plugin's name."""
@@ -55,7 +55,7 @@ class PolicySource:
             PluginFailedError: the controller's code failed.
         """
         if self.checkpoint is None:
-            return PluginPolicy(plugins.create("controller", self.settings, "controller"))
+            return PluginPolicy(resolver.create("controller", self.settings, "controller"))
         bins, bin_width, policy = _open(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(

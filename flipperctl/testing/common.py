@@ -6,8 +6,8 @@ import inspect
 import json
 import re
 
-from flipperctl import plugins
 from flipperctl.api import Plugin, registry
+from flipperctl.config import resolver
 from flipperctl.testing.check import require
 from flipperctl.testing.variants import numbers
 
@@ -42,9 +42,9 @@ def documented(cls: type[Plugin]) -> None:
 
 def survives_a_checkpoint(plugin: Plugin) -> None:
     """Written as JSON and read again, it is equal."""
-    written = plugins.container(plugin)
-    again = plugins.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
+    written = resolver.container(plugin)
+    again = resolver.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
     require(
         again == plugin and type(again) is type(plugin),
-        f"it is not the same after a checkpoint: {written} becomes {plugins.container(again)}",
+        f"it is not the same after a checkpoint: {written} becomes {resolver.container(again)}",
     )

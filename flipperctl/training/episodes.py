@@ -49,7 +49,7 @@ class EpisodeSource:
         config = self._config
         if config.train.mode == "exact":
             return self._in_process()
-        document, paths = container(config), plugins.given()
+        document, paths = container(config), plugins.configured_paths()
         workers: RolloutWorkers
         if config.collector.name == "ray":
             from flipperctl.rollout.ray_workers import RayWorkers

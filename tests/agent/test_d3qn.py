@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
-from flipperctl.config import Agent
+from flipperctl.api.plugin import registered_names
+from flipperctl.config import Agent, resolver
 from flipperctl.errors import ConfigError, NonFiniteError
 from flipperctl.policies.exploring import ExploringPolicy
 
@@ -72,7 +72,7 @@ class Odd(torch.nn.Linear):
 
 
 def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
-    built = plugins.create("network", network, "network")
+    built = resolver.create("network", network, "network")
     assert isinstance(built, Network)
     return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
 
@@ -136,11 +136,11 @@ def test_the_loss_of_one_decision_by_hand() -> None:
     assert agent.update(batch, 0.0) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("network", plugins.names("network"))
+@pytest.mark.parametrize("network", registered_names("network"))
 def test_an_update_moves_every_parameter(network: str) -> None:
     agent = learner(network)
     before = weights(agent)
-    made = plugins.create("network", network, "network")
+    made = resolver.create("network", network, "network")
     assert isinstance(made, Network)
     agent.update(fixed_batch(frames=made.frames), 0.0)
     still = [name for name, now in weights(agent).items() if torch.equal(now, before[name])]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import Network, ObservationLayout
+from flipperctl.config import resolver
 
 SEEN = tuple(np.array([i, -i], np.float32) for i in range(5))
 
@@ -27,6 +27,6 @@ def test_the_newest_observations_in_a_row(recent: tuple, frames: int, numbers: l
 
 def test_the_size_of_what_a_network_sees() -> None:
     layout = ObservationLayout(bins=5)
-    network = plugins.create("network", {"name": "stacked", "window": 3}, "network")
+    network = resolver.create("network", {"name": "stacked", "window": 3}, "network")
     assert isinstance(network, Network)
     assert input_size(network, layout) == 3 * 8

@@ -3,14 +3,14 @@
 import pytest
 
 from flipperctl.api import Shaping
-from flipperctl.cli import compose
-from flipperctl.config import EnvConfig, TrainConfig, merged, parse
+from flipperctl.cli import compose, config_store
+from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.sim.planar import PlanarSensor
 
 
 @pytest.fixture(autouse=True)
 def defaults() -> None:
-    compose.offer_defaults()
+    config_store.offer_defaults()
 
 
 def test_every_combination_of_a_sweep_is_composed() -> None:
@@ -37,8 +37,8 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
         "randomise.delay": [0.0, 0.1],
         "eval.episodes": 7,
     }
-    trained = parse(TrainConfig, merged(base, changes))
-    primary = compose.offer_trained(trained)
+    trained = with_overrides(base, changes)
+    primary = config_store.offer_trained(trained)
     ((nominal, controller),) = compose.compose_eval([], primary)
     assert controller is None
     assert nominal.conditions == "nominal"
@@ -99,7 +99,7 @@ def test_the_tuned_shaping_follows_the_agents_discount() -> None:
 
 def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     (trained,) = compose.compose_train(["rewards=tuned", "rewards.pitch.lambda_2=5"])
-    primary = compose.offer_trained(trained)
+    primary = config_store.offer_trained(trained)
     ((own, _),) = compose.compose_eval([], primary)
     assert own.rewards == trained.rewards
     ((changed, _),) = compose.compose_eval(["rewards.pitch.window=4"], primary)

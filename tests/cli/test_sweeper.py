@@ -8,8 +8,8 @@ import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 
+from flipperctl.cli.optuna_search import OptunaSearch
 from flipperctl.cli.search import SearchSettings, objective, search_space
-from flipperctl.cli.sweeper import OptunaSweeper
 from flipperctl.cli.sweeps import SweepLauncher
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
 
@@ -43,11 +43,9 @@ def search(
 ) -> tuple[list[dict[str, str]], list[optuna.trial.FrozenTrial]]:
     """The jobs of this start, and all trials of the study."""
     storage = f"sqlite:///{folder}/search.db"
-    sweeper = OptunaSweeper()
-    sweeper.settings = SearchSettings(storage=storage, **settings)
     launcher = Launcher(fails)
-    sweeper.jobs, sweeper.folder = SweepLauncher(launcher, named=False), folder
-    sweeper.sweep(overrides)
+    jobs = SweepLauncher(launcher, named=False)
+    OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder).run(overrides)
     return launcher.jobs, trials(folder)
 
 

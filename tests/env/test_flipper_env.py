@@ -11,7 +11,6 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     MEMORY,
@@ -24,6 +23,7 @@ from flipperctl.api import (
     reward,
     terrain,
 )
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError, TerrainError
 
@@ -38,7 +38,7 @@ def step_of(height: float) -> dict[str, Any]:
 
 def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, ...]]:
     """What ``step`` returned, decision for decision, to the end of one episode."""
-    chosen = plugins.create("controller", controller, "controller").build()
+    chosen = resolver.create("controller", controller, "controller").build()
     env.reset(seed=seed)
     steps = []
     while True:
@@ -230,7 +230,7 @@ def test_dotted_and_nested_overrides_mean_the_same() -> None:
 def test_a_terrain_s_fields_can_be_set_in_each_form() -> None:
     mapping = FlipperEnv({"name": "stair", "rise": 0.1})
     dotted = FlipperEnv("stair", **{"terrain.rise": 0.1})
-    instance = FlipperEnv(plugins.create("terrain", {"name": "stair", "rise": 0.1}, "terrain"))
+    instance = FlipperEnv(resolver.create("terrain", {"name": "stair", "rise": 0.1}, "terrain"))
     assert mapping.config == dotted.config == instance.config
     assert mapping.config.terrain.rise == 0.1
 
@@ -410,7 +410,7 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_the_metrics_are_what_the_episode_shows() -> None:
     env = FlipperEnv("paper_step", episode=EXACT)
-    rule = plugins.create("controller", "okada", "controller").build()
+    rule = resolver.create("controller", "okada", "controller").build()
     env.reset(seed=0)
     states, rewards, info = [env.state], [], {}
     while "metrics" not in info:

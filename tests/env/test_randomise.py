@@ -7,7 +7,7 @@ import pytest
 
 from flipperctl import plugins
 from flipperctl.api import Robot
-from flipperctl.config import EnvConfig, merged, parse
+from flipperctl.config import EnvConfig, resolver, with_overrides
 from flipperctl.config.randomise import Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
@@ -35,13 +35,13 @@ RANGES = {
 
 def config(**overrides: object) -> EnvConfig:
     plugins.load()
-    return parse(EnvConfig, merged(EnvConfig(terrain="step"), overrides))
+    return with_overrides(EnvConfig(terrain="step"), overrides)
 
 
 def episode(seed: int, **overrides: object) -> dict[str, object]:
     return play(
         FlipperEnv(config=config(**overrides)),
-        plugins.create("controller", "okada", "controller").build(),
+        resolver.create("controller", "okada", "controller").build(),
         seed,
     )
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import (
     Outcome,
     Profile,
@@ -17,6 +16,7 @@ from flipperctl.api import (
     Transition,
     candidate_angle,
 )
+from flipperctl.config import resolver
 from flipperctl.env.rewards import RewardSum
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, tracks of radius 0.1 m
@@ -24,7 +24,7 @@ FLAT = Profile([(0.0, 0.0)])
 
 
 def term(name: str, **settings: Any) -> RewardTerm:
-    made = plugins.create("reward", {"name": name, **settings}, f"rewards.{name}")
+    made = resolver.create("reward", {"name": name, **settings}, f"rewards.{name}")
     assert isinstance(made, RewardTerm)
     return made
 

@@ -5,13 +5,13 @@ import json
 
 import pytest
 
-from flipperctl.config import EvalConfig, merged, parse
+from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.evaluation.conditions import Conditions
 
 
 def of(**overrides: object) -> Conditions:
     base = EvalConfig(terrain="step")
-    return Conditions.of(parse(EvalConfig, merged(base, overrides)))
+    return Conditions.of(with_overrides(base, overrides))
 
 
 def test_the_hash_is_that_of_the_canonical_json_of_what_stands_beside_it() -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import Outcome
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
@@ -115,7 +115,7 @@ def test_the_streams_of_seeds_never_meet() -> None:
 
 
 def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> None:
-    for name in plugins.names("controller"):
+    for name in resolver.names("controller"):
         little = {"budget": 200, "width": 2} if name == "planner" else {}
         source = PolicySource(settings={"name": name, **little})
         assert source.label() == name

@@ -10,8 +10,9 @@ import onnxruntime
 import pytest
 import torch
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import ObservationLayout
+from flipperctl.config import resolver
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.export import policy as export
 from flipperctl.policies.trained import policy_module
@@ -59,7 +60,7 @@ def test_onnx_says_what_it_is(saved: checkpoint.Checkpoint, onnx_file: Path) -> 
     assert float(properties["flipperctl.decision_period"]) == pytest.approx(0.6)
     assert json.loads(properties["flipperctl.robot"])["chassis_length"] == 0.76
     assert properties["flipperctl.terrain"] == "step"
-    terrain = plugins.container(saved.config().terrain)
+    terrain = resolver.container(saved.config().terrain)
     assert json.loads(properties["flipperctl.terrain_config"]) == terrain
     assert properties["flipperctl.seed"] == "7"
     assert float(properties["flipperctl.bin_width"]) == 0.15

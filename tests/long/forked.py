@@ -43,7 +43,7 @@ def preload() -> None:
 
     import flipperctl.cli.compose
     import flipperctl.cli.main
-    import flipperctl.cli.sweeper
+    import flipperctl.cli.optuna_search
     import flipperctl.cli.training  # noqa: F401
     from flipperctl import plugins
     from flipperctl.env.flipper_env import FlipperEnv

@@ -8,7 +8,7 @@ from pypcd4.pypcd4 import Encoding, PointCloud
 from rasterio.transform import from_origin
 from trimesh import PointCloud as PlyCloud
 
-from flipperctl import plugins
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 
 LINE = {"start": (0.2, 0.5), "end": (1.8, 0.5)}
@@ -47,7 +47,7 @@ def read(path: Path) -> str:
     frame = {} if path.suffix == ".csv" else LINE
     more = {"resolution": 0.05} if path.suffix == ".npy" else {}
     settings = {"name": "profile_file", "path": str(path), **frame, **more}
-    env = FlipperEnv(plugins.create("terrain", settings, "terrain"))
+    env = FlipperEnv(resolver.create("terrain", settings, "terrain"))
     profile = env._draw(np.random.default_rng(0), 1.0)
     assert np.isfinite(profile.points).all()
     if np.hypot(*np.diff(profile.points, axis=0).T).sum() < LONGEST:

@@ -19,6 +19,7 @@ import numpy as np
 
 from flipperctl import plugins
 from flipperctl.api import Controller
+from flipperctl.config import resolver
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim import ground
@@ -44,7 +45,7 @@ def memory() -> float:
 
 def drive(env: FlipperEnv, controller: str, seed: int) -> dict[str, Any]:
     """Return the metrics of one episode."""
-    rule = plugins.create("controller", controller, "controller")
+    rule = resolver.create("controller", controller, "controller")
     assert isinstance(rule, Controller)
     env.reset(seed=seed)
     while True:

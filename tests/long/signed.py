@@ -16,7 +16,7 @@ from flipperctl import checkpoint
 from flipperctl.agent.d3qn import arrays
 from flipperctl.cli.inspect.checkpoint import _print as show
 from flipperctl.cli.inspect.checkpoint import describe
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import with_overrides
 from flipperctl.export import policy as export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
@@ -35,7 +35,7 @@ def files(folder: Path) -> dict[str, bytes]:
     run = folder / "run"
     small = {"network": {"name": "at_d3qn", "terrain": [8], "fused": 8, "head": 8}}
     budget = {"train.decisions": 150, "train.validate_every": 100, "train.validation_episodes": 1}
-    config = parse(TrainConfig, merged(short_config(**budget), small))
+    config = with_overrides(short_config(**budget), small)
     learner = trainer(config, run)
     learner.run()
     weights = arrays(learner.agent.online)

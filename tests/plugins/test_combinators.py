@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import Profile, Terrain, registry, terrain
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, resolver
 from flipperctl.errors import ConfigError
 
 
@@ -32,7 +32,7 @@ def spike() -> Iterator[type[Terrain]]:
 
 
 def made(name: str, **fields: Any) -> Terrain:
-    found = plugins.create("terrain", {"name": name, **fields}, "terrain")
+    found = resolver.create("terrain", {"name": name, **fields}, "terrain")
     assert isinstance(found, Terrain)
     return found
 
@@ -113,7 +113,7 @@ def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain])
     names = [p.name for p in document.plugins if p.kind == "terrain"]
     assert names == ["mix", "flat", "mirror", "spike"]
     terrain = document.config.terrain.model_dump()
-    assert plugins.create("terrain", terrain, "terrain") == config.terrain
+    assert resolver.create("terrain", terrain, "terrain") == config.terrain
 
 
 def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrain]) -> None:
@@ -124,9 +124,9 @@ def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrai
         "name": "mix",
         "parts": [{"name": "spike", "tall": 0.25}, {"name": "wave", "most": 4}],
     }
-    assert found.at(0.25) == plugins.create("terrain", between, "terrain")
-    assert found.at(0.0) == plugins.create("terrain", easy, "terrain")
-    assert found.at(1.0) == plugins.create("terrain", hard, "terrain")
+    assert found.at(0.25) == resolver.create("terrain", between, "terrain")
+    assert found.at(0.0) == resolver.create("terrain", easy, "terrain")
+    assert found.at(1.0) == resolver.create("terrain", hard, "terrain")
 
 
 def test_a_curriculum_takes_small_steps_within_its_ends() -> None:
@@ -135,11 +135,11 @@ def test_a_curriculum_takes_small_steps_within_its_ends() -> None:
     assert found.next_difficulty(0.5, True) == pytest.approx(0.8)
     assert found.next_difficulty(0.8, True) == 1.0
     assert found.next_difficulty(0.3, False) == 0.0
-    mix = made("mix", parts=["flat", plugins.container(found)])
+    mix = made("mix", parts=["flat", resolver.container(found)])
     assert mix.first_difficulty == 0.5
     assert mix.next_difficulty(0.5, True) == pytest.approx(0.8)
     low = made("step", low=-0.25, high=0.25)
-    assert mix.at(0.5) == made("mix", parts=["flat", plugins.container(low)])
+    assert mix.at(0.5) == made("mix", parts=["flat", resolver.container(low)])
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Terrain, registry
+from flipperctl.config import resolver
 from flipperctl.testing import Check, checks
 
 KINDS = ("terrain", "reward", "network", "controller", "sim", "perception")
@@ -22,7 +22,7 @@ def test_every_family_has_its_plugins() -> None:
 # Between 1 m before the first edge and 1 m behind the last (paper Tab. I)
 @pytest.mark.parametrize(("name", "length"), [("paper_step", 5.0), ("paper_stair", 6.5)])
 def test_the_paper_s_scenes_have_the_paper_s_length(name: str, length: float) -> None:
-    scene = plugins.create("terrain", name, "terrain")
+    scene = resolver.create("terrain", name, "terrain")
     assert isinstance(scene, Terrain)
     one, other = (scene.generate(np.random.default_rng(seed)) for seed in (0, 1))
     assert one.end - one.start + 2.0 == pytest.approx(length)

@@ -5,15 +5,15 @@ import pytest
 import torch
 from flipperctl_plugins.networks.modules import Motion, NoisyLinear
 
-from flipperctl import plugins
 from flipperctl.api import Network, ObservationLayout
+from flipperctl.config import resolver
 from flipperctl.errors import ConfigError
 
 LAYOUT = ObservationLayout()
 
 
 def build(name: str, **fields: object) -> torch.nn.Module:
-    network = plugins.create("network", {"name": name, **fields}, "network")
+    network = resolver.create("network", {"name": name, **fields}, "network")
     assert isinstance(network, Network)
     torch.manual_seed(0)
     return network.build(LAYOUT, 9)

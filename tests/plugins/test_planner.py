@@ -2,8 +2,8 @@
 
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Outcome, Policy
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import play
 
@@ -11,7 +11,7 @@ QUICK = {"name": "planner", "width": 6, "budget": 6000}
 
 
 def planner(settings: dict[str, object]) -> Policy:
-    return plugins.create("controller", {**QUICK, **settings}, "controller").build()
+    return resolver.create("controller", {**QUICK, **settings}, "controller").build()
 
 
 def planned(env: FlipperEnv, **settings: object) -> dict[str, object]:
@@ -21,7 +21,7 @@ def planned(env: FlipperEnv, **settings: object) -> dict[str, object]:
 def test_a_plan_takes_a_step_that_is_smoother_than_the_rule_s() -> None:
     env = FlipperEnv("paper_step", **{"episode.start_noise": 0.0})
     row = planned(env)
-    rule = play(env, plugins.create("controller", "okada", "controller").build(), seed=1)
+    rule = play(env, resolver.create("controller", "okada", "controller").build(), seed=1)
     assert row["outcome"] == rule["outcome"] == Outcome.REACHED
     assert row["pitch_variation"] < 0.7 * rule["pitch_variation"]
     assert planned(env) == row  # nothing is drawn at random

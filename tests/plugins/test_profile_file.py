@@ -11,8 +11,8 @@ from pypcd4.pypcd4 import PointCloud
 from rasterio.transform import Affine, from_origin
 from trimesh import PointCloud as PlyCloud
 
-from flipperctl import plugins
 from flipperctl.api import Profile
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, TerrainError
 
@@ -22,7 +22,7 @@ WAY = {"start": (1.0, 2.0), "end": (3.0, 2.0)}
 
 def profile(path: Path | None = None, **fields: Any) -> Profile:
     settings = {"name": "profile_file", "path": path and str(path), **fields}
-    found = plugins.create("terrain", settings, "terrain")
+    found = resolver.create("terrain", settings, "terrain")
     env = FlipperEnv(found)  # whose errors are what a user sees
     env.reset(seed=0)
     return env.profile
@@ -214,7 +214,7 @@ def test_a_bad_file_is_named_in_one_line(
 )
 def test_settings_must_fit_the_file(fields: dict[str, Any], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        plugins.create("terrain", {"name": "profile_file", **fields}, "terrain")
+        resolver.create("terrain", {"name": "profile_file", **fields}, "terrain")
 
 
 def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Outcome, Profile, RewardTerm, RobotGeometry, RobotState, Transition
+from flipperctl.config import resolver
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m
 FLAT = Profile([(0.0, 0.0)])
@@ -16,7 +16,7 @@ UP = math.pi / 3
 
 
 def paid(name: str, t: Transition, **settings: Any) -> float:
-    made = plugins.create("reward", {"name": name, **settings}, f"rewards.{name}")
+    made = resolver.create("reward", {"name": name, **settings}, f"rewards.{name}")
     assert isinstance(made, RewardTerm)
     return made(t)
 

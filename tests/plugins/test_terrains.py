@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Profile
+from flipperctl.config import resolver
 
 FAMILIES = (
     "building_stair",
@@ -24,12 +24,12 @@ FAMILIES = (
 
 def drawn(name: str, seed: int = 0, **fields: object) -> Profile:
     """A profile; a field given as ``height=0.3`` is both its ``_low`` and its ``_high``."""
-    cls = plugins.get("terrain", name, "terrain")
+    cls = resolver.get("terrain", name, "terrain")
     settings = {}
     for field, value in fields.items():
         both = f"{field}_low" in cls.model_fields
         settings |= {f"{field}_low": value, f"{field}_high": value} if both else {field: value}
-    found = plugins.create("terrain", {"name": name, **settings}, "terrain")
+    found = resolver.create("terrain", {"name": name, **settings}, "terrain")
     return found.labelled(np.random.default_rng(seed))
 
 
@@ -107,7 +107,7 @@ def test_a_family_stays_within_its_ranges_and_differs_from_draw_to_draw(name: st
     profiles = [drawn(name, seed) for seed in range(30)]
     assert len({p.points.tobytes() for p in profiles}) == 30
     assert {p.label for p in profiles} == {name}
-    fields = plugins.create("terrain", name, "terrain").model_dump()
+    fields = resolver.create("terrain", name, "terrain").model_dump()
     if "height_high" in fields:
         assert max(p.points[:, 1].max() for p in profiles) <= fields["height_high"]
     for profile in profiles:
@@ -116,4 +116,4 @@ def test_a_family_stays_within_its_ranges_and_differs_from_draw_to_draw(name: st
 
 def test_a_range_the_wrong_way_round_is_named() -> None:
     with pytest.raises(Exception, match=r"width_low \(0\.9\) must not exceed width_high \(0\.5\)"):
-        plugins.create("terrain", {"name": "uplift", "width_low": 0.9}, "terrain")
+        resolver.create("terrain", {"name": "uplift", "width_low": 0.9}, "terrain")

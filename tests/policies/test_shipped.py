@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli import compose
+from flipperctl.cli import compose, config_store
 from flipperctl.config import container
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes
@@ -22,7 +22,7 @@ def test_there_is_a_generalist() -> None:
 def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: Path) -> None:
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
-    compose.offer_defaults()
+    config_store.offer_defaults()
     (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()

@@ -6,8 +6,8 @@ import warnings
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Controller, Perception, Policy, Simulator, action_index, controller
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.function import FunctionPolicy
 from flipperctl.rollout.episode import Decision, RealTime, decisions, play
@@ -16,7 +16,7 @@ HOLD = action_index(0, 0)
 
 
 def okada() -> Policy:
-    return plugins.create("controller", "okada", "controller").build()
+    return resolver.create("controller", "okada", "controller").build()
 
 
 def test_a_decision_holds_what_was_decided_on_and_what_came_of_it() -> None:

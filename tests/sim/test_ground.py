@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Profile, Terrain
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import TerrainError
 from flipperctl.sim.ground import FEW, LONGEST, MOST, TOLERANCE, check_extent, thinned
@@ -88,7 +87,7 @@ def test_coarse_ground_and_short_profiles_are_driven_on_as_they_are() -> None:
 
 @pytest.mark.parametrize("name", ["stair", "rubble", "wave", "noisy", "plum", "profile_file"])
 def test_built_in_terrains_stay_bit_for_bit(name: str) -> None:
-    terrain = plugins.create("terrain", name, "terrain")
+    terrain = resolver.create("terrain", name, "terrain")
     assert isinstance(terrain, Terrain)
     for seed in range(20):
         profile = terrain.labelled(np.random.default_rng(seed))

@@ -7,8 +7,9 @@ import onnxruntime
 import pytest
 import torch
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import Network
+from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy as export
@@ -16,7 +17,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.runtime import OnnxPolicy
 from tests.short import short_config, trainer
 
-NEW = [n for n in plugins.names("network") if n not in ("at_d3qn", "dueling_mlp", "mlp")]
+NEW = [n for n in registered_names("network") if n not in ("at_d3qn", "dueling_mlp", "mlp")]
 
 
 def config(name: str, **more: object) -> TrainConfig:

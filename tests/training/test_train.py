@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import RewardTerm, Transition, registry, reward
 from flipperctl.checkpoint.document import Validation
-from flipperctl.config import TrainConfig, merged, parse
+from flipperctl.config import TrainConfig, resolver, with_overrides
 from flipperctl.errors import NonFiniteError, WriteError
 from flipperctl.training.events import MetricsCsv, read_rows
 from flipperctl.training.validation import Validator
@@ -141,7 +141,7 @@ def test_a_reward_that_is_no_number_stops_and_is_named(tmp_path: Path) -> None:
 
     try:
         rewards = {**plugins_of(short_config()), "odd": {"name": "sometimes_nan"}}
-        config = parse(TrainConfig, merged(short_config(), {"rewards": rewards}))
+        config = with_overrides(short_config(), {"rewards": rewards})
         with pytest.raises(NonFiniteError, match=r"rewards\.odd.*SometimesNan.*nan"):
             trainer(config, tmp_path).run()
     finally:
@@ -149,7 +149,7 @@ def test_a_reward_that_is_no_number_stops_and_is_named(tmp_path: Path) -> None:
 
 
 def plugins_of(config: TrainConfig) -> dict[str, dict[str, object]]:
-    return {name: plugins.container(term) for name, term in config.rewards.items()}
+    return {name: resolver.container(term) for name, term in config.rewards.items()}
 
 
 def test_a_failing_write_keeps_the_checkpoint_before(

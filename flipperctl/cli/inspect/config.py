@@ -45,11 +45,11 @@ def show(
     from omegaconf import OmegaConf
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose
+    from flipperctl.cli import compose, config_store
     from flipperctl.config import container
 
     loader.load(plugins or ())
-    compose.offer_defaults()
+    config_store.offer_defaults()
     config = compose.only(compose.compose_train(overrides or []))
     if describe:
         (default,) = compose.compose_train([])

@@ -73,8 +73,8 @@ def show(
 
 def describe(kind: str, name: str) -> dict[str, Any]:
     """A plugin and its fields as plain data."""
-    from flipperctl import plugins as loader
     from flipperctl.api import registry
+    from flipperctl.config import resolver
     from flipperctl.config.describe import fields
 
     cls = registry[kind, name]
@@ -83,7 +83,7 @@ def describe(kind: str, name: str) -> dict[str, Any]:
         "name": name,
         "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
         "module": cls.__module__,
-        "source": loader.source(cls),
+        "source": resolver.source(cls),
         "fields": [asdict(field) for field in fields(cls)],
     }
 

@@ -41,12 +41,13 @@ def show(
 ) -> None:
     """See HELP."""
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose
+    from flipperctl.cli import compose, config_store
+    from flipperctl.config import resolver
     from flipperctl.env.flipper_env import FlipperEnv
 
     loader.load(plugins or ())
-    loader.get("terrain", name, "terrain")
-    compose.offer_defaults()
+    resolver.get("terrain", name, "terrain")
+    config_store.offer_defaults()
     config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
     env = FlipperEnv(config=config)
     profiles, drawn = [], []
@@ -67,7 +68,7 @@ def show(
         title = f"{name}, {labels[0]}"
         save(terrain_figure(profiles, title, config.robot, labels), output)
     if as_json:
-        document = {"terrain": loader.container(config.terrain), "draws": numbers}
+        document = {"terrain": resolver.container(config.terrain), "draws": numbers}
         print(json.dumps(document, indent=2))
         return
     _print(name, numbers)

@@ -12,9 +12,9 @@ from string import Template
 from tempfile import mkdtemp
 
 from flipperctl import api
+from flipperctl.config.resolver import source
 from flipperctl.errors import OutputError, PluginError
 from flipperctl.files import failure, make_folder
-from flipperctl.plugins import source
 
 _USES = {
     "terrain": (

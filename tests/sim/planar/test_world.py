@@ -6,8 +6,8 @@ import numpy as np
 import pymunk
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import Limits, Profile, Robot
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar import world as world_module
@@ -56,7 +56,7 @@ def crossing(height: float, friction: float) -> str:
 
 def episode(env: FlipperEnv) -> dict:
     """The last info of an episode under the rule controller."""
-    rule = plugins.create("controller", "okada", "controller").build()
+    rule = resolver.create("controller", "okada", "controller").build()
     env.reset(seed=0)
     while True:
         *_, terminated, truncated, info = env.step(rule.act(env.perception))
@@ -282,7 +282,7 @@ def test_half_the_substep_changes_the_pitch_variation_little(terrain: str) -> No
 
 
 def test_equal_inputs_give_bit_identical_trajectories() -> None:
-    stair = plugins.create("terrain", "paper_stair", "terrain").generate(np.random.default_rng(0))
+    stair = resolver.create("terrain", "paper_stair", "terrain").generate(np.random.default_rng(0))
 
     def trajectory() -> list[tuple[float, ...]]:
         world = PlanarWorld(stair, Robot(), Planar(), -1.0)

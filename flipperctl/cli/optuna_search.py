@@ -10,16 +10,15 @@ trial.)
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
-from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ValidationError
@@ -44,57 +43,54 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial, Trial
 
-_TARGET = "hydra_plugins.flipperctl.OptunaSweeper"
 _FAILED = "failed"  # marks a trial whose training failed of itself; Optuna's own FAIL means less
 
 
-def offer() -> None:
-    """Make ``hydra/sweeper=optuna`` known to Hydra."""
-    # Hydra finds sweepers by this name alone, and only below hydra_plugins; the class stays here,
-    # so that worker processes can import it.
-    Plugins.instance().class_name_to_class[_TARGET] = OptunaSweeper
-    node = {"_target_": _TARGET, **SearchSettings().model_dump()}
-    ConfigStore.instance().store(group="hydra/sweeper", name="optuna", node=node)
+def prepare(
+    given: Mapping[str, Any],
+    *,
+    hydra_context: HydraContext,
+    task_function: TaskFunction,
+    config: DictConfig,
+) -> OptunaSearch:
+    """Return the search that Hydra's configuration asks for, with Hydra's launcher.
+
+    Raises:
+        MissingExtraError: Optuna is not installed.
+        ConfigError: one of the settings ``given`` is of the wrong type or out of bounds.
+    """
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError(
+            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+        ) from error
+    try:
+        settings = SearchSettings(**given)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    launcher: Launcher = Plugins.instance().instantiate_launcher(
+        config=config, hydra_context=hydra_context, task_function=task_function
+    )
+    jobs = SweepLauncher(launcher, named=leaves_naming(config))
+    return OptunaSearch(settings, jobs, Path(config.hydra.sweep.dir))
 
 
-class OptunaSweeper(Sweeper):
+@dataclass(frozen=True)
+class OptunaSearch:
     """Asks Optuna for trials until the study has ``n_trials`` finished ones.
 
     The proposals depend on the seed and on the finished trials only, so a search that was stopped
     and started again finds what an uninterrupted one finds.
     """
 
-    def __init__(self, **settings: Any) -> None:
-        self.given = settings  # checked in setup: Hydra rewords what is raised here
+    settings: SearchSettings
+    jobs: SweepLauncher
+    folder: Path
+    """Of the sweep."""
 
-    def setup(
-        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
-    ) -> None:
-        """Called by Hydra before ``sweep``.
-
-        Raises:
-            MissingExtraError: Optuna is not installed.
-            ConfigError: a setting is of the wrong type or out of bounds.
-        """
-        try:
-            import optuna
-        except ImportError as error:
-            raise MissingExtraError(
-                "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
-            ) from error
-        try:
-            self.settings = SearchSettings(**self.given)
-        except ValidationError as error:
-            raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self.config, self.hydra_context = config, hydra_context
-        self.folder = Path(config.hydra.sweep.dir)
-        launcher: Launcher = Plugins.instance().instantiate_launcher(
-            config=config, hydra_context=hydra_context, task_function=task_function
-        )
-        self.jobs = SweepLauncher(launcher, named=leaves_naming(config))
-
-    def sweep(self, arguments: list[str]) -> None:
+    def run(self, arguments: Sequence[str]) -> None:
         """Train trial after trial; ``arguments`` are the user's overrides.
 
         Raises:

@@ -1,0 +1,55 @@
+"""Sweeps among the overrides: their combinations, and probes of their intervals.
+
+In: overrides as the user typed them. Out: lists of overrides without lists.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import cast
+
+from hydra.core.override_parser.types import IntervalSweep
+
+from flipperctl.cli.config_store import CHOICES
+from flipperctl.cli.overrides import check_mappings, parsed
+from flipperctl.errors import ConfigError
+
+
+def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
+    """Yield every combination of the values in lists; an interval is left out.
+
+    Raises:
+        OverrideParseException: Hydra cannot read one of the overrides.
+        ConfigError: null is chosen where a name is needed, or a mapping is empty.
+    """
+    check_mappings(overrides)
+    choices: list[list[str]] = []
+    for override in parsed(overrides):
+        if override.key_or_group in CHOICES and str(override.input_line).endswith("=null"):
+            raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
+        if override.is_interval_sweep():
+            continue  # a sweeper draws from it; the job checks what was drawn
+        if override.is_sweep_override():
+            key = override.get_key_element()
+            choices.append([f"{key}={value}" for value in override.sweep_string_iterator()])
+        else:
+            choices.append([str(override.input_line)])
+    for combination in itertools.product(*choices):
+        yield list(combination)
+
+
+def interval_probes(overrides: Sequence[str]) -> list[list[str]]:
+    """Return, for each interval, its ends and a value between, each set on its own.
+
+    The value between finds intervals of real numbers for settings that are whole.
+    """
+    found = []
+    for override in parsed(overrides):
+        interval = override.value()
+        if isinstance(interval, IntervalSweep):
+            start, end = cast("tuple[float, float]", (interval.start, interval.end))
+            whole = isinstance(start, int) and isinstance(end, int)
+            between = start if whole else start + 0.3819 * (end - start)
+            found += [[f"{override.get_key_element()}={x}"] for x in (start, end, between)]
+    return found

@@ -1,0 +1,99 @@
+"""What Hydra composes from: the defaults of plugins and sections, in its ConfigStore.
+
+In: the registry, the models' defaults, a checkpoint's configuration, the sweepers. Out: entries of
+config groups and primary configurations.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+
+from flipperctl.api import ObservationLayout, registry
+from flipperctl.cli import conditions
+from flipperctl.cli.search import SearchSettings
+from flipperctl.config import (
+    DEFAULT_ENGINE,
+    EvalConfig,
+    LocalCollector,
+    RayCollector,
+    TrainConfig,
+    container,
+    resolver,
+)
+
+CONFIGS = str(files("flipperctl.configs"))
+BY_RULE, BY_CHECKPOINT, BY_EXPORT = "eval", "flipperctl_eval_trained", "flipperctl_eval_exported"
+"""Primary configurations of an evaluation."""
+GROUPS = (
+    *("terrain", "rewards", "network", "collector"),
+    *("sim", "perception", "conditions"),
+)
+"""Config groups whose choice stands under a key of the same name."""
+CHOICES = (*GROUPS, "controller", "experiment")
+"""Keys whose value brings other keys."""
+_TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_SWEEPERS = "hydra_plugins.flipperctl_sweepers"
+
+
+def offer_defaults() -> None:
+    """Put every registered plugin's and every section's defaults into the ConfigStore."""
+    store = ConfigStore.instance()
+    for (kind, name), cls in registry.items():
+        store.store(group=kind, name=name, node=resolver.defaults(cls))
+    for collector in (LocalCollector(), RayCollector()):
+        store.store(group="collector", name=collector.name, node=container(collector))
+    for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
+        sections = {
+            name: container(info.default) if hasattr(info.default, "model_dump") else info.default
+            for name, info in model.model_fields.items()
+            if name not in GROUPS
+        }
+        store.store(name=primary, node=sections)
+
+
+def offer_trained(config: TrainConfig | EvalConfig) -> str:
+    """Offer an evaluation of a policy as the primary configuration; return its name.
+
+    The policy brings its terrain, rewards, robot and observation layout, and how often it is
+    evaluated. Its other sections are ``conditions=trained``, unless it is an exported file
+    (``config`` is then an ``EvalConfig``), which does not hold them.
+    """
+    store = ConfigStore.instance()
+    own = container(config.environment())
+    own["terrain"] = container(config.terrain, brief=True)
+    layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+    for group in ("terrain", "rewards", "sim", "perception"):
+        store.store(group=group, name=_TRAINED, node=own.pop(group))
+    kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
+    nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
+    primary = BY_EXPORT
+    if isinstance(config, TrainConfig):
+        primary = BY_CHECKPOINT
+        choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
+        node = {"defaults": choices, **own}
+        store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
+    # What is laid over others comes after them.
+    defaults = [
+        *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
+        *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
+        *("_self_", {"conditions": conditions.NOMINAL}),
+    ]
+    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    return primary
+
+
+def offer_sweepers() -> None:
+    """Offer ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
+
+    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are given here, for
+    this process alone, so that other Hydra applications keep their own ``basic`` and ``optuna``.
+    """
+    settings: dict[str, dict[str, Any]] = {
+        "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
+        "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},
+    }
+    for name, node in settings.items():
+        ConfigStore.instance().store(group="hydra/sweeper", name=name, node=node)

@@ -1,0 +1,162 @@
+"""Words for Hydra's errors: the key or choice that is wrong, what is known, a close match.
+
+In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. Nothing here
+reads the text of an exception: the override at fault is the first that Hydra refuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Override
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
+from omegaconf import OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+
+from flipperctl.api.plugin import registered_names
+from flipperctl.cli.config_store import CHOICES, GROUPS
+from flipperctl.cli.overrides import parsed, quoted
+from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.messages import close_match
+
+_LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
+_CALLED = {
+    "rewards": "preset",
+    "conditions": "set",
+}  # what an entry of a group is called, if not as the group
+
+
+@contextmanager
+def convert_hydra_errors() -> Iterator[None]:
+    """Turn Hydra's and OmegaConf's errors into one of ours, in one line."""
+    try:
+        yield
+    except FlipperctlError:
+        raise
+    except OverrideParseException as error:
+        key, _, value = str(error.override).partition("=")
+        raise ConfigError(
+            f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
+            f"stands, quote it: {quoted(key, value)}"
+        ) from error
+    except MissingConfigException as error:
+        raise missing_choice(error) from error
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_flat(error)) from error
+
+
+def missing_choice(error: MissingConfigException) -> RequestError:
+    """Return the error for a config group that has no such entry, as in ``terrain=stiar``."""
+    group, _, option = str(error.missing_cfg_file or "").rpartition("/")
+    group, option = group.strip("/"), option.removesuffix(".yaml")
+    options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
+    if not group:
+        return ConfigError(_flat(error))
+    if group == "hydra/launcher" and option in _LAUNCHER_EXTRAS:
+        extra = _LAUNCHER_EXTRAS[option]
+        return MissingExtraError(
+            f"{group}={option} needs the package hydra-{extra}-launcher; "
+            f"install flipperctl[{extra}]"
+        )
+    what = f"{group} plugin" if registered_names(group) else _CALLED.get(group, group)
+    return ConfigError(
+        f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
+        f"known: {', '.join(sorted(options)) or 'none'}"
+    )
+
+
+def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
+    """Return the error for a config group whose choice is no name, as in ``terrain=3``."""
+    for override in parsed(overrides):
+        key, value = override.get_key_element(), override.value()
+        names = value if isinstance(value, list) else [value]
+        optional = key == "experiment" and value is None
+        if key in (*GROUPS, "experiment") and not optional and not _all_names(names):
+            return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
+    return ConfigError(_flat(error))
+
+
+def unknown_key(
+    error: ConfigCompositionException, primary: str, overrides: Sequence[str]
+) -> ConfigError:
+    """Return the error for an override of a key that is not there, or ``error`` in one line."""
+    choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
+    node: Any = OmegaConf.to_container(compose(primary, choices), resolve=True)
+    others = [o for o in overrides if o not in choices]
+    refused = _first_refused(primary, choices, others)
+    if refused is None or not _names_no_key(*refused):
+        return ConfigError(_flat(error))
+    override, cause = refused[0], refused[1].__cause__
+    key = override.key_or_group
+    if override.is_delete() and _is_group(override) and override.value() and not override.package:
+        key = f"{key}={override.value()}"
+    if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
+        return ConfigError(f"{key}: {_flat(cause)}")  # in Hydra's own section
+    *parents, leaf = key.split(".")
+    inside = ""  # the innermost section on the way to the key that is there
+    for parent in parents:
+        if not isinstance(node.get(parent), dict):
+            leaf = parent
+            break
+        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+    known = sorted(name for name in node if name != "name")
+    return ConfigError(
+        f"{key}: there is no such key{close_match(leaf, known)}; "
+        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
+    )
+
+
+def _first_refused(
+    primary: str, choices: list[str], others: list[str]
+) -> tuple[Override, ConfigCompositionException] | None:
+    """Return the first of ``others`` that does not compose, and why.
+
+    Hydra applies those of config groups before those of keys.
+    """
+    ordered = sorted(parsed(others), key=lambda o: not _is_group(o))
+    accepted = list(choices)
+    for override in ordered:
+        accepted.append(str(override.input_line))
+        try:
+            compose(primary, accepted)
+        except ConfigCompositionException as error:
+            return override, error
+    return None
+
+
+def _names_no_key(override: Override, error: ConfigCompositionException) -> bool:
+    """Whether ``error`` is about the override's key, rather than about its value."""
+    added = override.is_add() or override.is_force_add()
+    if not override.key_or_group:
+        return False
+    if _is_group(override):
+        return not added
+    if override.package is not None:
+        return False
+    if error.__cause__ is None:  # nothing to delete, or something where the key is to be added
+        return True
+    no_such_key = isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError)
+    return no_such_key and not added and not override.is_delete()
+
+
+def _is_group(override: Override) -> bool:
+    """Whether Hydra takes the override for the choice of a config group."""
+    options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
+    return bool(options) and not isinstance(override.value(), dict)
+
+
+def _all_names(values: Iterable[object]) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+def _flat(error: Exception) -> str:
+    return " ".join(str(error).split())

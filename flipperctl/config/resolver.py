@@ -1,0 +1,192 @@
+"""From names and overrides to validated settings, and back to plain data.
+
+In: a plugin's name or mapping, a composed container, overrides. Out: frozen settings with plugin
+instances inside. Whatever composes a configuration (Hydra, a checkpoint, keyword arguments,
+``--resume``) comes through ``parse``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError
+
+from flipperctl import guard
+from flipperctl.api import Plugin, Settings
+from flipperctl.api.plugin import mapping, registered_names, selected
+from flipperctl.errors import ConfigError, FlipperctlError, PluginError
+from flipperctl.messages import close_match, explain
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
+
+
+def get(kind: str, name: object, where: str) -> type[Plugin]:
+    """Return the class registered under ``name``.
+
+    Raises:
+        ConfigError: no plugin of that kind has the name; the text has a close match.
+    """
+    try:
+        return selected(kind, {"name": name})[0]
+    except LookupError as error:
+        known = registered_names(kind)
+        raise ConfigError(
+            f"{where}: there is no {kind} plugin {name!r}{close_match(str(name), known)}; "
+            f"registered: {', '.join(known) or 'none'}"
+        ) from error
+
+
+def create(kind: str, settings: object, where: str) -> Any:
+    """Return a plugin instance from its name, or from a mapping with ``name`` and its fields.
+
+    Raises:
+        ConfigError: the name is unknown, or a field is unknown, of the wrong type or out of bounds.
+    """
+    if isinstance(settings, Plugin):
+        if not hasattr(type(settings), "plugin_name"):
+            raise ConfigError(
+                f"{where}: {type(settings).__name__} is not registered; "
+                f"decorate it with @{kind}(<name>)"
+            )
+        return settings
+    try:
+        cls, fields = selected(kind, settings)
+    except TypeError as error:
+        raise ConfigError(
+            f"{where}: a plugin's name, or a mapping with 'name' and its fields, "
+            f"is allowed; got {settings!r}"
+        ) from error
+    except LookupError:
+        return get(kind, settings["name"] if isinstance(settings, Mapping) else settings, where)
+    try:
+        return _construct(cls, fields)
+    except ValidationError as error:
+        raise ConfigError(explain(error, where, cls, fields)) from error
+
+
+def _construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
+    """Return an instance of a plugin.
+
+    Raises:
+        ValidationError: a field is unknown, of the wrong type or out of bounds.
+        PluginError: the plugin's own code raised anything else.
+    """
+    try:
+        return cls(**fields)
+    except BaseException as error:
+        own_title = cls.model_config.get("title") or cls.__name__
+        if isinstance(error, ValidationError) and error.title == own_title:
+            raise  # not that of another model that the plugin's code made
+        raise guard.fault(error, cls, "its construction", PluginError) from error
+
+
+def parse(model: type[SettingsT], container: Mapping[str, Any]) -> SettingsT:
+    """Validate a composed container.
+
+    Raises:
+        ConfigError: one line with the configuration path, the value and what is allowed.
+    """
+    try:
+        return model(**container)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "", model)) from error
+
+
+def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
+    """Return ``config`` with overrides, whose keys may be nested or dotted, laid over it.
+
+    A reward term set to None is dropped, and so are all by an empty mapping of rewards.
+
+    Raises:
+        ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
+    """
+    result = container(config)
+    for key, value in overrides.items():
+        if key == "rewards" and value == {}:  # nothing to lay over what is there
+            result[key] = {}
+            continue
+        *parents, leaf = key.split(".")
+        node = result
+        for parent in parents:
+            node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                raise ConfigError(f"{key}: {parent} is a value, no section; it is {node!r}")
+        _lay_over(node, leaf, value)
+    if isinstance(rewards := result.get("rewards"), dict):
+        result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
+    return parse(type(config), result)
+
+
+def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
+    old = node.get(key)
+    if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
+        for inner, item in value.items():
+            _lay_over(old, inner, item)
+    else:  # a copy, since a later override may lie inside it
+        node[key] = dict(value) if isinstance(value, Mapping) else value
+
+
+def container(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
+    """Return the plain data from which ``create`` or ``parse`` makes equal settings.
+
+    ``brief``: a plugin within a plugin that has all its defaults is its name alone.
+
+    Raises:
+        PluginError: a field of a plugin cannot be written as JSON.
+    """
+    if isinstance(settings, Plugin):
+        try:
+            return mapping(settings, brief=brief)
+        except BaseException as error:
+            raise guard.fault(
+                _unwrapped(error), settings, "its serialisation", PluginError
+            ) from error
+    try:
+        return settings.model_dump(mode="json", context={"brief": brief})
+    except PydanticSerializationError as error:
+        if isinstance(cause := _unwrapped(error), FlipperctlError):
+            raise cause from error
+        raise
+
+
+def _unwrapped(error: BaseException) -> BaseException:
+    """Return what a plugin's serialiser raised, which pydantic wraps."""
+    wrapped = isinstance(error, PydanticSerializationError) and error.__cause__
+    return wrapped or error
+
+
+def defaults(cls: type[Plugin]) -> dict[str, Any]:
+    """Return the brief container of a plugin that is given nothing but its name.
+
+    Raises:
+        ConfigError: a field has no default, or a default that is not valid.
+        PluginError: the plugin's own code raised anything else.
+    """
+    try:
+        return container(_construct(cls, {}), brief=True)
+    except ValidationError as error:
+        raise ConfigError(
+            f"{guard.called(cls)}: its defaults are not valid: "
+            f"{explain(error, '', cls)} ({guard.definition(cls)})"
+        ) from error
+
+
+def nested(plugin: Plugin) -> list[Plugin]:
+    """Return the plugin and those in its fields, at any depth."""
+    found, waiting = [plugin], [getattr(plugin, name) for name in type(plugin).model_fields]
+    while waiting:
+        value = waiting.pop(0)
+        if isinstance(value, Plugin):
+            found += nested(value)
+        elif isinstance(value, tuple | list):
+            waiting += value
+        elif isinstance(value, Mapping):
+            waiting += value.values()
+    return found
+
+
+def source(cls: type[Plugin]) -> str:
+    """Return where a plugin was defined: its file, or its module for what has none."""
+    return guard.definition(cls)
