@@ -1,5 +1,5 @@
 """The built-in plugins; they import only ``flipperctl.api`` and libraries, as yours will."""
 
-from flipperctl_plugins import controllers, networks, rewards, terrains
+from . import controllers, networks, rewards, terrains
 
 __all__ = ["controllers", "networks", "rewards", "terrains"]

@@ -33,12 +33,16 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
+    sweepers = "flipperctl/cli/hydra_plugins"
     folders = {"flipperctl": "flipperctl", "plugins": "flipperctl_plugins"}
     wanted = {
         f"{package}/{path.relative_to(ROOT / folder)}"
         for folder, package in folders.items()
         for path in (ROOT / folder).rglob("*.py")
+        if not path.is_relative_to(ROOT / sweepers)
     }
+    wanted |= {f"hydra_plugins/{path.name}" for path in (ROOT / sweepers).glob("*.py")}
+    wanted |= {"flipperctl/py.typed", "flipperctl_plugins/py.typed"}
     wanted |= {
         f"flipperctl/configs/{path.relative_to(ROOT / 'configs')}"
         for path in (ROOT / "configs").rglob("*.yaml")
@@ -86,3 +90,8 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
         "print(e.reset(seed=1)[0].shape)",
     )
     assert help_text.strip() == "(18,)"
+    # Hydra discovers the sweeper, which says what it needs; the wheel was installed without extras.
+    search = [flipperctl, "train", "-m", "hydra/sweeper=optuna", "seed=1,2"]
+    refused = subprocess.run(search, cwd=empty, env=clean, capture_output=True, text=True)
+    assert refused.returncode == 2, refused.stderr
+    assert "install flipperctl[optuna]" in refused.stderr

@@ -1,6 +1,6 @@
 """Built-in Q-networks; torch is imported only when one is built."""
 
-from flipperctl_plugins.networks import (
+from . import (
     at_d3qn,
     conv,
     dueling_mlp,

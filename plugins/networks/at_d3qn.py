@@ -24,8 +24,9 @@ class AtD3qn(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import Dueling, Fusion, Normalise, perceptron
         from torch import nn
+
+        from .modules import Dueling, Fusion, Normalise, perceptron
 
         terrain = perceptron((layout.bins, *self.terrain))
         return nn.Sequential(

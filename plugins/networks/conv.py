@@ -28,8 +28,9 @@ class Conv(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import SLOPE, Dueling, Fusion, Normalise
         from torch import nn
+
+        from .modules import SLOPE, Dueling, Fusion, Normalise
 
         layers: list[nn.Module] = [nn.Unflatten(1, (1, layout.bins))]
         for before, behind in pairwise((1, *self.channels)):

@@ -23,8 +23,9 @@ class DuelingMlp(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import Dueling, Normalise, perceptron
         from torch import nn
+
+        from .modules import Dueling, Normalise, perceptron
 
         return nn.Sequential(
             Normalise(layout),

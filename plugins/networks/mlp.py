@@ -22,8 +22,9 @@ class Mlp(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import Normalise, perceptron
         from torch import nn
+
+        from .modules import Normalise, perceptron
 
         return nn.Sequential(
             Normalise(layout),

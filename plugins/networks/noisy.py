@@ -28,14 +28,15 @@ class Noisy(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import (
+        from torch import nn
+
+        from .modules import (
             Dueling,
             Fusion,
             NoisyLinear,
             Normalise,
             perceptron,
         )
-        from torch import nn
 
         terrain = perceptron((layout.bins, *self.terrain))
         linear = partial(NoisyLinear, sigma=self.noise)

@@ -25,13 +25,14 @@ class Quantile(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observation (B, N + 3) → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import (
+        from torch import nn
+
+        from .modules import (
             DuelingQuantiles,
             Fusion,
             Normalise,
             perceptron,
         )
-        from torch import nn
 
         terrain = perceptron((layout.bins, *self.terrain))
         front = nn.Sequential(

@@ -35,14 +35,15 @@ class Stacked(Network):
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
         """Observations (B, window · (N + 3)), oldest first → Q (B, n_actions)."""
-        from flipperctl_plugins.networks.modules import (
+        from torch import nn
+
+        from .modules import (
             Dueling,
             Fusion,
             Motion,
             Normalise,
             perceptron,
         )
-        from torch import nn
 
         terrain = perceptron((layout.bins, *self.terrain))
         changes = (self.window - 1) * layout.size

@@ -8,11 +8,12 @@ import re
 from pathlib import Path
 
 import numpy as np
-from flipperctl_plugins.recordings.claims import pcd_points, ply_vertices
-from flipperctl_plugins.recordings.line import Line
-from flipperctl_plugins.recordings.text import read_lines
 
 from flipperctl.api import FloatArray
+
+from .claims import pcd_points, ply_vertices
+from .line import Line
+from .text import read_lines
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(e[-+]?\d+)?", re.IGNORECASE)
 LEVEL = {

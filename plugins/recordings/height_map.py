@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from flipperctl_plugins.recordings.line import Line
 
 from flipperctl.api import FloatArray
+
+from .line import Line
 
 Part = tuple[slice, slice]
 """Rows and columns of a grid."""

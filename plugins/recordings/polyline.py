@@ -5,9 +5,10 @@ import math
 from pathlib import Path
 
 import numpy as np
-from flipperctl_plugins.recordings.text import read_lines
 
 from flipperctl.api import FloatArray
+
+from .text import read_lines
 
 _DELIMITERS = ";\t,"
 """By rank: a comma may be the decimal sign where another one parts the columns."""

@@ -1,6 +1,6 @@
 """Built-in reward terms: the paper's three, and a library to compose others from."""
 
-from flipperctl_plugins.rewards import (
+from . import (
     clearance,
     end,
     flipper,

@@ -1,6 +1,6 @@
 """Built-in terrains."""
 
-from flipperctl_plugins.terrains import (
+from . import (
     building_stair,
     curb_and_ramp,
     curriculum,

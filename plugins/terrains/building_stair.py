@@ -4,11 +4,12 @@ import math
 from typing import Literal
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
-from flipperctl_plugins.terrains.flight import flight
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
+from .flight import flight
 
 
 @terrain("building_stair")

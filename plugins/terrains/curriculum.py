@@ -3,10 +3,11 @@
 from typing import Any, Self
 
 import numpy as np
-from flipperctl_plugins.terrains.step import Step
 from pydantic import Field, model_validator
 
 from flipperctl.api import AnyTerrain, Plugin, Profile, Terrain, terrain
+
+from .step import Step
 
 
 @terrain("curriculum")

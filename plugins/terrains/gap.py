@@ -1,10 +1,11 @@
 """A trench across the way."""
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import Drawn
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import Drawn
 
 
 @terrain("gap")

@@ -1,11 +1,12 @@
 """A terrain the other way round."""
 
 import numpy as np
-from flipperctl_plugins.terrains.combinator import Combinator
-from flipperctl_plugins.terrains.curb_and_ramp import CurbAndRamp
 from pydantic import Field
 
 from flipperctl.api import AnyTerrain, Profile, terrain
+
+from .combinator import Combinator
+from .curb_and_ramp import CurbAndRamp
 
 
 @terrain("mirror")

@@ -3,12 +3,13 @@
 from typing import Self
 
 import numpy as np
-from flipperctl_plugins.terrains.combinator import Combinator
-from flipperctl_plugins.terrains.stair import Stair
-from flipperctl_plugins.terrains.step import Step
 from pydantic import Field, model_validator
 
 from flipperctl.api import AnyTerrain, Profile, terrain
+
+from .combinator import Combinator
+from .stair import Stair
+from .step import Step
 
 
 @terrain("mix")

@@ -3,11 +3,12 @@
 from itertools import pairwise
 
 import numpy as np
-from flipperctl_plugins.terrains.combinator import Combinator
-from flipperctl_plugins.terrains.stair import Stair
 from pydantic import Field
 
 from flipperctl.api import AnyTerrain, FloatArray, Profile, terrain
+
+from .combinator import Combinator
+from .stair import Stair
 
 
 @terrain("noisy")

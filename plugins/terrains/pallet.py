@@ -1,10 +1,11 @@
 """Hurdles in a row."""
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
 
 
 @terrain("pallet")

@@ -2,10 +2,11 @@
 
 from typing import Literal
 
-from flipperctl_plugins.terrains.stair import Stair
 from pydantic import Field
 
 from flipperctl.api import terrain
+
+from .stair import Stair
 
 
 @terrain("paper_stair")

@@ -1,9 +1,10 @@
 """The paper's step scene."""
 
-from flipperctl_plugins.terrains.step import Step
 from pydantic import Field
 
 from flipperctl.api import terrain
+
+from .step import Step
 
 
 @terrain("paper_step")

@@ -1,10 +1,11 @@
 """Piles of unequal height with gaps between them."""
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
 
 
 @terrain("plum")

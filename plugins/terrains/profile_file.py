@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from flipperctl_plugins.recordings import cloud, height_map, polyline
-from flipperctl_plugins.recordings.line import Line
 from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
+
+from ..recordings import cloud, height_map, polyline
+from ..recordings.line import Line
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}

@@ -3,10 +3,11 @@
 import math
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
 
 
 @terrain("rail")

@@ -4,10 +4,11 @@ import math
 from typing import Literal
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import Drawn
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import Drawn
 
 
 @terrain("ramp")

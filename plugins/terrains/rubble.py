@@ -1,10 +1,11 @@
 """Blocks of random size, side by side."""
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
 
 
 @terrain("rubble")

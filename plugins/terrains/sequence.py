@@ -1,13 +1,14 @@
 """Several terrains, one after another."""
 
 import numpy as np
-from flipperctl_plugins.terrains.combinator import Combinator
-from flipperctl_plugins.terrains.drawn import Drawn
-from flipperctl_plugins.terrains.ramp import Ramp
-from flipperctl_plugins.terrains.step import Step
 from pydantic import Field
 
 from flipperctl.api import AnyTerrain, Profile, terrain
+
+from .combinator import Combinator
+from .drawn import Drawn
+from .ramp import Ramp
+from .step import Step
 
 
 @terrain("sequence")

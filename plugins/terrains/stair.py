@@ -3,10 +3,11 @@
 from typing import Literal, Self
 
 import numpy as np
-from flipperctl_plugins.terrains.flight import flight
 from pydantic import Field, model_validator
 
 from flipperctl.api import Profile, Terrain, terrain
+
+from .flight import flight
 
 
 @terrain("stair")

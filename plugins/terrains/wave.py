@@ -1,10 +1,11 @@
 """Waves of the ground."""
 
 import numpy as np
-from flipperctl_plugins.terrains.drawn import DrawnRow
 from pydantic import Field
 
 from flipperctl.api import Profile, terrain
+
+from .drawn import DrawnRow
 
 _POINTS = 16  # a wave
 

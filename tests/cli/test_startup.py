@@ -66,6 +66,12 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     assert not imported("import flipperctl.api") & HEAVY
 
 
+def test_hydra_discovers_the_sweepers_without_importing_what_they_run() -> None:
+    found = imported("from hydra.core.plugins import Plugins; Plugins.instance()")
+    assert "hydra_plugins.flipperctl_sweepers" in found
+    assert not found & {"flipperctl", "optuna"}
+
+
 @pytest.mark.parametrize("command", [[], ["inspect"]], ids=" ".join)
 def test_a_command_without_arguments_shows_its_help_and_no_error(
     command: list[str], tmp_path: Path
