@@ -9,10 +9,6 @@ FOLDERS = {
     "flipperctl.configs": "configs",
     "flipperctl_plugins": "plugins",
 }
-    "flipperctl": "flipperctl",
-    "flipperctl.configs": "configs",
-    "flipperctl_plugins": "plugins",
-}
 
 
 def test_every_package_is_listed() -> None:
