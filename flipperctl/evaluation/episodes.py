@@ -18,7 +18,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.trained import ControllerSource
 from flipperctl.rollout.episode import decisions, play
-from flipperctl.rollout.processes import Job, WorkerDiedError, Workers
+from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
 from flipperctl.rollout.seeds import episode_seed
 
 _log = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ def evaluate(
         yield from map(player.episode, indices)
         return
     arguments = (container(config.environment()), source, seed, plugins.given())
-    workers = Workers(min(jobs, len(indices)), _begin, arguments)
+    workers = WorkerPool(min(jobs, len(indices)), _begin, arguments)
     try:
         waiting = deque(workers.submit(_episode, index) for index in indices)
         for index in indices:
@@ -84,7 +84,7 @@ def evaluate(
         workers.close()
 
 
-def _result(workers: Workers, job: Job, index: int) -> dict[str, Any]:
+def _result(workers: WorkerPool, job: PendingCall, index: int) -> dict[str, Any]:
     """The row of an episode; played again if its worker died, since equal seeds give equal rows."""
     for _ in range(workers.count + 2):  # all may have died at once
         try:

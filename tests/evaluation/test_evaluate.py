@@ -12,7 +12,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import evaluate
 from flipperctl.evaluation.statistics import differences, interval, paired, scene_summary
 from flipperctl.policies.trained import ControllerSource
-from flipperctl.rollout.processes import Workers
+from flipperctl.rollout.pool import WorkerPool
 from flipperctl.rollout.seeds import episode_seed
 
 OKADA = ControllerSource(settings={"name": "okada"})
@@ -31,17 +31,17 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     crews = []
-    create = Workers.__init__
+    create = WorkerPool.__init__
 
-    def remembered(self: Workers, *arguments: object) -> None:
+    def remembered(self: WorkerPool, *arguments: object) -> None:
         create(self, *arguments)
         crews.append(self)
 
-    monkeypatch.setattr(Workers, "__init__", remembered)
+    monkeypatch.setattr(WorkerPool, "__init__", remembered)
     config = EnvConfig(terrain="stair")
     rows = evaluate(config, OKADA, episodes=30, seed=3, jobs=2)
     first = next(rows)
-    for pid in crews[0].processes():
+    for pid in crews[0].process_ids():
         os.kill(pid, signal.SIGKILL)
     assert [first, *rows] == list(evaluate(config, OKADA, episodes=30, seed=3))
     assert "a worker died and is replaced; episode" in caplog.text
