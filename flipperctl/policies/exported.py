@@ -1,6 +1,6 @@
-"""An exported file judged in the simulator as the robot runs it.
+"""An exported policy in the simulator, run as the robot runs it.
 
-In: a file of ``flipperctl export onnx``. Out: a controller, and the evaluation that it asks for.
+In: a file of ``flipperctl export onnx``. Out: a policy, and the settings of its own evaluation.
 """
 
 from __future__ import annotations
@@ -14,41 +14,42 @@ from flipperctl.runtime import OnnxPolicy
 
 
 class ExportedPolicy:
-    """Greedy in the Q-values of an exported file."""
+    """Takes the greedy action of an exported file."""
 
     def __init__(self, file: Path) -> None:
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
 
     def reset(self, simulator: Simulator) -> None:
-        """Forget the observations of the episode before."""
+        """Forget the observations of the previous episode."""
         self._policy.reset()
 
     def act(self, p: Perception) -> int:
-        """The action of the largest Q-value."""
+        """Return the action of the largest Q-value."""
         return self._policy.act(p.observation)
 
 
 def is_exported(file: Path) -> bool:
-    """Whether a file is meant as an exported policy, not as a checkpoint."""
+    """Return whether the name is that of an exported policy, not of a checkpoint."""
     return file.suffix == ".onnx"
 
 
 def exported_config(file: Path) -> EvalConfig:
-    """The file's own evaluation: its robot, its layout and its terrain, all as in training.
+    """Return the evaluation with the robot, observation layout and terrain of the training.
 
-    A file of format 1 says only the terrain's name, which then has its defaults.
+    A file of format 1 holds only the name of the terrain, which then has its default settings.
 
     Raises:
-        PolicyError: flipperctl did not export the file, or this version lacks what it names.
+        PolicyError: flipperctl did not export the file, or this version lacks its terrain plugin
+            or one of its settings.
     """
-    says = OnnxPolicy(file).interface
+    interface = OnnxPolicy(file).interface
     settings = {
-        "terrain": dict(says.terrain_config),
-        "robot": dict(says.robot),
-        "perception": {"bins": says.bins, "bin_width": says.bin_width},
+        "terrain": dict(interface.terrain_config),
+        "robot": dict(interface.robot),
+        "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
     }
     try:
         return parse(EvalConfig, settings)
     except ConfigError as error:
-        raise PolicyError(f"{file}: what its metadata say does not fit: {error}") from error
+        raise PolicyError(f"{file}: its metadata do not fit this version: {error}") from error

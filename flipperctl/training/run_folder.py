@@ -1,8 +1,8 @@
-"""What lies in a run directory, and what a run that was stopped at any moment goes on from.
+"""The files of a run directory, and the point from which a stopped run is resumed.
 
-Every file is written whole or not at all, so a process that is killed leaves one of few states: no
-``config.yaml`` yet (no run), ``config.yaml`` without ``last.safetensors`` (nothing was decided, the
-run begins again), or both (it goes on).
+Every file is written completely or not at all, so a killed process leaves one of three states: no
+``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
+made; the run begins again), or both (the run continues from the checkpoint).
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _WRITTEN = (CONFIG, METRICS, SUMMARY, checkpoint.BEST, checkpoint.LAST)
 
 
 def holds_run(directory: Path) -> bool:
-    """Whether there is anything that a new run would overwrite."""
+    """Return whether the directory holds a file that a new run would overwrite."""
     files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
     return any(file.is_file() and file.stat().st_size > 0 for file in files)
 
 
 def find(run: Path) -> Path:
-    """The run directory that is meant by it or by the path of its last checkpoint.
+    """Return the run directory, given itself or the path of its last checkpoint.
 
     Raises:
-        CheckpointError: there is none, or the checkpoint is none to go on from.
+        CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
     """
     if run.is_dir():
         if holds_run(run):
@@ -57,15 +57,15 @@ def find(run: Path) -> Path:
 
 
 def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
-    """The checkpoint to go on from, None if the run begins again, and the run's configuration.
+    """Return the checkpoint to resume from (None if the run begins again), and the configuration.
 
     Raises:
-        CheckpointError: what the run goes on from is damaged, or does not fit this version.
+        CheckpointError: a file of the run is damaged, or is not valid in this version.
     """
     if (directory / checkpoint.LAST).is_file():
         saved = checkpoint.read(directory / checkpoint.LAST)
         return saved, saved.config()
-    document = _document(directory / CONFIG)
+    document = _read_mapping(directory / CONFIG)
     if document:
         try:
             return None, parse(TrainConfig, document)
@@ -81,8 +81,8 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
     )
 
 
-def _document(path: Path) -> dict[str, Any] | None:
-    """What a ``config.yaml`` says; None if it is missing or no mapping."""
+def _read_mapping(path: Path) -> dict[str, Any] | None:
+    """Return the contents of a ``config.yaml``; None if it is missing or not a mapping."""
     try:
         plain = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError):
@@ -91,7 +91,7 @@ def _document(path: Path) -> dict[str, Any] | None:
 
 
 def is_finished(directory: Path, decision: int) -> bool:
-    """Whether the run came to its end at this decision and said so."""
+    """Return whether ``summary.json`` says that the run finished at this decision."""
     try:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):
@@ -101,7 +101,7 @@ def is_finished(directory: Path, decision: int) -> bool:
 
 
 def clear_leftovers(directory: Path) -> None:
-    """Remove what a process left that was killed while it wrote one of the run's files."""
+    """Remove the partial files of a process that was killed while it wrote a file of the run."""
     for name in _WRITTEN:
         path = directory / name
         path.with_name(f".{path.name}.part").unlink(missing_ok=True)
