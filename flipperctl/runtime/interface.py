@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -88,19 +89,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"{where} has format version {version!r}; "
             f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
         )
-
-    def entry(name: str, allowed: str, check: Callable[[Any], bool], absent: str = "") -> Any:
-        text = metadata.get(f"{PREFIX}{name}", absent)
-        try:
-            value = json.loads(text)
-        except (ValueError, RecursionError):
-            value = None
-        if value is None or not check(value):
-            raise PolicyError(
-                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
-            )
-        return value
-
+    entry = partial(_entry, metadata, where)
     bins = entry("bins", "a whole number above 0", _is_count)
     size = bins + ANGLES
     keys = set(Quantity.__dataclass_fields__)
@@ -142,6 +131,31 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
     )
+
+
+def _entry(
+    metadata: Mapping[str, str],
+    where: str,
+    name: str,
+    allowed: str,
+    check: Callable[[Any], bool],
+    absent: str = "",
+) -> Any:
+    """Return the value of an entry that ``check`` accepts; ``absent`` is its text if it is missing.
+
+    Raises:
+        PolicyError: the entry is not JSON or ``check`` refuses it.
+    """
+    text = metadata.get(f"{PREFIX}{name}", absent)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if value is None or not check(value):
+        raise PolicyError(
+            f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+        )
+    return value
 
 
 def _is_whole(value: object) -> bool:

@@ -40,18 +40,17 @@ def find(run: Path) -> Path:
             return run
         raise CheckpointError(
             f"{run} holds neither {CONFIG} nor a checkpoint; is it a run directory? "
-            "A run that was stopped before it wrote them is started anew"
+            "A run that was stopped before it wrote them must be started again"
         )
     file = checkpoint.find(run)
     if checkpoint.read(file).document.kind != "last":
         raise CheckpointError(
-            f"{file} holds only the weights of a policy; "
-            f"{checkpoint.LAST} is what a run goes on from"
+            f"{file} holds only the weights of a policy; a run is resumed from {checkpoint.LAST}"
         )
     directory = file.parent.parent
     if file.resolve() != (directory / checkpoint.LAST).resolve():
         raise CheckpointError(
-            f"{file} does not lie in a run directory; a run goes on from its {checkpoint.LAST}"
+            f"{file} does not lie in a run directory; a run is resumed from its {checkpoint.LAST}"
         )
     return directory
 
@@ -76,8 +75,8 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
     if (directory / checkpoint.BEST).is_file():
         return None, checkpoint.read(directory / checkpoint.BEST).config()
     raise CheckpointError(
-        f"{directory / CONFIG} is damaged and there is no checkpoint, so nothing can go on; "
-        f"delete {directory} and start anew"
+        f"{directory / CONFIG} is damaged and there is no checkpoint, so the run cannot be "
+        f"resumed; delete {directory} and start the run again"
     )
 
 
