@@ -1,4 +1,4 @@
-"""Checkpoints: safetensors files that describe themselves and run no code."""
+"""Checkpoints: safetensors files that describe themselves and never execute code."""
 
 from flipperctl.checkpoint.file import (
     BEST,
@@ -7,8 +7,8 @@ from flipperctl.checkpoint.file import (
     describe,
     find,
     read,
-    shipped,
-    signed,
+    serialize,
+    shipped_policies,
     write,
 )
 
@@ -19,7 +19,7 @@ __all__ = [
     "describe",
     "find",
     "read",
-    "shipped",
-    "signed",
+    "serialize",
+    "shipped_policies",
     "write",
 ]

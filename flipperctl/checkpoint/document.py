@@ -1,6 +1,6 @@
-"""What a checkpoint says of itself: one JSON document, written and read by the same models.
+"""The JSON document in a checkpoint, written and read by the same models.
 
-In: JSON text, of any origin. Out: a ``Document``, every value of which has its type and bounds.
+In: JSON text of any origin. Out: a ``Document``, whose values all have their types and bounds.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from flipperctl.messages import explain
 
 FORMAT: Final = 2
-"""1 held the state of a run in another form; its policies can still be read."""
+"""Format number. Format 1 held the state of a run in another form; its policies can be read."""
 RECENT = 100
-"""Episodes over which the running success rate is taken."""
+"""Number of episodes over which the running success rate is computed."""
 
 Count = Annotated[int, Field(ge=0, lt=2**63)]
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error
 Word128 = Annotated[int, Field(ge=0, lt=2**128)]
 
 
 class _Record(BaseModel):
-    """Frozen; nothing is converted, unknown keys, NaN and infinity are errors."""
+    """A frozen model that converts nothing and refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
 class PluginOutline(_Record):
-    """A plugin's settings, of which only the name is known when it is not installed."""
+    """The settings of a plugin; all but the name stay unchecked, since it may not be installed."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
@@ -46,7 +46,7 @@ class RewardOutline(PluginOutline):
 
 
 class ConfigOutline(_Record):
-    """A training configuration, as far as it can be read without its plugins."""
+    """The part of a training configuration that can be read without its plugins."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
@@ -65,36 +65,36 @@ class PluginReference(_Record):
 
 
 class Validation(_Record):
-    """Means over the episodes of a validation; further metrics stand beside these."""
+    """The result of a validation: means over its episodes, of these and further metrics."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float]
     decision: Count
-    success_rate: Share
+    success_rate: Fraction
     t_cost: Annotated[float, Field(ge=0)]
     pitch_variation: Annotated[float, Field(ge=0)]
 
 
-class OrderState(_Record):
-    """An episode that was ordered and has not come back."""
+class RequestState(_Record):
+    """A rollout request that was outstanding; its weights are among the tensors."""
 
     episode: Count
     seed: Count
-    epsilon: Share
+    epsilon: Fraction
     decision: Count
     version: Count
-    difficulty: Share
+    difficulty: Fraction
 
 
 class Pcg64Words(_Record):
-    """The two words of a PCG64 generator."""
+    """The state of a PCG64 generator: two words of 128 bits."""
 
     state: Word128
     inc: Word128
 
 
 class GeneratorState(_Record):
-    """A random generator, as ``numpy`` gives and takes it."""
+    """The state of a random generator, as ``BitGenerator.state`` of numpy."""
 
     bit_generator: Literal["PCG64"]
     state: Pcg64Words
@@ -103,7 +103,7 @@ class GeneratorState(_Record):
 
 
 class Generators(_Record):
-    """The random generators of a run."""
+    """The states of the random generators of a run."""
 
     explore: GeneratorState
     sample: GeneratorState
@@ -111,7 +111,7 @@ class Generators(_Record):
 
 
 class State(_Record):
-    """All that a run needs to go on, beside the tensors; nothing in it depends on the clock."""
+    """All that a run needs to be resumed, beside the tensors; nothing depends on the clock."""
 
     decision: Count
     episode: Count
@@ -121,8 +121,9 @@ class State(_Record):
     started: Count
     lost: Count
     updates: Count
-    difficulty: Share
-    orders: tuple[OrderState, ...]
+    difficulty: Fraction
+    orders: tuple[RequestState, ...]
+    """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
     generators: Generators
 
@@ -133,10 +134,10 @@ class State(_Record):
             "replay_added": (self.replay_added, "decision", self.decision),
             "lost": (self.lost, "started", self.started),
         }
-        for at, order in enumerate(self.orders):
-            limits[f"orders.{at}.version"] = (order.version, "updates", self.updates)
-            limits[f"orders.{at}.decision"] = (order.decision, "decision", self.decision)
-            limits[f"orders.{at}.episode"] = (order.episode, "started - 1", self.started - 1)
+        for at, request in enumerate(self.orders):
+            limits[f"orders.{at}.version"] = (request.version, "updates", self.updates)
+            limits[f"orders.{at}.decision"] = (request.decision, "decision", self.decision)
+            limits[f"orders.{at}.episode"] = (request.episode, "started - 1", self.started - 1)
         for name, (value, bound, limit) in limits.items():
             if value > limit:
                 raise ValueError(f"{name} is {value}, above {bound}, which is {limit}")
@@ -144,7 +145,7 @@ class State(_Record):
 
 
 class Document(_Record):
-    """The metadata of a checkpoint."""
+    """The document of a checkpoint of kind ``best`` (a policy) or ``last`` (a whole run)."""
 
     format: Literal[1, 2]
     kind: Literal["best", "last"]
@@ -152,10 +153,11 @@ class Document(_Record):
     versions: dict[Label, Label]
     plugins: tuple[PluginReference, ...]
     decision: Count | None = None
+    """Decisions of the run at which the best policy was validated."""
     validation: Validation | None = None
-    """With ``decision``: where the best policy was found, and what it reached."""
+    """Result of that validation."""
     state: State | None = None
-    """Of a whole run; None for a run of format 1, which cannot go on."""
+    """State of a whole run; None for a run of format 1, which cannot be resumed."""
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Document:
@@ -169,23 +171,26 @@ class Document(_Record):
         return self
 
     def plain(self) -> dict[str, Any]:
-        """The document as JSON types, without what it does not have."""
+        """Return the document as JSON types, without the fields that are None."""
         return {k: v for k, v in self.model_dump(mode="json").items() if v is not None}
 
     def text(self) -> str:
-        """The document as JSON; equal documents give equal text, and orders are kept."""
+        """Return the document as JSON text; equal documents give equal text."""
         return json.dumps(self.plain(), allow_nan=False)
 
 
 def parse(text: str) -> Document:
-    """The document that a text holds.
+    """Parse the JSON text of a document.
 
     Raises:
-        ValueError: it is none; the text names the path within it.
+        ValueError: the text is not a valid document; the error names the path of the fault.
     """
     try:
         raw = json.loads(
-            text, object_pairs_hook=_unique, parse_constant=_refuse, parse_float=_finite
+            text,
+            object_pairs_hook=_unique_keys,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
         )
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
@@ -202,19 +207,19 @@ def parse(text: str) -> Document:
         raise ValueError(explain(error, "document", Document)) from error
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"it holds the key {twice!r:.40} twice")
+        duplicate = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"it holds the key {duplicate!r:.40} twice")
     return found
 
 
-def _refuse(constant: str) -> float:
+def _refuse_constant(constant: str) -> float:
     raise ValueError(f"it holds {constant}; finite numbers are allowed")
 
 
 def _finite(number: str) -> float:
     value = float(number)
-    return value if math.isfinite(value) else _refuse(number[:40])
+    return value if math.isfinite(value) else _refuse_constant(number[:40])

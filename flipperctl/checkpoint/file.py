@@ -1,7 +1,7 @@
-"""Checkpoints: safetensors files that describe themselves and run no code.
+"""Checkpoint files: safetensors files that describe themselves and never execute code.
 
 A file holds tensors and, in its metadata, one JSON document (see ``document``) and a SHA-256 of
-everything, so that any flipped bit is found at load. Equal contents are equal files, byte for byte.
+both, so that reading finds every flipped bit. Equal contents give equal files, byte for byte.
 """
 
 from __future__ import annotations
@@ -31,18 +31,19 @@ BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safete
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint in memory, checked."""
+    """A checkpoint that was read and checked."""
 
     path: Path
     document: Document
     tensors: dict[str, torch.Tensor]
+    """Tensors by name; the part before the first dot is the part of the checkpoint."""
 
     def config(self) -> TrainConfig:
-        """The full training configuration.
+        """Return the full training configuration.
 
         Raises:
-            CheckpointError: a plugin that it needs is not installed, or the configuration is not
-                one of this version.
+            CheckpointError: a plugin of the configuration is not installed, or the configuration
+                is not valid in this version.
         """
         for plugin in self.document.plugins:
             if (plugin.kind, plugin.name) not in registry:
@@ -59,13 +60,13 @@ class Checkpoint:
             ) from error
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
-        """The tensors whose names begin with ``prefix.``, without it."""
+        """Return the tensors whose names begin with ``prefix.``, without that prefix."""
         start = f"{prefix}."
         return {k[len(start) :]: v for k, v in self.tensors.items() if k.startswith(start)}
 
     @property
     def content(self) -> str:
-        """SHA-256 of configuration, results, state and tensors, whatever program wrote them."""
+        """SHA-256 of configuration, results, state and tensors, without versions and plugins."""
         plain = self.document.plain()
         kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
         return _digest(json.dumps(kept, sort_keys=True), self.tensors)
@@ -79,13 +80,13 @@ def describe(
     validation: Mapping[str, Any] | None = None,
     state: State | None = None,
 ) -> Document:
-    """The document of a checkpoint; what belongs to which kind is said by ``Document``."""
+    """Return the document of a checkpoint; ``Document`` defines which fields each kind has."""
     import gymnasium
     import numpy as np
 
-    chosen: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
-    chosen += config.rewards.values()
-    used = [part for plugin in chosen for part in resolver.nested(plugin)]
+    plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
+    plugged += config.rewards.values()
+    used = [part for plugin in plugged for part in resolver.nested(plugin)]
     return Document(
         format=documents.FORMAT,
         kind=kind,
@@ -108,12 +109,20 @@ def describe(
 
 
 def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write a checkpoint, whole or not at all."""
-    write_bytes(path, signed(document.text(), tensors))
+    """Write a checkpoint, completely or not at all.
+
+    Raises:
+        OutputError: the path cannot be written.
+        WriteError: writing failed half way; the old file is kept.
+    """
+    write_bytes(path, serialize(document.text(), tensors))
 
 
-def signed(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
-    """The bytes of a checkpoint with a document's text; equal arguments give equal bytes."""
+def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
+    """Return the bytes of a checkpoint with its checksum; equal arguments give equal bytes.
+
+    ``text``: the JSON text of the document.
+    """
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     data = save(held, {"flipperctl": text, "sha256": _digest(text, held)})
     # safetensors writes its metadata in an order that changes from process to process.
@@ -126,10 +135,10 @@ def signed(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
 
 
 def read(path: Path) -> Checkpoint:
-    """Read and check a checkpoint; nothing in the file is ever executed.
+    """Read and check a checkpoint; nothing in the file is executed.
 
     Raises:
-        CheckpointError: it is missing, truncated, changed, of another program or another format.
+        CheckpointError: the file is missing, truncated or changed, or of another program or format.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
@@ -147,7 +156,7 @@ def read(path: Path) -> Checkpoint:
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
-            # Copies: a tensor of safetensors is a window on the file, and changes with it.
+            # Copies: a tensor of safetensors is a view of the file, and changes with it.
             tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
@@ -165,10 +174,10 @@ def read(path: Path) -> Checkpoint:
 
 
 def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Every tensor belongs to a part that a checkpoint of this kind has."""
+    """Check that every tensor belongs to a part that a checkpoint of this kind has."""
     parts = {"policy"} if document.kind == "best" else {"online", "target", "optimiser", "replay"}
-    orders = document.state.orders if document.state else ()
-    parts |= {f"weights{order.version}" for order in orders}
+    requests = document.state.orders if document.state else ()
+    parts |= {f"weights{request.version}" for request in requests}
     older = document.kind == "last" and document.state is None
     for name in tensors:
         part = name.partition(".")[0]
@@ -177,15 +186,17 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
 
 
 def find(run_or_file: Path, prefer: Path = BEST) -> Path:
-    """The checkpoint file meant by a run directory, a file or the name of a shipped policy.
+    """Return the checkpoint file of a run directory, a file or the name of a shipped policy.
+
+    ``prefer``: the file of a run directory that is returned if both exist.
 
     Raises:
-        CheckpointError: there is none.
+        CheckpointError: there is no such checkpoint.
     """
     if run_or_file.is_file():
         return run_or_file
     if not run_or_file.exists():
-        if (known := shipped()) and str(run_or_file) in known:
+        if (known := shipped_policies()) and str(run_or_file) in known:
             return known[str(run_or_file)]
         raise CheckpointError(
             f"{run_or_file}: there is no such run or checkpoint file"
@@ -198,13 +209,14 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
     raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; is it a run directory?")
 
 
-def shipped() -> dict[str, Path]:
-    """The policies that come with the package, by name."""
+def shipped_policies() -> dict[str, Path]:
+    """Return the files of the policies that come with the package, by name."""
     folder = Path(__file__).parents[1] / "policies"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
 
 
 def _digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
+    """Return the SHA-256 of a text and of the names, types, shapes and values of tensors."""
     digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):
         tensor = tensors[name].contiguous()

@@ -1,4 +1,4 @@
-"""Whether tensors are those that a network is made of: names, shapes, types, finite numbers."""
+"""The check that tensors are those of a network: names, shapes, types and finite numbers."""
 
 from __future__ import annotations
 
@@ -10,24 +10,26 @@ import torch
 def require_equal_layout(
     found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]
 ) -> None:
-    """Names, shapes and types of the tensors are those expected, and all numbers are finite.
+    """Check that tensors have the expected names, shapes and types and hold finite numbers.
 
-    A number may be infinite where the expected one is (a mask, say).
+    A number may be infinite where the expected one is infinite, as in a mask.
 
     Raises:
-        ValueError: they are not; the text names the first that differs.
+        ValueError: a tensor differs; the text names the first one.
     """
-    if lacking := sorted(expected.keys() - found.keys()):
-        raise ValueError(f"{lacking[0]} is missing")
-    if further := sorted(found.keys() - expected.keys()):
-        raise ValueError(f"there is no tensor {further[0]!r:.60}")
+    if missing := sorted(expected.keys() - found.keys()):
+        raise ValueError(f"{missing[0]} is missing")
+    if unknown := sorted(found.keys() - expected.keys()):
+        raise ValueError(f"there is no tensor {unknown[0]!r:.60}")
     for name, tensor in found.items():
         wanted = expected[name]
         if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
-            raise ValueError(f"{name} is {_said(tensor)}; {_said(wanted)} is needed")
+            raise ValueError(
+                f"{name} is {_shape_and_type(tensor)}; {_shape_and_type(wanted)} is needed"
+            )
         if not bool((tensor.isfinite() | ~wanted.cpu().isfinite()).all()):
             raise ValueError(f"{name} holds numbers that are not finite")
 
 
-def _said(tensor: torch.Tensor) -> str:
+def _shape_and_type(tensor: torch.Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} {tuple(tensor.shape)}"

@@ -19,7 +19,7 @@ from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions, play
-from flipperctl.rollout.processes import Job, WorkerDiedError, Workers
+from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
 from flipperctl.rollout.seeds import episode_seed
 
 _log = logging.getLogger(__name__)
@@ -85,7 +85,7 @@ def play_episodes(
         yield from map(runner.play, indices)
         return
     arguments = (container(config.environment()), source, seed, plugins.configured_paths())
-    workers = Workers(min(jobs, len(indices)), _start_worker, arguments)
+    workers = WorkerPool(min(jobs, len(indices)), _start_worker, arguments)
     try:
         waiting = deque(workers.submit(_play_in_worker, index) for index in indices)
         for index in indices:
@@ -94,7 +94,7 @@ def play_episodes(
         workers.close()
 
 
-def _result(workers: Workers, job: Job, index: int) -> EpisodeResult:
+def _result(workers: WorkerPool, job: PendingCall, index: int) -> EpisodeResult:
     """Wait for an episode; play it again if its worker died, since equal seeds give equal ones."""
     for _ in range(workers.count + 2):  # all may have died at once
         try:

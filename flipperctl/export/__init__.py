@@ -1,1 +1,1 @@
-"""Policies as files for the robot, compared with torch before they are written."""
+"""Export of policies as files for the robot; each is compared with torch before it is written."""

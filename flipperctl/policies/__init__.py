@@ -1,1 +1,1 @@
-"""Trained policies that come with the package: ``<name>.safetensors``, each with its card."""
+"""Policies of every kind, and trained ones: ``<name>.safetensors`` with its card ``<name>.md``."""

@@ -1,4 +1,4 @@
-"""The policy that trains: ε-greedy in the Q-values of a network that may have noise of its own."""
+"""The policy of training episodes: ε-greedy, and with the network's own noise if it has any."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flipperctl.api import ACTIONS, Perception, Simulator
 
 
 class ExploringPolicy:
-    """A random action with probability ε, else the greedy one under new noise."""
+    """Takes a random action with probability ε, else the greedy action under newly drawn noise."""
 
     def __init__(
         self,
@@ -24,9 +24,10 @@ class ExploringPolicy:
         rng: np.random.Generator,
         noise_rng: np.random.Generator,
     ) -> None:
-        """``module`` is in ``train()`` mode; ``frames``: observations that it takes in at once.
+        """``module`` must be in ``train()`` mode.
 
-        ``epsilon`` is asked at each decision; ``rng`` draws actions, ``noise_rng`` noise.
+        ``frames``: number of observations that the network takes as one input. ``epsilon`` is
+        called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
         """
         self._module, self._frames, self._epsilon = module, frames, epsilon
         self._rng, self._noise_rng = rng, noise_rng
@@ -34,10 +35,10 @@ class ExploringPolicy:
         self._device = next(module.parameters(), torch.empty(0)).device
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; nothing is remembered from one to the next."""
+        """Begin an episode; the policy has no memory."""
 
     def act(self, p: Perception) -> int:
-        """Return the index of an action."""
+        """Return the index of a random or greedy action."""
         if self._rng.random() < self._epsilon():
             return int(self._rng.integers(len(ACTIONS)))
         self._noise.draw(self._noise_rng)

@@ -27,7 +27,7 @@ class ExportedPolicy:
         self.interface = self._policy.interface
 
     def reset(self, simulator: Simulator) -> None:
-        """Forget the observations of the episode before."""
+        """Forget the observations of the previous episode."""
         self._policy.reset()
 
     def act(self, p: Perception) -> int:
@@ -46,7 +46,8 @@ def exported_config(file: Path) -> EvalConfig:
     A file of format 1 holds only the terrain's name, which then has its defaults.
 
     Raises:
-        PolicyError: flipperctl did not export the file, or this version lacks what it names.
+        PolicyError: flipperctl did not export the file, or this version lacks its terrain plugin
+            or one of its settings.
     """
     interface = OnnxPolicy(file).interface
     settings = {
@@ -57,4 +58,4 @@ def exported_config(file: Path) -> EvalConfig:
     try:
         return parse(EvalConfig, settings)
     except ConfigError as error:
-        raise PolicyError(f"{file}: what its metadata say does not fit: {error}") from error
+        raise PolicyError(f"{file}: its metadata do not fit this version: {error}") from error

@@ -1,4 +1,4 @@
-"""A policy that is one function of what is perceived, for rules that need no settings."""
+"""A policy made of one function of the perception, for rules without settings."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from flipperctl.api import Perception, Simulator
 
 
 class FunctionPolicy:
-    """Decides by a function; remembers nothing."""
+    """Decides by a function and has no memory."""
 
     def __init__(self, rule: Callable[[Perception], int]) -> None:
         self._rule = rule
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; there is nothing to forget."""
+        """Begin an episode; the policy has no memory."""
 
     def act(self, p: Perception) -> int:
-        """Return what the function returns."""
+        """Return the action that the function returns."""
         return self._rule(p)

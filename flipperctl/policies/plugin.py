@@ -1,4 +1,4 @@
-"""A controller plugin as a policy: what it raises names it, and so does what is no action."""
+"""A controller plugin as a policy; its errors and invalid actions name the plugin."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from flipperctl.guard import fault, refusal, shown
 
 
 class PluginPolicy:
-    """The policy that a controller builds, under guard."""
+    """Runs the policy that a controller plugin builds and reports its errors with its name."""
 
     def __init__(self, controller: Controller) -> None:
         """Build the controller's policy.
 
         Raises:
-            PluginFailedError: the controller's code failed, or what it built is no policy.
+            PluginFailedError: the controller's code failed, or it built an object without
+                ``reset`` and ``act``.
         """
         self._controller = controller
         try:
@@ -41,7 +42,7 @@ class PluginPolicy:
         """Return the controller's action.
 
         Raises:
-            PluginFailedError: the controller's code failed, or its answer is no action.
+            PluginFailedError: the controller's code failed, or it returned no valid action.
         """
         try:
             answer: object = self._policy.act(p)

@@ -1,1 +1,1 @@
-"""Episodes: the one loop that plays them, and who plays them for a training."""
+"""Rollouts: the one episode loop, and the collectors and workers that run it in training."""

@@ -1,4 +1,4 @@
-"""What runs in a worker: an environment and a network that plays whole episodes on request."""
+"""An actor: an environment and a network in a worker, which plays whole episodes on request."""
 
 from __future__ import annotations
 
@@ -18,15 +18,19 @@ from flipperctl.errors import FlipperctlError
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
-from flipperctl.rollout.seeds import exploration
+from flipperctl.rollout.seeds import exploration_rng
 from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
 
 
 class Actor:
-    """Plays episodes of training with the weights that come with each request."""
+    """Plays training episodes with the weights that come with each request."""
 
     def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """``config``: the container of a ``TrainConfig``."""
+        """Build the environment and the network of ``config``, the container of a ``TrainConfig``.
+
+        Raises:
+            FlipperctlError: the configuration or a plugin is not valid here.
+        """
         torch.set_num_threads(1)
         plugins.load(plugin_paths)
         settings = parse(TrainConfig, config)
@@ -37,7 +41,7 @@ class Actor:
         self._seed = settings.seed
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
-        """Play an episode of each seed greedily."""
+        """Play one greedy episode for each seed; return their rows in the order of the seeds."""
         self._load(weights)
         policy = TrainedPolicy(self._module.eval(), self._frames)
         return [play(self._env, policy, seed) for seed in seeds]
@@ -45,32 +49,36 @@ class Actor:
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
 
-        The weights come apart from the request, since many requests share them.
+        The weights are passed apart from the request, since many requests share them.
         """
         self._load(weights)
         self._module.train()
-        rng = exploration(self._seed, request.episode)
+        rng = exploration_rng(self._seed, request.episode)
         policy = ExploringPolicy(self._module, self._frames, lambda: request.epsilon, rng, rng)
-        played = list(decisions(self._env, policy, request.seed, difficulty=request.difficulty))
-        seen = [stacked(played[0].perception.recent, self._frames)]
-        seen += [stacked(d.next_perception.recent, self._frames) for d in played]
-        ending = {**(played[-1].ending or {}), "difficulty": request.difficulty}
-        actions = np.array([d.action for d in played])
-        return Rollout(np.array(seen), actions, np.array([d.reward for d in played]), ending)
+        episode = list(decisions(self._env, policy, request.seed, difficulty=request.difficulty))
+        observations = [stacked(episode[0].perception.recent, self._frames)]
+        observations += [stacked(d.next_perception.recent, self._frames) for d in episode]
+        ending = {**(episode[-1].ending or {}), "difficulty": request.difficulty}
+        actions = np.array([d.action for d in episode])
+        rewards = np.array([d.reward for d in episode])
+        return Rollout(np.array(observations), actions, rewards, ending)
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}
         try:
             self._module.load_state_dict(state)
-        except BaseException as error:  # a module that changed its shapes, say
+        except BaseException as error:  # for example, the module has changed its shapes
             raise blamed(error, self._module, "load_state_dict") from error
 
 
 class StartedActor:
-    """An actor, or why there is none: told with each answer, since a start has nobody to tell."""
+    """An actor whose errors at start-up are raised by its first call.
+
+    The start of a worker process cannot return an error to the main process; a call can.
+    """
 
     def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """As ``Actor``; raises nothing of flipperctl's own."""
+        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it."""
         self._actor: Actor | FlipperctlError
         try:
             self._actor = Actor(config, plugin_paths)
@@ -78,11 +86,11 @@ class StartedActor:
             self._actor = error
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
-        """As ``Actor.evaluate``."""
+        """Do as ``Actor.evaluate``, or raise the error of the start."""
         return self._ready().evaluate(weights, seeds)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
-        """As ``Actor.play``."""
+        """Do as ``Actor.play``, or raise the error of the start."""
         return self._ready().play(request, weights)
 
     def _ready(self) -> Actor:

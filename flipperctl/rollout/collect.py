@@ -1,4 +1,4 @@
-"""Where a learner's decisions come from: its own process, or workers.
+"""Collectors of training episodes: in the learner's own process, or from workers.
 
 Out: one ``Step`` for each decision, episode after episode. ``InProcessCollector`` acts with the
 newest weights (``train.mode=exact``). ``AsyncCollector`` keeps workers busy with requests for whole
@@ -28,33 +28,33 @@ class Collector(Protocol):
     """A source of episodes."""
 
     def episode(self) -> Iterator[Step]:
-        """Yield the decisions of one episode, to its end."""
+        """Yield the steps of one episode, to its end."""
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
     ) -> list[Row]:
-        """Play an episode of each seed greedily; ``evaluate_here`` does so in this process."""
+        """Play one greedy episode for each seed; ``evaluate_here`` does so in this process."""
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that are not yet played, oldest first."""
+        """Return the requests whose episodes have not been collected yet, oldest first."""
 
     def close(self) -> None:
         """Release worker processes."""
 
 
 class RolloutWorkers(Protocol):
-    """Workers that play what they are requested to."""
+    """Workers that play the episodes that they are requested to play."""
 
     count: int
-    """Workers."""
+    """Number of workers."""
     capacity: int
-    """Requests that keep all workers busy."""
+    """Number of requests that keeps all workers busy."""
 
     def send(self, request: RolloutRequest) -> None:
         """Send a request; does not wait."""
 
     def take(self) -> tuple[RolloutRequest, Rollout | None]:
-        """Wait for a request and its rollout: None if its worker died."""
+        """Wait for a request and return it with its rollout, or with None if its worker died."""
 
     def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
         """Send each worker one part of the seeds; does not wait."""
@@ -67,7 +67,7 @@ class RolloutWorkers(Protocol):
 
 
 class InProcessCollector:
-    """Plays in this process: the policy acts after every update that came before."""
+    """Plays in this process, so that the policy acts with the newest weights."""
 
     def __init__(
         self,
@@ -77,26 +77,30 @@ class InProcessCollector:
         difficulty: Callable[[], float] = lambda: 1.0,
         frames: int = 1,
     ) -> None:
-        """``frames``: observations that the network takes in at once."""
+        """``next_seed`` and ``difficulty`` are called before each episode.
+
+        ``frames``: number of observations that the network takes as one input.
+        """
         self._env, self._policy, self._frames = env, policy, frames
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
-        """Yield the decisions of one episode; each is made when it is asked for."""
+        """Yield the steps of one episode; each is made when the iterator asks for it."""
         seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
         for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
-            now, following = (stacked(p.recent, frames) for p in (d.perception, d.next_perception))
-            yield Step(now, d.action, d.reward, following, ending)
+            observation = stacked(d.perception.recent, frames)
+            next_observation = stacked(d.next_perception.recent, frames)
+            yield Step(observation, d.action, d.reward, next_observation, ending)
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
     ) -> list[Row]:
-        """Play all episodes here."""
+        """Play all episodes in this process."""
         return evaluate_here(seeds)
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return no request: an episode is played when it is asked for."""
+        """Return an empty list: nothing is requested ahead of its use."""
         return []
 
     def close(self) -> None:
@@ -104,7 +108,7 @@ class InProcessCollector:
 
 
 class AsyncCollector:
-    """Requests episodes ahead of their use, and yields what the workers played."""
+    """Requests episodes ahead of their use, and yields the steps that the workers played."""
 
     def __init__(
         self,
@@ -113,20 +117,21 @@ class AsyncCollector:
         on_lost: Callable[[RolloutRequest], None],
         accept: Callable[[RolloutRequest], bool],
     ) -> None:
-        """``on_lost`` is called with each request whose worker died.
+        """``next_request`` makes the request of the next episode.
 
-        ``accept`` decides whether a rollout is still of use.
+        ``on_lost`` is called with each request whose worker died; ``accept`` returns whether the
+        rollout of a request is still used, or dropped.
         """
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept = on_lost, accept
 
     def resume(self, requests: Sequence[RolloutRequest]) -> None:
-        """Make requests again that were outstanding when the run was saved."""
+        """Send the requests again that were outstanding when the run was saved."""
         for request in requests:
             self._workers.send(request)
 
     def episode(self) -> Iterator[Step]:
-        """Yield the decisions of the next episode that the workers return."""
+        """Yield the steps of the next episode that the workers return."""
         workers = self._workers
         while True:
             while len(workers.outstanding()) < workers.capacity:
@@ -147,13 +152,13 @@ class AsyncCollector:
         pending = self._workers.evaluate(weights, parts[1:])
         rows = evaluate_here(parts[0])
         for part, wait in zip(parts[1:], pending, strict=True):
-            found = wait()
-            rows += evaluate_here(part) if found is None else found
+            received = wait()
+            rows += evaluate_here(part) if received is None else received
         place = {seed: index for index, seed in enumerate(seeds)}
         return sorted(rows, key=lambda row: place[row["seed"]])
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return what the workers have yet to play."""
+        """Return the requests that the workers have not played yet, oldest first."""
         return self._workers.outstanding()
 
     def close(self) -> None:

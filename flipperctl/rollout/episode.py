@@ -1,7 +1,7 @@
-"""The one loop that plays an episode.
+"""The one episode loop.
 
-In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made when it is
-asked for, so that whoever iterates may learn, watch, time or stop in between.
+In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made when the
+iterator asks for it, so that the caller can learn, display, wait or stop in between.
 """
 
 from __future__ import annotations
@@ -19,29 +19,31 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 
 Row = dict[str, Any]
-"""Seed, outcome and metrics of an episode."""
+"""Seed, outcome and metrics of one episode."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One decision, and what came of it."""
+    """One decision and its results."""
 
     perception: Perception
-    """What the policy decided on."""
+    """The policy's input."""
     action: int
+    """Index of the chosen action."""
     reward: float
-    """The sum of the weighted terms."""
+    """Sum of the weighted reward terms."""
     rewards: Mapping[str, float]
-    """Each term's weighted part."""
+    """Weighted value of each reward term."""
     transition: Transition
-    """The true states before and after, with the poses between at 100 Hz."""
+    """True states before and after the decision, with the poses between at 100 Hz."""
     next_perception: Perception
+    """What the robot perceives after the decision."""
     ending: Row | None
-    """None while the episode runs; else its seed, outcome and metrics."""
+    """Seed, outcome and metrics of the episode after its last decision; None before."""
 
     @property
     def poses(self) -> FloatArray:
-        """(S + 1, 5) every 10 ms: x [m], z [m], pitch, front and rear flipper angle [rad]."""
+        """Poses (S + 1, 5) every 10 ms: x [m], z [m], pitch, front and rear flipper angle [rad]."""
         return np.column_stack([self.transition.path, self.transition.flippers])
 
 
@@ -56,12 +58,12 @@ def decisions(
 ) -> Iterator[Decision]:
     """Yield the decisions of one episode, to its end; stop iterating to cancel it.
 
-    ``difficulty`` of the terrain, 0 to 1. ``pace`` is called with the time since the start of the
-    episode [s] before each decision, and may wait. ``report_progress`` is called with the fraction
-    that is done of the search of a policy that plans first.
+    ``difficulty``: difficulty of the terrain, 0 to 1. ``pace`` is called before each decision with
+    the time since the start of the episode [s], and may wait. ``report_progress`` is called by a
+    policy that searches before it drives, with the fraction of the search that is done.
 
     Raises:
-        FlipperctlError: the policy decided on an action that does not exist.
+        FlipperctlError: the policy returned an action that does not exist.
     """
     env.reset(seed=seed, options={"difficulty": difficulty})
     policy.reset(env.simulator(report_progress))
@@ -97,12 +99,12 @@ def play(
     for decision in decisions(env, policy, seed, report_progress=report_progress):
         watch(decision)
         ending = decision.ending
-    assert ending is not None  # decisions() goes on until there is one
+    assert ending is not None  # decisions() yields until there is one
     return ending
 
 
 class RealTime:
-    """A pace: waits until as much time has passed as in the episode, times ``speed``."""
+    """A ``pace`` that lets an episode run in real time, or at ``speed`` times real time."""
 
     def __init__(
         self,
@@ -112,13 +114,13 @@ class RealTime:
     ) -> None:
         """``speed``: 2 plays twice as fast as real time [-]."""
         self._speed, self._clock, self._sleep = speed, clock, sleep
-        self._begun: float | None = None
+        self._started_at: float | None = None
 
     def __call__(self, episode_time: float) -> None:
         """Wait until the decision at ``episode_time`` [s] is due."""
         now = self._clock()
-        if self._begun is None or episode_time == 0.0:
-            self._begun = now - episode_time / self._speed
-        left = self._begun + episode_time / self._speed - now
-        if left > 0:
-            self._sleep(left)
+        if self._started_at is None or episode_time == 0.0:
+            self._started_at = now - episode_time / self._speed
+        remaining = self._started_at + episode_time / self._speed - now
+        if remaining > 0:
+            self._sleep(remaining)

@@ -1,7 +1,7 @@
-"""Actors on a Ray cluster; rollouts come as they are ready.
+"""Actors on a Ray cluster; rollouts come as soon as they are ready.
 
-A worker or node that is lost costs the episodes that it was playing: Ray starts the actor again
-where there is room. The weights go out once per version, whatever the number of workers.
+When a worker or a node is lost, the episodes that it was playing are lost, and Ray starts the actor
+again on a node with a free CPU. The weights of a version are sent once for all workers.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from flipperctl.config import RayCollector
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
 from flipperctl.rollout.values import PendingEvaluation, Rollout, RolloutRequest, Weights
 
-_DEPTH = 2
-"""Requests a worker: one is waiting while the other is played."""
+_REQUESTS_PER_WORKER = 2
+"""Requests of one worker: it plays one while the other waits."""
 
 
 class RayWorkers:
-    """Actors on a cluster, or on a local one if no address is given."""
+    """Actors on a cluster, or on a local cluster if ``collector.address`` is not set."""
 
     def __init__(
         self, settings: RayCollector, config: dict[str, Any], plugin_paths: list[str]
@@ -32,7 +32,7 @@ class RayWorkers:
             MissingExtraError: Ray is not installed.
             ConfigError: there is no cluster at the address.
         """
-        ray = _imported()
+        ray = _import_ray()
         self._ray = ray
         self._settings = settings
         self._owned = not ray.is_initialized()
@@ -46,14 +46,13 @@ class RayWorkers:
             actor.remote(config, plugin_paths) for _ in range(settings.workers)
         ]
         self.count = settings.workers
-        self.capacity = _DEPTH * settings.workers
-        self._sent: dict[
-            Any, tuple[RolloutRequest, int]
-        ] = {}  # by the reference of what will be played
+        self.capacity = _REQUESTS_PER_WORKER * settings.workers
+        self._sent: dict[Any, tuple[RolloutRequest, int]] = {}
+        """Request and worker by the reference of the rollout."""
         self._shared: tuple[Weights | None, Any] = (None, None)
 
     def send(self, request: RolloutRequest) -> None:
-        """Send a request to the actor that has the least to do."""
+        """Send a request to the actor with the fewest pending requests."""
         load = [0] * len(self._actors)
         for _, worker in self._sent.values():
             load[worker] += 1
@@ -84,12 +83,12 @@ class RayWorkers:
         return [partial(self._get, reference) for reference in references]
 
     def _get(self, reference: Any) -> Any:
-        """What a call returned; None if its actor, or what it returned, was lost."""
+        """Return the result of a call; None if its actor or its result was lost."""
         errors = self._ray.exceptions
         try:
             return self._ray.get(reference, timeout=self._settings.patience)
         except errors.RayTaskError as error:
-            if isinstance(error.cause, FlipperctlError):  # as it was raised, without Ray's own text
+            if isinstance(error.cause, FlipperctlError):  # without the text of Ray
                 raise error.cause from None
             raise error.as_instanceof_cause() from None
         except (
@@ -101,7 +100,7 @@ class RayWorkers:
             return None
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that were sent and not taken."""
+        """Return the requests that were sent and not yet taken, oldest first."""
         return [request for request, _ in self._sent.values()]
 
     def close(self) -> None:
@@ -116,17 +115,17 @@ _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 
 
 def start_local(cpus: int) -> None:
-    """Start a cluster of this process' own, unless there is one.
+    """Start a cluster for this process alone, unless it is connected to one already.
 
     Raises:
         MissingExtraError: Ray is not installed.
     """
-    ray = _imported()
-    if not ray.is_initialized():  # "local": whatever else runs on this machine is not ours
+    ray = _import_ray()
+    if not ray.is_initialized():  # "local": do not join a cluster of this machine
         ray.init(address="local", num_cpus=cpus, include_dashboard=False, **_QUIET)
 
 
-def _imported() -> Any:
+def _import_ray() -> Any:
     try:
         import ray
     except ImportError as error:
@@ -140,8 +139,8 @@ def _connect(settings: RayCollector) -> None:
         start_local(settings.workers)
         return
     try:
-        _knock(address)
-        _imported().init(address=address, **_QUIET)
+        _check_reachable(address)
+        _import_ray().init(address=address, **_QUIET)
     except (OSError, ValueError, RuntimeError) as error:
         raise ConfigError(
             f"collector.address: no Ray cluster answers at {address!r}: "
@@ -149,8 +148,8 @@ def _connect(settings: RayCollector) -> None:
         ) from error
 
 
-def _knock(address: str) -> None:
-    """Ray itself tries for minutes before it says that nobody is there."""
+def _check_reachable(address: str) -> None:
+    """Raise ``OSError`` unless the address answers; Ray itself would try for minutes."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if port.isdigit():
         socket.create_connection((host, int(port)), timeout=10.0).close()

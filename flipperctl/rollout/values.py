@@ -1,4 +1,4 @@
-"""What goes between a learner and those who play for it: requests, rollouts, single steps."""
+"""Values that pass between a learner and its workers: requests, rollouts and single steps."""
 
 from __future__ import annotations
 
@@ -14,56 +14,58 @@ from flipperctl.rollout.episode import Row
 Weights = Mapping[str, NDArray[Any]]
 """A network's ``state_dict`` as arrays."""
 EvaluateHere = Callable[[Sequence[int]], list[Row]]
-"""Plays an episode of each seed in this process."""
+"""Plays one greedy episode for each seed in this process."""
 PendingEvaluation = Callable[[], list[Row] | None]
-"""Waits for the rows that a worker was asked for; None if it died."""
+"""Waits for the rows of an evaluation in a worker; returns None if the worker died."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One decision; observations are what the network sees, (frames · (N + 3),)."""
+    """One step of an episode; observations are the network's inputs, (frames · (N + 3),)."""
 
     observation: NDArray[np.float32]
     action: int
     reward: float
     next_observation: NDArray[np.float32]
     ending: Row | None
-    """None while the episode runs; else its ``seed``, ``outcome`` and metrics."""
+    """``seed``, ``outcome`` and metrics of the episode after its last step; None before."""
 
 
 @dataclass(frozen=True)
 class RolloutRequest:
-    """What a worker needs to play one episode of training."""
+    """All that a worker needs to play one training episode."""
 
     episode: int
+    """Number of the episode in the run, from 0."""
     seed: int
     epsilon: float
     """Probability of a random action."""
     decision: int
-    """How far the learner was when it made the request."""
+    """Decisions of the run at the time of the request."""
     version: int
-    """Updates that the weights had seen; requests of one version share them."""
+    """Updates that produced the weights; requests of one version share them."""
     weights: Weights
     difficulty: float = 1.0
-    """Of the terrain, 0 to 1."""
+    """Difficulty of the terrain, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """An episode that a worker played, T decisions long."""
+    """An episode of T decisions that a worker played."""
 
     observations: NDArray[np.float32]
-    """(T + 1, frames · (N + 3))"""
+    """Inputs of the network, (T + 1, frames · (N + 3))."""
     actions: NDArray[np.int64]
-    """(T,)"""
+    """Indices of the actions, (T,)."""
     rewards: NDArray[np.float64]
-    """(T,)"""
+    """Rewards, (T,)."""
     ending: Row
+    """Seed, outcome, metrics and difficulty of the episode."""
 
     def steps(self) -> Iterator[Step]:
-        """Yield the decisions in turn."""
+        """Yield the steps in their order."""
         last = len(self.actions) - 1
         for t, (action, reward) in enumerate(zip(self.actions, self.rewards, strict=True)):
-            now, following = self.observations[t], self.observations[t + 1]
+            before, after = self.observations[t], self.observations[t + 1]
             ending = self.ending if t == last else None
-            yield Step(now, int(action), float(reward), following, ending)
+            yield Step(before, int(action), float(reward), after, ending)

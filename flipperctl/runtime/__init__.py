@@ -1,7 +1,7 @@
-"""An exported policy on the robot, with onnxruntime and numpy alone.
+"""An exported policy on the robot, run with onnxruntime and numpy alone.
 
-Neither torch nor pymunk nor pydantic is imported, so a robot needs ``numpy``, ``onnxruntime`` and
-this package without its other dependencies.
+This package imports neither torch nor pymunk nor pydantic, so a robot needs only ``numpy``,
+``onnxruntime`` and flipperctl without its other dependencies.
 """
 
 from flipperctl.runtime.interface import Interface, Quantity

@@ -1,8 +1,8 @@
 """The SHA-256 of an exported policy: written into the file that it covers.
 
-In: the bytes of a file. Out: the bytes with their checksum in place, or a verdict before any other
-code parses them. The checksum is that of the whole file with its own 64 hexadecimal digits set to
-0, so that it covers graph and metadata to the last bit.
+In: the bytes of a file. Out: the bytes with their checksum, or an error before any other code
+parses them. The checksum is computed over the whole file with its own 64 hexadecimal digits set to
+0, so that it covers every bit of graph and metadata.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import re
 from flipperctl.errors import PolicyError
 
 FORMAT_VERSION = 2
-"""Of the metadata under ``flipperctl.*``; 1 had no checksum and only the terrain's name."""
+"""Format of the metadata under ``flipperctl.*``; 1 had no checksum and only the terrain's name."""
 PREFIX = "flipperctl."
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
-"""Value of the checksum's entry while the checksum is computed."""
+"""Value of the checksum entry while the checksum is computed."""
 _NAME = re.compile(re.escape(PREFIX).encode() + rb"\w*")
 _FORMAT = f"{PREFIX}format_version"
-_OF_FORMAT_1 = frozenset(
+_FORMAT_1_ENTRIES = frozenset(
     f"{PREFIX}{name}".encode()
     for name in (
         *("format_version", "package_version", "observation", "bins", "bin_width", "frames"),
@@ -29,44 +29,44 @@ _OF_FORMAT_1 = frozenset(
 )
 
 
-def sealed(data: bytes) -> bytes:
-    """The model's bytes with their checksum; ``CHECKSUM`` must be ``PLACEHOLDER`` in them.
+def add_checksum(data: bytes) -> bytes:
+    """Return a model's bytes with their checksum in place of ``PLACEHOLDER``.
 
     Raises:
-        ValueError: they do not hold the placeholder exactly once.
+        ValueError: the entry ``CHECKSUM`` does not hold the placeholder exactly once.
     """
-    start = _entry(data, CHECKSUM, len(PLACEHOLDER))
+    start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
     if start is None or data[start : start + len(PLACEHOLDER)] != PLACEHOLDER.encode():
         raise ValueError(f"the model's metadata must hold {CHECKSUM} once, as the placeholder")
-    return _replaced(data, start, hashlib.sha256(data).hexdigest())
+    return _replace_at(data, start, hashlib.sha256(data).hexdigest())
 
 
 def verify(data: bytes, where: str) -> bool:
-    """Whether the bytes carry a checksum, which then fits them; False for a file of format 1.
+    """Check the bytes of a file; return whether it has a checksum (a file of format 1 has none).
 
     Raises:
         PolicyError: the bytes were changed since the export, or ``flipperctl export onnx`` did not
             write them.
     """
-    start = _entry(data, CHECKSUM, len(PLACEHOLDER))
+    start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
     if start is not None:
         found = data[start : start + len(PLACEHOLDER)]
-        expected = hashlib.sha256(_replaced(data, start, PLACEHOLDER)).hexdigest()
+        expected = hashlib.sha256(_replace_at(data, start, PLACEHOLDER)).hexdigest()
         if found != expected.encode():
             raise PolicyError(
                 f"{where} is damaged, or was changed since its export: "
                 "its SHA-256 does not match its contents"
             )
         return True
-    version = _entry(data, _FORMAT, 1)
+    version = _find_entry(data, _FORMAT, 1)
     if version is None:
         raise PolicyError(
             f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
         )
     found_version = data[version : version + 1]
-    if found_version == b"1" and _OF_FORMAT_1.issuperset(re.findall(_NAME, data)):
+    if found_version == b"1" and _FORMAT_1_ENTRIES.issuperset(re.findall(_NAME, data)):
         return False
-    # Only format 1 is without a checksum, and it has no other entries: this one was destroyed.
+    # Only a file of format 1 has no checksum, and it has no other entries: this one is damaged.
     if found_version in (b"1", b"%d" % FORMAT_VERSION):
         raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
     raise PolicyError(
@@ -75,10 +75,11 @@ def verify(data: bytes, where: str) -> bool:
     )
 
 
-def _entry(data: bytes, key: str, length: int) -> int | None:
-    """Where the value of a metadata entry begins, if there is exactly one of that length.
+def _find_entry(data: bytes, key: str, length: int) -> int | None:
+    """Return where the value of a metadata entry begins; None unless one of that length exists.
 
-    An entry is a protobuf message of two strings: tag 1, length, key, tag 2, length, value.
+    An entry is a protobuf message of two strings: tag 1, length, key, tag 2, length, value. An
+    entry that occurs twice counts as missing.
     """
     marker = b"\x0a%c%b\x12%c" % (len(key), key.encode(), length)
     at = data.find(marker)
@@ -88,5 +89,5 @@ def _entry(data: bytes, key: str, length: int) -> int | None:
     return start
 
 
-def _replaced(data: bytes, start: int, value: str) -> bytes:
+def _replace_at(data: bytes, start: int, value: str) -> bytes:
     return data[:start] + value.encode() + data[start + len(value) :]

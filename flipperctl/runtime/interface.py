@@ -1,4 +1,4 @@
-"""What an exported policy says of its inputs and outputs.
+"""The inputs and outputs of an exported policy.
 
 In: the metadata of an ONNX model. Out: an ``Interface``, checked.
 """
@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -19,8 +20,9 @@ from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 
 ANGLES = 3
-"""theta_f1, theta_f2 and theta_R, behind the heights."""
+"""Number of angles after the heights: theta_f1, theta_f2 and theta_R."""
 ACTIONS = 9
+"""Number of actions."""
 
 
 @dataclass(frozen=True)
@@ -30,36 +32,36 @@ class Quantity:
     name: str
     unit: str
     frame: str
-    """L: level, at the chassis centre; R: fixed to the chassis."""
+    """Frame of reference. L: level, at the chassis centre; R: fixed to the chassis."""
     meaning: str
 
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """What an exported policy takes and gives, as its metadata say."""
+    """The inputs and outputs of an exported policy, read from its metadata."""
 
     observation: tuple[Quantity, ...]
-    """The N + 3 numbers in their order."""
+    """The N + 3 numbers of one observation, in their order."""
     bins: int
-    """N, terrain heights in an observation."""
+    """N, the number of terrain heights in an observation."""
     bin_width: float
     """Width of a bin [m]."""
     frames: int
-    """The newest observations that the network takes in at once, oldest first."""
+    """Number of consecutive observations that form one input of the network, oldest first."""
     actions: NDArray[np.float64]
-    """(9, 2) by which each action turns the front and the rear flippers [rad]."""
+    """Turns of the front and the rear flippers by each action, (9, 2) [rad]."""
     decision_period: float
-    """Time from one action to the next [s]."""
+    """Time between two actions [s]."""
     robot: Mapping[str, float]
     """Geometry, masses and speeds of the robot that the policy was trained for, in SI units."""
     terrain: str
-    """Name of the terrain plugin that it was trained on."""
+    """Name of the terrain plugin of the training."""
     terrain_config: Mapping[str, Any]
-    """That plugin's ``name`` and all its fields; of a file of format 1, the name alone."""
+    """``name`` and all fields of that plugin; only the name in a file of format 1."""
     seed: int
-    """Of the training."""
+    """Seed of the training."""
     package_version: str
-    """The flipperctl that exported it."""
+    """Version of flipperctl that exported the policy."""
 
     @property
     def size(self) -> int:
@@ -68,15 +70,18 @@ class Interface:
 
     @property
     def inputs(self) -> int:
-        """Length of what the network takes in at once: frames · (N + 3)."""
+        """Length of one input of the network: frames · (N + 3)."""
         return self.frames * self.size
 
 
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
-    """The interface that a model's metadata describe.
+    """Return the interface that the metadata of a model describe.
+
+    ``where`` names the file in errors.
 
     Raises:
-        PolicyError: flipperctl did not write them, in this format, or an entry is wrong.
+        PolicyError: flipperctl did not write the metadata, their format is unknown, or an entry
+            is wrong.
     """
     version = metadata.get(f"{PREFIX}format_version")
     if version not in ("1", str(FORMAT_VERSION)):
@@ -84,19 +89,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"{where} has format version {version!r}; "
             f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
         )
-
-    def entry(name: str, allowed: str, check: Callable[[Any], bool], absent: str = "") -> Any:
-        text = metadata.get(f"{PREFIX}{name}", absent)
-        try:
-            value = json.loads(text)
-        except (ValueError, RecursionError):
-            value = None
-        if value is None or not check(value):
-            raise PolicyError(
-                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
-            )
-        return value
-
+    entry = partial(_entry, metadata, where)
     bins = entry("bins", "a whole number above 0", _is_count)
     size = bins + ANGLES
     keys = set(Quantity.__dataclass_fields__)
@@ -138,6 +131,31 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
     )
+
+
+def _entry(
+    metadata: Mapping[str, str],
+    where: str,
+    name: str,
+    allowed: str,
+    check: Callable[[Any], bool],
+    absent: str = "",
+) -> Any:
+    """Return the value of an entry that ``check`` accepts; ``absent`` is its text if it is missing.
+
+    Raises:
+        PolicyError: the entry is not JSON or ``check`` refuses it.
+    """
+    text = metadata.get(f"{PREFIX}{name}", absent)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if value is None or not check(value):
+        raise PolicyError(
+            f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+        )
+    return value
 
 
 def _is_whole(value: object) -> bool:

@@ -1,6 +1,6 @@
 """A policy from a file of ``flipperctl export onnx``.
 
-In: the file, and observations. Out: Q-values and actions, within some ten microseconds each.
+In: the file, and observations. Out: Q-values and actions, each in some ten microseconds.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class OnnxPolicy:
-    """An exported policy, ready to decide; for one thread at a time.
+    """An exported policy; use an object in one thread at a time.
 
-    A policy that sees several observations at once (``interface.frames``) keeps those before the
-    newest itself: ``reset`` begins an episode.
+    A policy whose input is several observations (``interface.frames``) keeps the earlier ones
+    itself: call ``reset`` at the start of each episode.
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
@@ -40,18 +40,18 @@ class OnnxPolicy:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._session = _open(self.path)
-        metadata, shapes = _described(self._session, str(self.path))
+        self._session = _open_session(self.path)
+        metadata, shapes = _read_model(self._session, str(self.path))
         self.interface = read_interface(metadata, str(self.path))
         size = self.interface.inputs
         _check_shapes(shapes, size, str(self.path))
-        # Bound once: a decision then takes 10.5 µs inside onnxruntime, by session.run 12.9 µs,
-        # with OrtValues 46 µs (an at_d3qn policy, one core).
+        # The buffers are bound once: a decision then takes 10.5 µs inside onnxruntime, against
+        # 12.9 µs with session.run and 46 µs with OrtValues (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
         self._output = np.zeros((1, ACTIONS), np.float32)
         self._frames = self._input.reshape(self.interface.frames, -1)
         self._row, self._q = self._frames[-1], self._output[0]
-        self._stacks, self._begins = len(self._frames) > 1, True
+        self._has_history, self._episode_begins = len(self._frames) > 1, True
         self._bound = self._session.io_binding()
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
@@ -60,13 +60,13 @@ class OnnxPolicy:
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: the next observation stands in for those before it."""
-        self._begins = True
+        """Begin an episode: the next observation also fills the frames before it."""
+        self._episode_begins = True
 
     def act(self, observation: ArrayLike) -> int:
-        """The index of the largest Q-value: a row of ``interface.actions``.
+        """Return the index of the largest Q-value, a row of ``interface.actions``.
 
-        ``observation``: (N + 3,) in SI units, laid out as ``interface.observation`` says.
+        ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 
         Raises:
             PolicyError: the observation has another shape, or is not numbers.
@@ -74,25 +74,25 @@ class OnnxPolicy:
         """
         array = self._numbers(observation)
         if array.shape != self._row.shape:
-            raise self._refused(array, f"({self.interface.size},)")
-        if self._stacks:
-            self._frames[:-1] = array if self._begins else self._frames[1:]
-            self._begins = False
+            raise self._shape_error(array, f"({self.interface.size},)")
+        if self._has_history:
+            self._frames[:-1] = array if self._episode_begins else self._frames[1:]
+            self._episode_begins = False
         self._row[...] = array
         try:
             self._session.run_with_iobinding(self._bound)
         except Exception as error:  # onnxruntime's own, which share no base class
-            raise _failed(self.path, error) from error
+            raise _run_error(self.path, error) from error
         action = int(self._q.argmax())
-        if not math.isfinite(self._q.item(action)):  # argmax finds NaN before any number
-            raise self._not_finite(self._output)
+        if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
+            raise self._non_finite_error(self._output)
         return action
 
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Q-values, (9,) of one input (frames · (N + 3),) or (B, 9) of a batch of B.
+        """Return the Q-values (9,) of one input (frames · (N + 3),), or (B, 9) of a batch of B.
 
-        An input is one observation or, above one frame, several, oldest first; what ``act`` has
-        seen plays no part.
+        An input is ``interface.frames`` observations, oldest first; the observations that ``act``
+        keeps are neither read nor changed.
 
         Raises:
             PolicyError: the observation has another shape, or is not numbers.
@@ -101,15 +101,15 @@ class OnnxPolicy:
         array = self._numbers(observation)
         size = self.interface.inputs
         if array.ndim not in (1, 2) or array.shape[-1] != size:
-            raise self._refused(array, f"({size},) or (B, {size})")
+            raise self._shape_error(array, f"({size},) or (B, {size})")
         batch = np.ascontiguousarray(array.reshape(-1, size))
         values: NDArray[np.float32]
         try:
             values = self._session.run([OUTPUT], {INPUT: batch})[0]
         except Exception as error:  # onnxruntime's own, which share no base class
-            raise _failed(self.path, error) from error
+            raise _run_error(self.path, error) from error
         if not np.isfinite(values).all():
-            raise self._not_finite(values)
+            raise self._non_finite_error(values)
         return values[0] if array.ndim == 1 else values
 
     def _numbers(self, observation: ArrayLike) -> NDArray[np.float32]:
@@ -128,25 +128,25 @@ class OnnxPolicy:
             )
         return array
 
-    def _refused(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
+    def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
         return PolicyError(
             f"{self.path}: the observation has shape {array.shape}; {allowed} is allowed: "
             f"{self.interface.bins} terrain heights and {ANGLES} angles"
-            f"{', of each frame' if self._stacks else ''}"
+            f"{', of each frame' if self._has_history else ''}"
         )
 
-    def _not_finite(self, values: NDArray[np.float32]) -> NonFiniteError:
+    def _non_finite_error(self, values: NDArray[np.float32]) -> NonFiniteError:
         row, action = np.argwhere(~np.isfinite(values))[0]
         return NonFiniteError(
             f"{self.path}: the Q-value of action {action} is {values[row, action]}; "
-            "the file is damaged, or the observation far from all that the policy was trained on"
+            "the file is damaged, or the observation is far from those of the training"
         )
 
 
-def _open(path: Path) -> InferenceSession:
-    """A session on one thread: a policy this small is slower on two.
+def _open_session(path: Path) -> InferenceSession:
+    """Open a session with one thread, since so small a network is slower with two.
 
-    Nothing is parsed before its checksum is known to fit.
+    The checksum is verified before anything is parsed.
     """
     try:
         import onnxruntime
@@ -154,19 +154,19 @@ def _open(path: Path) -> InferenceSession:
         raise MissingExtraError(
             "an exported policy needs the package onnxruntime; install flipperctl[robot]"
         ) from error
-    data = _read(path)
+    data = _read_bytes(path)
     if not verify(data, str(path)):
         _warn_once(str(path))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # what goes wrong is raised
+    options.log_severity_level = 4  # errors are raised instead
     try:
         return onnxruntime.InferenceSession(
             data,
             options,
             providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # which would try the same again and print that on stdout
+            enable_fallback=0,  # the fallback would only try again, and print that on stdout
         )
     except Exception as error:  # onnxruntime's own, which share no base class
         raise PolicyError(
@@ -174,12 +174,12 @@ def _open(path: Path) -> InferenceSession:
         ) from error
 
 
-def _read(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
         raise PolicyError(f"{path}: there is no such policy file") from error
-    except (OSError, ValueError) as error:  # a ValueError: no system has a file of that name
+    except (OSError, ValueError) as error:  # a ValueError: the name is not valid
         reason = getattr(error, "strerror", None) or error
         raise PolicyError(f"{path} cannot be read: {reason}") from error
 
@@ -188,13 +188,13 @@ def _read(path: Path) -> bytes:
 def _warn_once(path: str) -> None:
     _LOGGER.warning(
         "%s was exported by flipperctl 0.1, without a checksum: whether it is damaged cannot be "
-        "checked, and of its terrain it says only the name; export it again",
+        "checked, and it holds only the name of its terrain; export it again",
         path,
     )
 
 
-def _described(session: InferenceSession, where: str) -> tuple[dict[str, str], _Shapes]:
-    """The metadata, and type and shape of each input and output by name."""
+def _read_model(session: InferenceSession, where: str) -> tuple[dict[str, str], _Shapes]:
+    """Return the metadata, and the type and shape of each input and output by name."""
     try:
         tensors = (*session.get_inputs(), *session.get_outputs())
         shapes = {tensor.name: (tensor.type, tensor.shape) for tensor in tensors}
@@ -203,7 +203,7 @@ def _described(session: InferenceSession, where: str) -> tuple[dict[str, str], _
         raise PolicyError(f"{where} is damaged: its names or metadata are not text") from error
 
 
-def _failed(path: Path, error: Exception) -> PolicyError:
+def _run_error(path: Path, error: Exception) -> PolicyError:
     return PolicyError(f"{path}: onnxruntime cannot run the model: {_reason(error)}")
 
 

@@ -100,7 +100,7 @@ def exportable(network: Network) -> None:
         NotChecked: a package that ONNX needs is not installed.
     """
     from flipperctl.config import TrainConfig
-    from flipperctl.export.policy import compare_onnx
+    from flipperctl.export.onnx import compare_onnx
 
     config = TrainConfig(terrain=Ground(), rewards={"none": NoReward()}, network=network)
     module = _built(network).eval().requires_grad_(False)

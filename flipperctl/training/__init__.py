@@ -1,1 +1,1 @@
-"""A training run: the loop, validation, what it records."""
+"""A training run: the loop, its episodes, validation, checkpoints and records."""

@@ -1,4 +1,4 @@
-"""Where a run's episodes come from: their seeds, their terrain's difficulty, who plays them."""
+"""The episodes of a training run: their seeds, the difficulty of their terrain, their collector."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from flipperctl.training.progress import Progress
 
 
 class EpisodeSource:
-    """Requests episodes from whoever plays them, in the order of their seeds."""
+    """Starts the collector of a run and requests its episodes in the order of their seeds."""
 
     def __init__(
         self,
@@ -31,24 +31,27 @@ class EpisodeSource:
         rng: np.random.Generator,
         report_lost: Callable[[RolloutRequest], None],
     ) -> None:
-        """``rng`` explores in this process; ``report_lost`` is called when a worker has died."""
+        """``rng`` draws the random actions of episodes in this process.
+
+        ``report_lost`` is called with each request whose worker died.
+        """
         self._config, self._agent, self._progress = config, agent, progress
         self._rng, self._report_lost = rng, report_lost
         self._weights: tuple[int, Weights] | None = None
         self.lag = 0
-        """Decisions between the request of the last episode and its arrival."""
+        """Decisions of the run between the request of the last episode and its arrival."""
 
     @property
     def epsilon(self) -> float:
-        """Probability of a random action now."""
+        """Probability of a random action at the present decision."""
         s = self._config.agent
         return linear(s.epsilon_start, s.epsilon_end, self._progress.decision / s.epsilon_decisions)
 
-    def open(self, outstanding: Sequence[RolloutRequest]) -> Collector:
-        """Start whoever plays; ``outstanding`` requests of a resumed run are made again."""
+    def start_collector(self, outstanding: Sequence[RolloutRequest]) -> Collector:
+        """Start the collector; send the ``outstanding`` requests of a resumed run again."""
         config = self._config
         if config.train.mode == "exact":
-            return self._in_process()
+            return self._in_process_collector()
         document, paths = container(config), plugins.configured_paths()
         workers: RolloutWorkers
         if config.collector.name == "ray":
@@ -57,17 +60,20 @@ class EpisodeSource:
             workers = RayWorkers(config.collector, document, paths)
         else:
             workers = ProcessWorkers(config.train.workers, document, paths)
-        collector = AsyncCollector(workers, self._request, self._lost, self._accept)
+        collector = AsyncCollector(workers, self._next_request, self._on_lost, self._accept)
         collector.resume(list(outstanding))
         return collector
 
-    def ended(self, reached: bool) -> None:
-        """Let the terrain choose the difficulty of what follows an episode."""
+    def update_difficulty(self, reached: bool) -> None:
+        """Let the terrain choose the next difficulty after an episode that ended.
+
+        ``reached``: whether the episode reached the finish.
+        """
         progress = self._progress
         terrain = self._config.terrain
         progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
 
-    def _in_process(self) -> Collector:
+    def _in_process_collector(self) -> Collector:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
         policy = ExploringPolicy(
@@ -81,7 +87,7 @@ class EpisodeSource:
         self._progress.started += 1
         return episode_seed("training", self._config.seed, self._progress.started - 1)
 
-    def _request(self) -> RolloutRequest:
+    def _next_request(self) -> RolloutRequest:
         progress = self._progress
         if self._weights is None or self._weights[0] != progress.updates:
             self._weights = (progress.updates, arrays(self._agent.online))
@@ -96,7 +102,7 @@ class EpisodeSource:
             difficulty=progress.difficulty,
         )
 
-    def _lost(self, request: RolloutRequest) -> None:
+    def _on_lost(self, request: RolloutRequest) -> None:
         self._progress.lost += 1
         self._report_lost(request)
 

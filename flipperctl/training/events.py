@@ -1,6 +1,6 @@
-"""What a training run writes while it goes: ``metrics.csv`` and TensorBoard events.
+"""The records of a training run: ``metrics.csv`` and TensorBoard events.
 
-Both listen to the trainer; both can go on at an earlier decision when a run is resumed.
+Both are listeners of the trainer; both can continue from an earlier decision when a run is resumed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from flipperctl.files import failure, make_folder, write_bytes
 
 
 class Listener(Protocol):
-    """Hears of every episode that ends, of every validation, and of what the user should know."""
+    """Receives every episode that ends, every validation and every note for the user."""
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """A training episode ended."""
+        """Record a training episode that ended."""
 
     def validation(self, row: Mapping[str, Any]) -> None:
-        """A validation is done."""
+        """Record a validation."""
 
     def note(self, text: str) -> None:
-        """Something happened that the user should know."""
+        """Record an event that the user should know, as a sentence."""
 
     def close(self) -> None:
-        """The run ended, in whatever way."""
+        """Release resources; called once, also when the run failed."""
 
 
 def columns() -> tuple[str, ...]:
@@ -46,23 +46,24 @@ def columns() -> tuple[str, ...]:
 
 
 class MetricsCsv:
-    """One row an episode and one a validation (``kind`` tells them apart)."""
+    """Writes a row for each episode and for each validation; ``kind`` distinguishes them."""
 
     def __init__(
         self,
         path: Path,
         terms: Sequence[str],
-        draws: Sequence[str] = (),
+        randomised: Sequence[str] = (),
         resume_at: int | None = None,
     ) -> None:
-        """``draws``: settings that are randomised.
+        """``terms``: names of the reward terms; ``randomised``: names of the randomised settings.
 
-        ``resume_at``: rows behind this decision are dropped; None begins a new file.
+        ``resume_at``: decision after which the rows of an existing file are dropped; None begins a
+        new file.
         """
-        self._columns = [*columns(), *draws, *(f"reward_{term}" for term in terms)]
+        self._columns = [*columns(), *randomised, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
-            kept = [row for row in _whole_rows(path) if int(row["decision"]) <= resume_at]
+            kept = [row for row in _complete_rows(path) if int(row["decision"]) <= resume_at]
         text = io.StringIO()
         writer = csv.DictWriter(text, self._columns, extrasaction="ignore")
         writer.writeheader()
@@ -73,18 +74,18 @@ class MetricsCsv:
         self._writer = csv.DictWriter(self._file, self._columns, extrasaction="ignore")
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """Append a row."""
+        """Append the row of an episode."""
         self._write({"kind": "episode", **row})
 
     def validation(self, row: Mapping[str, Any]) -> None:
-        """Append a row of means."""
+        """Append the row of a validation: means over its episodes."""
         self._write({"kind": "validation", **row})
 
     def note(self, text: str) -> None:
-        """Not a row's business."""
+        """Ignore notes; the file has no row for them."""
 
     def _write(self, row: Mapping[str, Any]) -> None:
-        if not self._path.exists():  # rows would go into a file that nobody can find
+        if not self._path.exists():  # rows would be written to a file without a name
             raise WriteError(f"{self._path} was deleted while the run was training")
         try:
             self._writer.writerow(row)
@@ -97,13 +98,14 @@ class MetricsCsv:
 
 
 class TensorBoard:
-    """Scalars under ``episode/`` and ``validation/``, over decisions.
+    """Writes scalars under ``episode/`` and ``validation/``, with decisions as steps.
 
-    The events are those of torch's SummaryWriter, but written here and not in a thread of their
-    own, which would print a traceback when the disk is full or the folder is deleted.
+    The events are those of torch's SummaryWriter, but they are written in this thread: the thread
+    of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
     """
 
     def __init__(self, folder: Path, resume_at: int | None = None) -> None:
+        """``resume_at``: decision after which earlier events are dropped; None for a new run."""
         from tensorboard.summary.writer.record_writer import RecordWriter
 
         make_folder(folder)
@@ -126,7 +128,7 @@ class TensorBoard:
         self._attempt(self._file.flush)
 
     def note(self, text: str) -> None:
-        """Write it as text."""
+        """Write the note as text."""
         from torch.utils.tensorboard import summary
 
         self._event(summary=cast("Any", summary).text("note", text))
@@ -140,7 +142,7 @@ class TensorBoard:
                 self._event(summary=scalar(f"{group}/{name}", value), step=row["decision"])
 
     def _drop_after(self, decision: int) -> None:
-        """Let viewers forget what an earlier start of the run wrote after this decision."""
+        """Make viewers drop the events after this decision from an earlier start of the run."""
         from tensorboard.compat.proto.event_pb2 import SessionLog
 
         self._event(session_log=SessionLog(status=SessionLog.START), step=decision + 1)
@@ -158,17 +160,17 @@ class TensorBoard:
             raise failure(self._path, error) from error
 
     def close(self) -> None:
-        """Flush and close."""
+        """Flush and close the file."""
         self._attempt(self._file.close)
 
 
-def _whole_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a ``metrics.csv``, but not one that was cut off when its process died."""
+def _complete_rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a ``metrics.csv``, without one that was cut off when its process died."""
     rows = read_rows(path)
     return [row for row in rows if None not in row.values() and row.get("decision", "").isdigit()]
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a ``metrics.csv``."""
+    """Return the rows of a ``metrics.csv``, column name to text."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))

@@ -1,8 +1,8 @@
-"""One process at a time works in a run directory.
+"""The lock of a run directory: one process at a time works in it.
 
-In: the directory. Out: a context in which this process holds it; a second process is refused at
-once and told who holds it. The lock is the operating system's, so a process that dies, in whatever
-way, lets go of it; where a file system offers none, a lock file that names its process stands in.
+In: the directory. Out: a context in which this process holds the lock; a second process fails at
+once with an error that names the holder. The lock is one of the operating system, which releases it
+when its process dies; a file system without locks gets a lock file that names its process.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from flipperctl.files import failure, write_json
 
 _UNSUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
 _PATIENCE = 1.0
-"""Time that a holder has to say who it is, before it is called unknown [s]."""
+"""Time to wait for the holder's note, after which the holder counts as unknown [s]."""
 
 
 @contextmanager
 def hold(directory: Path, name: str = "run") -> Iterator[None]:
-    """Hold ``directory``, which exists, until the context ends or this process dies.
+    """Hold the lock of an existing directory until the context ends or this process dies.
 
-    ``name`` tells locks of one directory apart: a sweep may lie where its only run lies. The files
-    ``.<name>.lock`` and ``.<name>.lock.json`` (who holds it) lie in the directory; the first stays
-    there, since to remove a lock that others may be opening would let two of them in.
+    ``name`` distinguishes the locks of one directory: a sweep and its only run may share one. The
+    files ``.<name>.lock`` and ``.<name>.lock.json`` (a note on the holder) lie in the directory.
+    The first stays there: if it were removed while another process opens it, two could hold it.
 
     Raises:
-        RunHeldError: another process holds it; nothing was written.
+        RunHeldError: another process holds the lock; nothing was written.
         OutputError: the directory cannot be written.
     """
     path = directory / f".{name}.lock"
@@ -46,7 +46,7 @@ def hold(directory: Path, name: str = "run") -> Iterator[None]:
     try:
         lock = _acquire(path)
     except Timeout as error:
-        raise RunHeldError(_refusal(directory, path, note)) from error
+        raise RunHeldError(_held_text(directory, path, note)) from error
     except OSError as error:
         raise failure(path, error) from error
     try:
@@ -58,9 +58,9 @@ def hold(directory: Path, name: str = "run") -> Iterator[None]:
 
 
 def _acquire(path: Path) -> BaseFileLock:
-    """A lock of the operating system; a lock file where the file system has none."""
+    """Acquire a lock of the operating system, or a lock file where the file system has none."""
     with warnings.catch_warnings():
-        # The library says so when it stands a lock file in for the lock; nobody need act on it.
+        # The library warns when it uses a lock file instead; the user need not act on that.
         warnings.simplefilter("ignore", UserWarning)
         try:
             lock: BaseFileLock = FileLock(path)
@@ -68,7 +68,7 @@ def _acquire(path: Path) -> BaseFileLock:
         except OSError as error:  # a network file system without its lock service
             if isinstance(error, Timeout) or error.errno not in _UNSUPPORTED:
                 raise
-            lock = SoftFileLock(path.with_suffix(".softlock"))  # one of a dead process is broken
+            lock = SoftFileLock(path.with_suffix(".softlock"))  # it replaces that of a dead process
             lock.acquire(blocking=False)
     return lock
 
@@ -78,43 +78,43 @@ def _holder() -> dict[str, Any]:
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
 
-def _refusal(directory: Path, path: Path, note: Path) -> str:
-    holder = _read(note)
+def _held_text(directory: Path, path: Path, note: Path) -> str:
+    holder = _read_note(note)
     if holder is None:
         return f"{directory} is being trained by another process; wait for it, or stop it"
     soft = path.with_suffix(".softlock")
-    left = f" (if it is gone, delete {soft})" if soft.exists() else ""
+    advice = f" (if it is gone, delete {soft})" if soft.exists() else ""
     return (
         f"{directory} is being trained by process {holder['pid']} on {holder['host']} since "
-        f"{holder['since']}; wait for it, or stop it{left}"
+        f"{holder['since']}; wait for it, or stop it{advice}"
     )
 
 
-def _read(note: Path) -> dict[str, Any] | None:
-    """What the holder wrote of itself; None if it does not in time.
+def _read_note(note: Path) -> dict[str, Any] | None:
+    """Return the holder's note; None if there is none in time.
 
-    It writes after it has the lock, so the note may be missing or, after a crash, that of a
-    process that is dead.
+    The holder writes its note after it has the lock, so the note may be missing or, after a crash,
+    be that of a dead process.
     """
-    patience = time.monotonic() + _PATIENCE
-    while time.monotonic() < patience:
+    deadline = time.monotonic() + _PATIENCE
+    while time.monotonic() < deadline:
         try:
             found = json.loads(note.read_text())
-            if {"pid", "host", "since"} <= found.keys() and not _dead(found):
+            if {"pid", "host", "since"} <= found.keys() and not _is_dead(found):
                 return dict(found)
-        except (OSError, ValueError, AttributeError):  # not there, damaged, not a mapping
+        except (OSError, ValueError, AttributeError):  # missing, damaged or not a mapping
             pass
         time.sleep(0.02)
     return None
 
 
-def _dead(holder: dict[str, Any]) -> bool:
+def _is_dead(holder: dict[str, Any]) -> bool:
     if holder["host"] != socket.gethostname() or os.name != "posix":
         return False
     try:
         os.kill(int(holder["pid"]), 0)
     except (ProcessLookupError, TypeError, ValueError, OverflowError):
         return True
-    except PermissionError:  # it lives, and is another user's
+    except PermissionError:  # it runs under another user
         return False
     return False

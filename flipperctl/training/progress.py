@@ -1,4 +1,4 @@
-"""How far a run is: counters that every part of it reads and that its checkpoint holds."""
+"""The progress of a run: counters that its parts share and that its checkpoint holds."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ class Progress:
     """The counters of a run."""
 
     difficulty: float
-    """Of the terrain in the next episode that begins or is requested, 0 to 1."""
+    """Difficulty of the terrain in the next episode that is begun or requested, 0 to 1."""
     decision: int = 0
-    """Decisions learnt from so far."""
+    """Number of decisions stored for learning so far."""
     episode: int = 0
-    """Episodes that ended."""
+    """Number of episodes that ended."""
     started: int = 0
-    """Episodes begun or requested; each has a seed of its own."""
+    """Number of episodes begun or requested; each has its own seed."""
     lost: int = 0
-    """Episodes whose worker died."""
+    """Number of episodes lost because their worker died."""
     updates: int = 0
+    """Number of updates of the network."""
     loss: float = 0.0
-    """Of the last update."""
+    """Loss of the last update."""
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))
     """Whether the last episodes reached the finish."""
 

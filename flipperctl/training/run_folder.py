@@ -1,8 +1,8 @@
-"""What lies in a run directory, and what a run that was stopped at any moment goes on from.
+"""The files of a run directory, and the point from which a stopped run is resumed.
 
-Every file is written whole or not at all, so a process that is killed leaves one of few states: no
-``config.yaml`` yet (no run), ``config.yaml`` without ``last.safetensors`` (nothing was decided, the
-run begins again), or both (it goes on).
+Every file is written completely or not at all, so a killed process leaves one of three states: no
+``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
+made; the run begins again), or both (the run continues from the checkpoint).
 """
 
 from __future__ import annotations
@@ -24,48 +24,47 @@ _WRITTEN = (CONFIG, METRICS, SUMMARY, checkpoint.BEST, checkpoint.LAST)
 
 
 def holds_run(directory: Path) -> bool:
-    """Whether there is anything that a new run would overwrite."""
+    """Return whether the directory holds a file that a new run would overwrite."""
     files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
     return any(file.is_file() and file.stat().st_size > 0 for file in files)
 
 
 def find(run: Path) -> Path:
-    """The run directory that is meant by it or by the path of its last checkpoint.
+    """Return the run directory, given itself or the path of its last checkpoint.
 
     Raises:
-        CheckpointError: there is none, or the checkpoint is none to go on from.
+        CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
     """
     if run.is_dir():
         if holds_run(run):
             return run
         raise CheckpointError(
             f"{run} holds neither {CONFIG} nor a checkpoint; is it a run directory? "
-            "A run that was stopped before it wrote them is started anew"
+            "A run that was stopped before it wrote them must be started again"
         )
     file = checkpoint.find(run)
     if checkpoint.read(file).document.kind != "last":
         raise CheckpointError(
-            f"{file} holds only the weights of a policy; "
-            f"{checkpoint.LAST} is what a run goes on from"
+            f"{file} holds only the weights of a policy; a run is resumed from {checkpoint.LAST}"
         )
     directory = file.parent.parent
     if file.resolve() != (directory / checkpoint.LAST).resolve():
         raise CheckpointError(
-            f"{file} does not lie in a run directory; a run goes on from its {checkpoint.LAST}"
+            f"{file} does not lie in a run directory; a run is resumed from its {checkpoint.LAST}"
         )
     return directory
 
 
 def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
-    """The checkpoint to go on from, None if the run begins again, and the run's configuration.
+    """Return the checkpoint to resume from (None if the run begins again), and the configuration.
 
     Raises:
-        CheckpointError: what the run goes on from is damaged, or does not fit this version.
+        CheckpointError: a file of the run is damaged, or is not valid in this version.
     """
     if (directory / checkpoint.LAST).is_file():
         saved = checkpoint.read(directory / checkpoint.LAST)
         return saved, saved.config()
-    document = _document(directory / CONFIG)
+    document = _read_mapping(directory / CONFIG)
     if document:
         try:
             return None, parse(TrainConfig, document)
@@ -76,13 +75,13 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
     if (directory / checkpoint.BEST).is_file():
         return None, checkpoint.read(directory / checkpoint.BEST).config()
     raise CheckpointError(
-        f"{directory / CONFIG} is damaged and there is no checkpoint, so nothing can go on; "
-        f"delete {directory} and start anew"
+        f"{directory / CONFIG} is damaged and there is no checkpoint, so the run cannot be "
+        f"resumed; delete {directory} and start the run again"
     )
 
 
-def _document(path: Path) -> dict[str, Any] | None:
-    """What a ``config.yaml`` says; None if it is missing or no mapping."""
+def _read_mapping(path: Path) -> dict[str, Any] | None:
+    """Return the contents of a ``config.yaml``; None if it is missing or not a mapping."""
     try:
         plain = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
     except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError):
@@ -91,7 +90,7 @@ def _document(path: Path) -> dict[str, Any] | None:
 
 
 def is_finished(directory: Path, decision: int) -> bool:
-    """Whether the run came to its end at this decision and said so."""
+    """Return whether ``summary.json`` says that the run finished at this decision."""
     try:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):
@@ -101,7 +100,7 @@ def is_finished(directory: Path, decision: int) -> bool:
 
 
 def clear_leftovers(directory: Path) -> None:
-    """Remove what a process left that was killed while it wrote one of the run's files."""
+    """Remove the partial files of a process that was killed while it wrote a file of the run."""
     for name in _WRITTEN:
         path = directory / name
         path.with_name(f".{path.name}.part").unlink(missing_ok=True)

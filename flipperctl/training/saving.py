@@ -1,6 +1,6 @@
-"""A whole run as a checkpoint, and back.
+"""The whole state of a run, written as a checkpoint and restored from one.
 
-A checkpoint is taken between episodes: there the world holds no state, so a resumed run repeats
+Checkpoints are taken between episodes, where the simulator holds no state, so a resumed run repeats
 the uninterrupted one bit for bit.
 """
 
@@ -15,7 +15,7 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Replay
-from flipperctl.checkpoint.document import Generators, OrderState, State, Validation
+from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.rollout.values import RolloutRequest
@@ -26,7 +26,7 @@ _COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "diffi
 
 
 class RunSaver:
-    """Writes and reads everything that a run needs to go on."""
+    """Writes and restores all that a run needs to be resumed."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class RunSaver:
         self._generators, self._history = generators, history
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
-        """Write ``last.safetensors``; a resumed run makes the ``outstanding`` requests again."""
+        """Write ``last.safetensors``; a resumed run sends the ``outstanding`` requests again."""
         tensors = self._agent.tensors()
         for name, array in self._replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
@@ -64,16 +64,17 @@ class RunSaver:
         checkpoint.write(self._directory / checkpoint.BEST, document, tensors)
 
     def restore(self, saved: checkpoint.Checkpoint) -> list[RolloutRequest]:
-        """Take back what ``save`` wrote; return the requests that were outstanding.
+        """Restore the run from a checkpoint; return the requests that were outstanding.
 
         Raises:
-            CheckpointError: it is of an earlier version, or its tensors are not those of this run.
+            CheckpointError: the checkpoint is of an earlier version, or its tensors are not those
+                of this run.
         """
         state = saved.document.state
         if state is None:
             raise CheckpointError(
-                f"{saved.path} is of an earlier version: its policy can be judged and exported, "
-                "but the run cannot go on"
+                f"{saved.path} is of an earlier version: its policy can be evaluated and exported, "
+                "but the run cannot be resumed"
             )
         replay, weights = run_arrays(saved, state, self._agent, self._replay)
         self._agent.restore(saved.tensors, state.updates)
@@ -85,22 +86,22 @@ class RunSaver:
         self._progress.recent.extend(state.recent)
         self._history[:] = state.validations
         return [
-            RolloutRequest(**order.model_dump(), weights=weights[order.version])
-            for order in state.orders
+            RolloutRequest(**request.model_dump(), weights=weights[request.version])
+            for request in state.orders
         ]
 
     def _state(self, outstanding: Sequence[RolloutRequest]) -> State:
         counters = {name: getattr(self._progress, name) for name in _COUNTERS}
         generators = {n: g.bit_generator.state for n, g in self._generators.items()}
-        orders = [
-            OrderState(**{name: getattr(request, name) for name in OrderState.model_fields})
+        requests = [
+            RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
             for request in outstanding
         ]
         return State(
             **counters,
             recent=tuple(self._progress.recent),
             validations=tuple(self._history),
-            orders=tuple(orders),
+            orders=tuple(requests),
             replay_added=self._replay.added,
             generators=Generators.model_validate(generators),
         )

@@ -1,4 +1,4 @@
-"""The tensors of a whole run, checked against what the run is made of."""
+"""The tensors of a whole run, checked against its network, optimiser and replay."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ Arrays = dict[str, NDArray[np.generic]]
 def run_arrays(
     saved: Checkpoint, state: State, agent: D3qn, replay: Replay
 ) -> tuple[Arrays, dict[int, Arrays]]:
-    """The replay's arrays and the weights of each order's version, after a check of all tensors.
+    """Check all tensors; return the replay's arrays and the weights of the outstanding requests.
+
+    The weights are keyed by their version.
 
     Raises:
-        CheckpointError: a tensor is missing, too many, or of another shape, type or range.
+        CheckpointError: a tensor is missing or unknown, or has another shape, type or range.
     """
     network = agent.online.state_dict()
     blank = {n: torch.from_numpy(array) for n, array in replay.blank(state.replay_added).items()}
-    versions = {order.version for order in state.orders}
+    versions = {request.version for request in state.orders}
     expected: dict[str, Mapping[str, torch.Tensor]] = {
         **{"online": network, "target": network},
         **{"optimiser": agent.optimiser.moments, "replay": blank},

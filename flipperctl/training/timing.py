@@ -1,6 +1,6 @@
-"""How long a run took so far: ``timing.json``, apart from the checkpoints.
+"""The time that a run has taken, in ``timing.json``.
 
-Checkpoints of equal runs are then equal files, whatever the clock said.
+It is kept apart from the checkpoints, so that equal runs have equal checkpoint files.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ NAME = "timing.json"
 
 
 class Stopwatch:
-    """The time that a run took, over all its starts."""
+    """Measures the time that a run has taken, over all its starts."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / NAME
         self._earlier = 0.0
-        self._begun = time.perf_counter()
+        self._started_at = time.perf_counter()
 
     @property
     def seconds(self) -> float:
-        """The time until now [s]."""
-        return self._earlier + time.perf_counter() - self._begun
+        """Time that the run has taken so far [s]."""
+        return self._earlier + time.perf_counter() - self._started_at
 
     def start(self) -> None:
-        """Begin to count, after the time that ``read`` found."""
-        self._begun = time.perf_counter()
+        """Start to count, on top of the time that ``read`` found."""
+        self._started_at = time.perf_counter()
 
     def write(self) -> None:
-        """Note the time until now."""
+        """Write the time so far to ``timing.json``."""
         write_json(self._path, {"seconds": round(self.seconds, 3)})
 
     def read(self) -> None:
-        """Go on from the time of the last checkpoint; from 0 where nothing usable tells it."""
+        """Read the time at the last checkpoint; keep 0 if the file is missing or not valid."""
         try:
             seconds = json.loads(self._path.read_text(encoding="utf-8"))["seconds"]
         except (OSError, ValueError, RecursionError, LookupError, TypeError):
-            return  # the clock is a comfort; a run goes on without it
+            return  # the time is not needed to resume a run
         if isinstance(seconds, int | float) and math.isfinite(seconds) and seconds >= 0:
             self._earlier = float(seconds)

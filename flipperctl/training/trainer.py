@@ -1,11 +1,11 @@
 """The training loop: act → step → store → learn, with validations and checkpoints.
 
-In: a validated configuration and an empty run directory, or one to go on in. Out: checkpoints and
-summary.json; config.yaml is the command line's, metrics.csv and events are the listeners'.
+In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
+summary.json. The command line writes config.yaml; listeners write metrics.csv and events.
 
-The first checkpoint is taken before the first decision, so that a run can go on whenever it was
-killed. At the end of the budget the episode that runs is dropped; going on from there with a larger
-budget is a run of its own.
+The first checkpoint is written before the first decision, so that a run can be resumed whenever it
+was killed. When the budget is spent, the rest of the running episode is dropped; a run that is
+resumed from there with a larger budget therefore differs from one that began with it.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Trainer:
         self._sample = generators["sample"]
         self.progress = Progress(ground.first_difficulty(config.terrain))
         self.episodes = EpisodeSource(
-            config, self.agent, self.progress, generators["explore"], self._note_loss
+            config, self.agent, self.progress, generators["explore"], self._report_lost
         )
         self.validator = Validator(config, self.agent, env)
         history = self.validator.history
@@ -77,24 +77,24 @@ class Trainer:
         self._outstanding: list[RolloutRequest] = []
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Train until the budget is spent or ``stop`` asks for the end between episodes.
+        """Train until the budget is spent or ``stop``, called between episodes, returns True.
 
-        Returns the summary, which is also in ``summary.json``.
+        Returns the summary, which is also written to ``summary.json``.
         """
-        every, progress = self.config.train, self.progress
+        settings, progress = self.config.train, self.progress
         self._stopwatch.start()
         self._save_all(self._outstanding)
-        collector = self.episodes.open(self._outstanding)
+        collector = self.episodes.start_collector(self._outstanding)
         try:
-            while progress.decision < every.decisions and not stop():
+            while progress.decision < settings.decisions and not stop():
                 before = progress.decision
                 self._train_episode(collector)
-                validate = self._passed(before, every.validate_every)
+                validate = self._passed(before, settings.validate_every)
                 if validate:
                     self._validate(collector)
-                if validate or self._passed(before, every.checkpoint_every):
+                if validate or self._passed(before, settings.checkpoint_every):
                     self._save_all(collector.outstanding())
-            finished = progress.decision >= every.decisions
+            finished = progress.decision >= settings.decisions
             last = self.validator.last
             if finished and (last is None or last.decision != progress.decision):
                 self._validate(collector)
@@ -108,11 +108,11 @@ class Trainer:
                 listener.close()
 
     def _passed(self, before: int, period: int) -> bool:
-        """Whether a multiple of ``period`` lies between ``before`` and the decision now."""
+        """Return whether a multiple of ``period`` was passed since the decision ``before``."""
         return self.progress.decision // period > before // period
 
     def _train_episode(self, collector: Collector) -> None:
-        """Act and step in the collector, store, learn; until the episode or the budget ends."""
+        """Act and step in the collector, store and learn, until the episode or the budget ends."""
         ending: Row | None = None
         for step in collector.episode():
             ending = step.ending
@@ -138,7 +138,7 @@ class Trainer:
         )
 
     def _learn(self) -> None:
-        """Update the agent when it is time to."""
+        """Update the agent if an update is due at this decision."""
         agent, progress = self.config.agent, self.progress
         together = agent.updates_together
         due = progress.decision % (agent.update_every * together) == 0
@@ -153,8 +153,8 @@ class Trainer:
         reached = ending["outcome"] == Outcome.REACHED
         self.progress.episode += 1
         self.progress.recent.append(reached)
-        self.episodes.ended(reached)
-        row = {**self._now(), "success_rate": self.progress.success_rate}
+        self.episodes.update_difficulty(reached)
+        row = {**self._common_columns(), "success_rate": self.progress.success_rate}
         for listener in self.listeners:
             listener.episode({**row, "lag": self.episodes.lag, **ending})
 
@@ -162,15 +162,15 @@ class Trainer:
         found = self.validator.validate(collector, self.progress.decision)
         means = found.model_dump(exclude={"decision"})
         for listener in self.listeners:
-            listener.validation({**self._now(), **means})
+            listener.validation({**self._common_columns(), **means})
 
-    def _note_loss(self, request: RolloutRequest) -> None:
+    def _report_lost(self, request: RolloutRequest) -> None:
         text = f"a worker died and is replaced; its episode {request.episode} is dropped"
         for listener in self.listeners:
             listener.note(text)
 
-    def _now(self) -> dict[str, Any]:
-        """What every row of ``metrics.csv`` says of the run."""
+    def _common_columns(self) -> dict[str, Any]:
+        """Return the columns of ``metrics.csv`` that all rows share."""
         progress = self.progress
         return {
             "decision": progress.decision,
@@ -181,15 +181,15 @@ class Trainer:
         }
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
-        """Write ``last.safetensors``: everything that training needs to go on."""
+        """Write ``last.safetensors``: all that the run needs to be resumed."""
         self._saver.save(outstanding)
         self._stopwatch.write()
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
         """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
 
-        In this order, no best is ever of a decision that the run, once killed and resumed, may
-        not come to; and a resumed run writes the best that it was killed before.
+        In this order, a killed run never leaves a best policy of a decision that it does not reach
+        again when resumed; a resumed run writes the best policy that was not written before.
         """
         self.save(outstanding)
         best = self.validator.best
@@ -197,16 +197,17 @@ class Trainer:
             self._saver.save_best(best)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Take back what ``save`` wrote.
+        """Restore the run from a checkpoint that ``save`` wrote.
 
         Raises:
-            CheckpointError: it is of an earlier version, or its tensors are not those of this run.
+            CheckpointError: the checkpoint is of an earlier version, or its tensors are not those
+                of this run.
         """
         self._outstanding = self._saver.restore(saved)
         self._stopwatch.read()
 
     def summary(self, finished: bool) -> dict[str, Any]:
-        """Return what became of the run, as plain data."""
+        """Return the results of the run, as JSON types."""
         config, progress = self.config, self.progress
         return {
             "finished": finished,
@@ -218,10 +219,10 @@ class Trainer:
             "lost_episodes": progress.lost,
             "seconds": round(self._stopwatch.seconds, 1),
             "success_rate": progress.success_rate,
-            "best": _plain(self.validator.best),
-            "last": _plain(self.validator.last),
+            "best": _as_dict(self.validator.best),
+            "last": _as_dict(self.validator.last),
         }
 
 
-def _plain(validation: Validation | None) -> dict[str, Any] | None:
+def _as_dict(validation: Validation | None) -> dict[str, Any] | None:
     return None if validation is None else validation.model_dump()

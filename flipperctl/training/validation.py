@@ -1,4 +1,4 @@
-"""Validation: the policy on the same drawn episodes again and again, and which one was the best."""
+"""Validation: the policy is evaluated on the same episodes each time, and the best one is found."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flipperctl.rollout.seeds import episode_seed
 
 
 class Validator:
-    """Validates the agent's policy and keeps what came of it."""
+    """Validates the agent's policy and keeps the results."""
 
     def __init__(self, config: TrainConfig, agent: D3qn, env: FlipperEnv) -> None:
         self._env, self._agent, self._frames = env, agent, config.network.frames
@@ -28,25 +28,30 @@ class Validator:
             for index in range(settings.validation_episodes)
         ]
         self.history: list[Validation] = []
+        """Results of all validations, oldest first."""
 
     @property
     def best(self) -> Validation | None:
-        """The best validation so far: by success, then by θ̂_R."""
+        """Validation with the highest success rate so far, then the lowest θ̂_R."""
         return max(self.history, key=_score, default=None)
 
     @property
     def last(self) -> Validation | None:
-        """The last validation."""
+        """Newest validation."""
         return self.history[-1] if self.history else None
 
     def validate(self, collector: Collector, decision: int) -> Validation:
-        """Play all episodes, shared out by the collector; ``decision``: how far the run is."""
+        """Play all episodes, which the collector distributes; return and keep the result.
+
+        ``decision``: number of decisions of the run so far.
+        """
         rows = collector.evaluate(arrays(self._agent.policy), self._seeds, self._play)
-        good = reached(rows)
+        reached_rows = reached(rows)
         names = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
-        # Means over the episodes that reached the finish, as the paper measures; of all, if none.
-        means = {name: float(np.mean([row[name] for row in good or rows])) for name in names}
-        success = len(good) / len(rows)
+        # Means over the episodes that reached the finish, as in the paper; over all if none did.
+        averaged = reached_rows or rows
+        means = {name: float(np.mean([row[name] for row in averaged])) for name in names}
+        success = len(reached_rows) / len(rows)
         self.history.append(Validation(decision=decision, success_rate=success, **means))
         return self.history[-1]
 

@@ -1,4 +1,4 @@
-"""Documents of any origin: what is wrong in one is named by its path, in one error."""
+"""Documents of any origin: one error names each fault by its path."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ def last(short_run: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         ({"config": ...}, "document.config: Field required"),
         ({"config.terrain": "step"}, "document.config.terrain: "),
@@ -52,19 +52,19 @@ def last(short_run: Path, tmp_path: Path) -> Path:
     ],
 )
 def test_a_wrong_document_is_named_by_its_path(
-    changes: dict[str, Any], said: str, best: Path
+    changes: dict[str, Any], expected: str, best: Path
 ) -> None:
     resign(best, changes)
     for read in (checkpoint.read, lambda path: policy_module(checkpoint.read(path))):
         with pytest.raises(CheckpointError) as caught:
             read(best)
-        assert said in str(caught.value)
+        assert expected in str(caught.value)
         assert str(best) in str(caught.value)
         assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("[]", "it must be a mapping; it is a list"),
         ("", "Expecting value"),
@@ -78,16 +78,16 @@ def test_a_wrong_document_is_named_by_its_path(
         ('{"format": 2, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
     ],
 )
-def test_what_is_no_document_is_refused(text: str, said: str, best: Path) -> None:
-    best.write_bytes(checkpoint.signed(text, checkpoint.read(best).tensors))
+def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: Path) -> None:
+    best.write_bytes(checkpoint.serialize(text, checkpoint.read(best).tensors))
     with pytest.raises(CheckpointError, match="its document is wrong") as caught:
         checkpoint.read(best)
-    assert said in str(caught.value)
+    assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         ({"state": ...}, "needs a state"),
         ({"state.generators.noise": ...}, "document.state.generators.noise: Field required"),
@@ -102,11 +102,13 @@ def test_what_is_no_document_is_refused(text: str, said: str, best: Path) -> Non
         ({"state.difficulty": 2.0}, "document.state.difficulty: "),
     ],
 )
-def test_a_wrong_state_is_named_by_its_path(changes: dict[str, Any], said: str, last: Path) -> None:
+def test_a_wrong_state_is_named_by_its_path(
+    changes: dict[str, Any], expected: str, last: Path
+) -> None:
     resign(last, changes)
     with pytest.raises(CheckpointError) as caught:
         checkpoint.read(last)
-    assert said in str(caught.value)
+    assert expected in str(caught.value)
 
 
 def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Checkpoint:
@@ -119,7 +121,7 @@ def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Ch
 
 
 @pytest.mark.parametrize(
-    ("name", "tensor", "said"),
+    ("name", "tensor", "expected"),
     [
         ("replay.reward", None, "replay is wrong: reward is missing"),
         ("replay.reward", torch.zeros(3), r"replay is wrong: reward is float32 \(3,\); float32 \("),
@@ -128,11 +130,11 @@ def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Ch
         ("online.1.joined.0.bias", torch.zeros(1), r"online is wrong: 1\.joined\.0\.bias is "),
     ],
 )
-def test_a_run_goes_on_only_from_its_own_tensors(
-    name: str, tensor: torch.Tensor | None, said: str, last: Path
+def test_a_run_is_resumed_only_from_its_own_tensors(
+    name: str, tensor: torch.Tensor | None, expected: str, last: Path
 ) -> None:
     saved = changed(last, name, tensor)
-    with pytest.raises(CheckpointError, match=said):
+    with pytest.raises(CheckpointError, match=expected):
         trainer(short_config(), last.parents[1]).restore(saved)
 
 
@@ -144,7 +146,7 @@ def test_a_replay_with_an_action_that_does_not_exist_is_refused(last: Path) -> N
         trainer(short_config(), last.parents[1]).restore(saved)
 
 
-def test_a_tensor_of_no_part_is_refused(best: Path) -> None:
+def test_a_tensor_of_an_unknown_part_is_refused(best: Path) -> None:
     saved = checkpoint.read(best)
     checkpoint.write(best, saved.document, {**saved.tensors, "more.x": torch.zeros(1)})
     with pytest.raises(CheckpointError, match=r"a tensor is called 'more\.x'"):
@@ -161,12 +163,12 @@ def test_weights_that_are_not_finite_are_refused(best: Path, value: float) -> No
         policy_module(checkpoint.read(best))
 
 
-def test_a_run_of_format_1_is_judged_but_does_not_go_on(last: Path) -> None:
+def test_a_run_of_format_1_can_be_evaluated_but_not_resumed(last: Path) -> None:
     saved = checkpoint.read(last)
     document = saved.document.plain()
     state = {"decision": 600, "seconds": 12.5, "orders": [[0, 1, 0.5, 0, 0, 1.0]]}
     text = json.dumps({**document, "format": 1, "state": state})
-    last.write_bytes(checkpoint.signed(text, saved.tensors))
+    last.write_bytes(checkpoint.serialize(text, saved.tensors))
     old = checkpoint.read(last)
     assert old.document.decision == 600
     observation = torch.ones(1, 18)
@@ -178,13 +180,13 @@ def test_a_run_of_format_1_is_judged_but_does_not_go_on(last: Path) -> None:
 
 
 def elapsed(run: Path) -> float:
-    """What a run that goes on here has taken so far [s]."""
+    """Return the time that the run has taken so far [s]."""
     stopwatch = timing.Stopwatch(run)
     stopwatch.read()
     return stopwatch.seconds
 
 
-def test_the_clock_goes_on_beside_the_checkpoint(last: Path) -> None:
+def test_the_time_continues_when_a_run_is_resumed(last: Path) -> None:
     run = last.parents[1]
     (run / timing.NAME).write_text('{"seconds": 100.0}')
     learner = trainer(short_config(**{"train.decisions": 650}), run)

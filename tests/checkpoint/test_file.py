@@ -1,4 +1,4 @@
-"""Checkpoints: damaged, foreign and dangerous files are refused with one clear error."""
+"""Checkpoint files: damaged, foreign and dangerous files are refused with one clear error."""
 
 import json
 import os
@@ -24,7 +24,7 @@ def best(short_run: Path, tmp_path: Path) -> Path:
 
 
 def resign(path: Path, changes: dict[str, object]) -> None:
-    """Lay changes over the document (``"state.orders.0.seed": 3``; ``...`` drops) and sign it."""
+    """Change the document (``"state.orders.0.seed": 3``; ``...`` deletes) and its checksum."""
     saved = checkpoint.read(path)
     document = saved.document.plain()
     for key, value in changes.items():
@@ -36,7 +36,7 @@ def resign(path: Path, changes: dict[str, object]) -> None:
             del node[leaf]
         else:
             node[leaf] = value
-    path.write_bytes(checkpoint.signed(json.dumps(document), saved.tensors))
+    path.write_bytes(checkpoint.serialize(json.dumps(document), saved.tensors))
 
 
 def test_a_checkpoint_describes_itself(best: Path) -> None:
@@ -89,7 +89,7 @@ def test_another_format_number_is_refused(best: Path) -> None:
 
 
 class Mine:
-    """Leaves a trace if it is ever unpickled."""
+    """Creates a folder if it is ever unpickled."""
 
     def __init__(self, trace: Path) -> None:
         self.trace = trace
@@ -124,7 +124,7 @@ def test_a_header_whose_length_looks_like_a_pickle_is_read(best: Path) -> None:
 def test_a_missing_plugin_is_named(best: Path) -> None:
     saved = checkpoint.read(best)
     text = saved.document.text().replace("at_d3qn", "their_network")
-    best.write_bytes(checkpoint.signed(text, saved.tensors))
+    best.write_bytes(checkpoint.serialize(text, saved.tensors))
     with pytest.raises(CheckpointError, match=r"network plugin 'their_network'.*--plugins"):
         checkpoint.read(best).config()
 
@@ -138,11 +138,11 @@ def test_weights_of_another_shape_are_refused(best: Path) -> None:
 def test_equal_contents_are_equal_files(best: Path) -> None:
     saved = checkpoint.read(best)
     # safetensors itself gives the two entries of the metadata in one of two orders, by chance.
-    files = {checkpoint.signed(saved.document.text(), saved.tensors) for _ in range(12)}
+    files = {checkpoint.serialize(saved.document.text(), saved.tensors) for _ in range(12)}
     assert files == {best.read_bytes()}
 
 
-def test_the_content_s_hash_is_that_of_results_and_weights(best: Path) -> None:
+def test_the_content_hash_covers_results_and_weights(best: Path) -> None:
     content = checkpoint.read(best).content
     resign(best, {"versions.torch": "9.9"})
     assert checkpoint.read(best).content == content
@@ -166,7 +166,7 @@ from flipperctl.errors import WriteError
 from flipperctl import checkpoint
 saved = checkpoint.read(Path(sys.argv[1]))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # the disk is full behind 4 KiB
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # the disk is full after 4 KiB
 try:
     checkpoint.write(Path(sys.argv[1]), saved.document, saved.tensors)
 except WriteError as error:

@@ -106,7 +106,7 @@ def test_a_folder_without_a_run_is_started_anew(tmp_path: Path) -> None:
     (tmp_path / "run" / "config.yaml").write_text("")  # and no checkpoint: nothing to lose
     done = call("train", "--resume", "run", cwd=tmp_path)
     assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "started anew" in done.err
+    assert "must be started again" in done.err
     assert call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path).code == 0
 
 

@@ -16,7 +16,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import EpisodeRunner, play_episodes
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
-from flipperctl.rollout.processes import Workers
+from flipperctl.rollout.pool import WorkerPool
 from flipperctl.rollout.seeds import episode_seed
 
 LEVEL = PolicySource(settings={"name": "level"})
@@ -44,13 +44,13 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     started = []
-    create = Workers.__init__
+    create = WorkerPool.__init__
 
-    def remembered(self: Workers, *arguments: object) -> None:
+    def remembered(self: WorkerPool, *arguments: object) -> None:
         create(self, *arguments)
         started.append(self)
 
-    monkeypatch.setattr(Workers, "__init__", remembered)
+    monkeypatch.setattr(WorkerPool, "__init__", remembered)
     config = EnvConfig(terrain="stair")
     results = play_episodes(config, OKADA, episodes=30, seed=3, jobs=2)
     first = next(results)

@@ -1,4 +1,4 @@
-"""Export: what is written agrees with torch, says what it is, and nothing is written otherwise."""
+"""Export: a file agrees with torch and describes itself; otherwise nothing is written."""
 
 import json
 import math
@@ -14,7 +14,8 @@ from flipperctl import checkpoint
 from flipperctl.api import ObservationLayout
 from flipperctl.config import resolver
 from flipperctl.errors import ExportError, MissingExtraError
-from flipperctl.export import policy as export
+from flipperctl.export import policy
+from flipperctl.export.metadata import describe_observation
 from flipperctl.policies.trained import policy_module
 
 
@@ -26,7 +27,7 @@ def saved(short_run: Path) -> checkpoint.Checkpoint:
 @pytest.fixture(scope="module")
 def onnx_file(saved: checkpoint.Checkpoint, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "step.onnx"
-    found = export.export(saved, "onnx", path)
+    found = policy.export(saved, "onnx", path)
     assert found["observations"] >= 1000
     assert found["largest_difference"] < 1e-4
     assert found["action_agreement"] == 1.0
@@ -47,7 +48,7 @@ def test_onnx_takes_si_units_in_any_batch(saved: checkpoint.Checkpoint, onnx_fil
         assert actual == pytest.approx(expected, abs=1e-5)
 
 
-def test_onnx_says_what_it_is(saved: checkpoint.Checkpoint, onnx_file: Path) -> None:
+def test_onnx_describes_itself(saved: checkpoint.Checkpoint, onnx_file: Path) -> None:
     model = onnx.load(onnx_file)
     properties = {p.key: p.value for p in model.metadata_props}
     layout = json.loads(properties["flipperctl.observation"])
@@ -69,7 +70,7 @@ def test_onnx_says_what_it_is(saved: checkpoint.Checkpoint, onnx_file: Path) -> 
 
 
 def test_the_layout_names_every_number_of_an_observation() -> None:
-    entries = export.observation_layout(ObservationLayout(bins=5, bin_width=0.2))
+    entries = describe_observation(ObservationLayout(bins=5, bin_width=0.2))
     names = ["h_1", "h_2", "h_3", "h_4", "h_5", "theta_f1", "theta_f2", "theta_R"]
     assert [entry["name"] for entry in entries] == names
     assert [entry["unit"] for entry in entries] == ["m"] * 5 + ["rad"] * 3
@@ -80,7 +81,7 @@ def test_the_layout_names_every_number_of_an_observation() -> None:
 
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
     path = tmp_path / "step.pt2"
-    found = export.export(saved, "pt2", path)
+    found = policy.export(saved, "pt2", path)
     assert found["largest_difference"] < 1e-4
     extra = {"flipperctl.terrain": ""}
     program = torch.export.load(path, extra_files=extra)
@@ -93,15 +94,15 @@ def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Pat
 def test_a_mismatch_fails_and_writes_nothing(
     saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    honest = export._pt2
+    correct = policy.export_pt2
 
     def flipped(module: torch.nn.Module, *rest: object) -> object:
-        data, run = honest(module, *rest)
-        return data, lambda observations: run(-observations)
+        data, q_values = correct(module, *rest)
+        return data, lambda observations: q_values(-observations)
 
-    monkeypatch.setattr(export, "_pt2", flipped)
+    monkeypatch.setattr(policy, "export_pt2", flipped)
     with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
-        export.export(saved, "pt2", tmp_path / "bad.pt2")
+        policy.export(saved, "pt2", tmp_path / "bad.pt2")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -110,4 +111,4 @@ def test_a_missing_package_is_named(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
     with pytest.raises(MissingExtraError, match=r"needs the package onnxruntime.*pip install"):
-        export.export(saved, "onnx", tmp_path / "x.onnx")
+        policy.export(saved, "onnx", tmp_path / "x.onnx")

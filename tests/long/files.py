@@ -1,9 +1,10 @@
-"""Spoils files by the thousand and counts what flipperctl makes of them.
+"""Damages files by the thousand and counts the results of reading them with flipperctl.
 
     python -m tests.long.files --count 2000 --seed 1 --kind checkpoint,onnx,ground
 
-A spoilt file is refused by one clear error, or read as what it was; a recording and a file that
-was signed anew may also be read as something else. Everything else is a violation: exit code 1.
+A damaged file must be refused by one clear error, or be read as the original; a recording and a
+file with a new checksum may also be read as something else. Everything else is a violation, for
+which the exit code is 1.
 """
 
 import argparse
@@ -19,18 +20,18 @@ import torch
 
 from flipperctl import plugins
 from tests.long import ground, signed
-from tests.long.isolated import Verdict, judged
+from tests.long.isolated import Verdict, run_isolated
 from tests.long.mutations import BYTES, Rng, number_at_the_start
 
 KINDS = ("checkpoint", "onnx", "ground")
 VERDICTS = ("refused", "equal", "other", "silent", "traceback", "noise", "hang")
 BAD = VERDICTS[3:]
 Case = tuple[str, Callable[[Rng], bytes], str, bool]
-"""Name of the mutation; the mutant; the original's file; whether it may be read as another."""
+"""Name of the mutation; the mutant; name of the original; whether it may be read as another."""
 
 
 def cases(kind: str, folder: Path, originals: dict[str, bytes]) -> list[Case]:
-    """One case of each mutation of each original."""
+    """Return one case for each mutation of each original."""
 
     def raw(name: str) -> list[Case]:
         data = originals[name]
@@ -63,7 +64,7 @@ def cases(kind: str, folder: Path, originals: dict[str, bytes]) -> list[Case]:
 
 
 class Fuzz:
-    """The cases of one kind, each made and judged by its number alone."""
+    """The cases of one kind; each depends on its number alone."""
 
     def __init__(self, kind: str, seed: int, folder: Path) -> None:
         (folder / "run" / "checkpoints").mkdir(parents=True, exist_ok=True)
@@ -72,22 +73,22 @@ class Fuzz:
         self._kind, self._seed, self._folder = kind, seed, folder
         self._originals = ground.files(make) if kind == "ground" else signed.files(make)
         self._cases = cases(kind, folder, self._originals)
-        self._whole = {name: self._read(name, self._originals[name]) for name in self._names}
+        self._expected = {name: self._read(name, self._originals[name]) for name in self._names}
 
     @property
     def _names(self) -> list[str]:
         return sorted({name for _, _, name, _ in self._cases})
 
     def mutation(self, index: int) -> str:
-        """The name of a case's mutation."""
+        """Return the name of the mutation of a case."""
         return self._cases[index % len(self._cases)][0]
 
-    def judge(self, index: int) -> str:
-        """Read a mutant; what it is beside the original."""
+    def check(self, index: int) -> str:
+        """Read a mutant; return whether it equals the original, or may or must not differ."""
         _, mutate, name, may_differ = self._cases[index % len(self._cases)]
         rng = np.random.default_rng([self._seed, KINDS.index(self._kind), index])
         found = self._read(name, mutate(rng))
-        if found == self._whole[name]:
+        if found == self._expected[name]:
             return "equal"
         return "other" if may_differ else "silent"
 
@@ -105,14 +106,14 @@ class Fuzz:
         return signed.read_checkpoint(path)
 
     def run(self, count: int) -> Iterator[tuple[str, Verdict]]:
-        """Mutation and verdict of ``count`` cases."""
-        for index, verdict in enumerate(judged(count, self.judge)):
+        """Yield the mutation and the verdict of each of ``count`` cases."""
+        for index, verdict in enumerate(run_isolated(count, self.check)):
             yield self.mutation(index), verdict
 
 
 @contextmanager
 def fuzz(kind: str, seed: int) -> Iterator[Fuzz]:
-    """A fuzz with a folder of its own."""
+    """Yield a fuzz with its own temporary folder."""
     torch.set_num_threads(1)
     plugins.load()
     with tempfile.TemporaryDirectory() as folder:
@@ -120,7 +121,7 @@ def fuzz(kind: str, seed: int) -> Iterator[Fuzz]:
 
 
 def table(counts: dict[tuple[str, str], Counter[str]]) -> str:
-    """Rows of kind and mutation, columns of verdicts."""
+    """Return a table with a row for each kind and mutation and a column for each verdict."""
     lines = [["kind", "mutation", "count", *VERDICTS]]
     for (kind, mutation), found in counts.items():
         numbers = [sum(found.values()), *(found[verdict] for verdict in VERDICTS)]
@@ -133,17 +134,17 @@ def table(counts: dict[tuple[str, str], Counter[str]]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the fuzz; 1 if anything was violated."""
+    """Run the fuzz; return 1 if there was a violation, else 0."""
     parser = argparse.ArgumentParser(prog="python -m tests.long.files", description=__doc__)
     parser.add_argument("--count", type=int, default=2000, help="mutants of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", default=",".join(KINDS))
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     counts: dict[tuple[str, str], Counter[str]] = {}
     bad = 0
-    for kind in given.kind.split(","):
-        with fuzz(kind, given.seed) as found:
-            for index, (mutation, (verdict, words)) in enumerate(found.run(given.count)):
+    for kind in options.kind.split(","):
+        with fuzz(kind, options.seed) as found:
+            for index, (mutation, (verdict, words)) in enumerate(found.run(options.count)):
                 counts.setdefault((kind, mutation), Counter())[verdict] += 1
                 if verdict in BAD:
                     bad += 1

@@ -1,6 +1,6 @@
-"""Commands in forked processes: everything is imported once, so that a start costs milliseconds.
+"""Commands in forked processes: modules are imported once, so that a start takes milliseconds.
 
-What is imported here at the head is imported by every worker process too: keep it light.
+Every worker process imports the modules at the head of this file too: keep them few.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from typing import Any
 LIMIT = 120.0
 """Time after which a command counts as hanging [s]."""
 _GRACE = 20.0
-"""Time that workers have to leave after their main process [s]."""
+"""Time that workers have to end after their main process [s]."""
 
 QUICK = [
     "terrain=step",
@@ -30,11 +30,11 @@ QUICK = [
     "agent.epsilon_decisions=200",
     "agent.batch_size=32",
 ]
-"""A training of about a second."""
+"""Arguments of a training of about a second."""
 
 
 def preload() -> None:
-    """Import what a training imports, and compile what it compiles; torch computes nothing yet.
+    """Import and compile all that a training needs; torch must not compute anything yet.
 
     A fork would inherit the locks of torch's threads, but not the threads.
     """
@@ -57,7 +57,7 @@ def preload() -> None:
 
 @dataclass
 class Command:
-    """``flipperctl`` in a process of its own, with a process group of its own."""
+    """A ``flipperctl`` command in its own process and process group."""
 
     pid: int
     log: Path
@@ -71,11 +71,11 @@ class Command:
 
     @property
     def text(self) -> str:
-        """What it printed."""
+        """The output of the command so far."""
         return self.log.read_text(errors="replace")
 
     def ended(self) -> bool:
-        """Whether it has ended; ``code`` then says how."""
+        """Return whether the command has ended; ``code`` is then its exit code."""
         if self.code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -83,7 +83,7 @@ class Command:
         return self.code is not None
 
     def wait(self, limit: float = LIMIT) -> bool:
-        """Wait for its end; False, and the whole group is killed, if it does not come."""
+        """Wait for the end; after ``limit`` [s], kill the group and return False."""
         while not self.ended():
             if self.age > limit:
                 self.kill_group()
@@ -92,7 +92,7 @@ class Command:
         return True
 
     def kill(self) -> bool:
-        """Kill the main process alone, as the system does; False if it had ended."""
+        """Kill the main process alone, as the system does; return False if it had ended before."""
         if self.ended():
             return False
         os.kill(self.pid, signal.SIGKILL)
@@ -107,8 +107,8 @@ class Command:
             _, status = os.waitpid(self.pid, 0)
             self.code = os.waitstatus_to_exitcode(status)
 
-    def left_alone(self) -> bool:
-        """Whether all its workers have left too; those that have not are killed."""
+    def workers_ended(self) -> bool:
+        """Return whether all workers have ended too; kill those that have not."""
         end = time.monotonic() + _GRACE
         while _members(self.pid):
             if time.monotonic() > end:
@@ -155,7 +155,7 @@ def _redirect(log: Path) -> None:
 
 
 def _members(group: int) -> list[int]:
-    """The processes of a group that live, after the table of processes."""
+    """Return the living processes of a process group, read from ``/proc``."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -166,7 +166,7 @@ def _members(group: int) -> list[int]:
 
 
 def result(run: Path) -> dict[str, Any]:
-    """What a finished run holds, without clocks: equal runs have equal results."""
+    """Return the contents of a finished run without times; equal runs have equal results."""
     from flipperctl import checkpoint
     from flipperctl.training.events import read_rows
 
@@ -177,30 +177,30 @@ def result(run: Path) -> dict[str, Any]:
         for key in sorted(saved.tensors):
             digest.update(key.encode() + saved.tensors[key].numpy().tobytes())
         found[f"{name.stem} tensors"] = digest.hexdigest()
-        found[f"{name.stem} document"] = _timeless(saved.document)
-    found["metrics"] = [_timeless(row) for row in read_rows(run / "metrics.csv")]
-    found["summary"] = _timeless(json.loads((run / "summary.json").read_text()))
+        found[f"{name.stem} document"] = _without_times(saved.document)
+    found["metrics"] = [_without_times(row) for row in read_rows(run / "metrics.csv")]
+    found["summary"] = _without_times(json.loads((run / "summary.json").read_text()))
     return found
 
 
-def _timeless(value: Any) -> Any:
+def _without_times(value: Any) -> Any:
     if isinstance(value, dict):
-        return {k: _timeless(v) for k, v in value.items() if k != "seconds"}
+        return {k: _without_times(v) for k, v in value.items() if k != "seconds"}
     return value
 
 
 def differences(run: Path, reference: dict[str, Any]) -> list[str]:
-    """The parts in which a run's result differs from the reference's, or that cannot be read."""
+    """Return the parts of a run that differ from the reference, or the error of reading the run."""
     try:
         found = result(run)
-    except Exception as error:  # noqa: BLE001 (a part that is missing or damaged is a finding)
+    except Exception as error:  # noqa: BLE001 (a missing or damaged part is a difference)
         return [f"{type(error).__name__}: {error}"]
     return [part for part, value in reference.items() if found[part] != value]
 
 
 @dataclass
 class Tally:
-    """What became of the cases of one kind."""
+    """The results of the cases of one kind."""
 
     count: int = 0
     tracebacks: int = 0
@@ -210,26 +210,26 @@ class Tally:
     codes: Counter[int | None] = field(default_factory=Counter)
 
     def check(self, command: Command, *expected: int) -> None:
-        """Note how a command ended, against the exit codes that are right."""
+        """Count the exit code of a command, and whether it is one of the expected codes."""
         self.codes[command.code] += 1
         self.wrong_codes += command.code not in expected
         words = ("Traceback", "Exception ignored", "Fatal Python error", "error in flipperctl")
         self.tracebacks += any(word in command.text for word in words)
 
     def add(self, other: "Tally") -> None:
-        """Add the numbers of another."""
+        """Add the numbers of another tally."""
         for name in ("count", "tracebacks", "hangs", "changes", "wrong_codes"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.codes.update(other.codes)
 
     @property
     def violations(self) -> int:
-        """How many findings there are."""
+        """Number of violations."""
         return self.tracebacks + self.hangs + self.changes + self.wrong_codes
 
 
 def progress(tallies: dict[str, Tally], count: int) -> None:
-    """Tell every tenth case on stderr."""
+    """Print the number of cases to stderr at every tenth case."""
     done = sum(tally.count for tally in tallies.values())
     if done % 10 == 0:
         found = sum(tally.violations for tally in tallies.values())
@@ -237,7 +237,7 @@ def progress(tallies: dict[str, Tally], count: int) -> None:
 
 
 def report(tallies: dict[str, Tally], seconds: float) -> int:
-    """Print the table; returns the exit code."""
+    """Print the table; return the exit code."""
     heading = ("kind", "count", "tracebacks", "hangs", "silent changes", "wrong codes", "codes")
     rows = [
         (

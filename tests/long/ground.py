@@ -1,4 +1,4 @@
-"""Recorded ground of every kind to spoil, and what a scene makes of it."""
+"""Files of recorded ground of every kind to damage, and their profiles as scenes."""
 
 from pathlib import Path
 
@@ -13,11 +13,11 @@ from flipperctl.env.flipper_env import FlipperEnv
 
 LINE = {"start": (0.2, 0.5), "end": (1.8, 0.5)}
 LONGEST = 60.0
-"""Outlines up to this are driven on [m]; a longer one is only drawn."""
+"""Longest outline on which an episode is begun [m]; a longer one is only generated."""
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Files of all kinds, by name."""
+    """Write files of all kinds; return their bytes by name."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform((0, 0), (2, 1), (4000, 2)).T
     points = np.column_stack([x, y, np.where(x > 1, 0.1, 0.0)]).astype(np.float32)
@@ -43,7 +43,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def read(path: Path) -> str:
-    """The profile of a file, as text; the robot stands before it if it is short."""
+    """Return the profile of a file as text; begin an episode on it unless it is very long."""
     frame = {} if path.suffix == ".csv" else LINE
     more = {"resolution": 0.05} if path.suffix == ".npy" else {}
     settings = {"name": "profile_file", "path": str(path), **frame, **more}

@@ -1,6 +1,6 @@
-"""Cases judged in forked children, so that a hang, a crash or a memory blow-up is one finding.
+"""Cases run in forked children, so that a hang, a crash or a lack of memory ends one case only.
 
-In: a number of cases and a function that judges one. Out: a verdict and its words for each.
+In: a number of cases and a function that checks one. Out: a verdict with its text for each.
 """
 
 import json
@@ -18,21 +18,22 @@ from typing import IO
 
 from flipperctl.errors import FlipperctlError
 
-Judge = Callable[[int], str]
-"""Judges a case: ``equal``, ``other`` or ``silent``; raises what its entry point raises."""
+Check = Callable[[int], str]
+"""Runs a case and returns ``equal``, ``other`` or ``silent``; raises the errors of the case."""
 Verdict = tuple[str, str]
-"""``refused``, ``equal``, ``other``, ``silent``, ``traceback``, ``noise``, ``hang``; and words."""
+"""``refused``, ``equal``, ``other``, ``silent``, ``traceback``, ``noise``, ``hang``; and a text."""
 
 EXPECTED = "was exported by flipperctl 0.1"
-"""The one line that a whole file may cause on stderr."""
+"""Part of the only line that an undamaged file may cause on stderr."""
 
 
-def judged(
-    count: int, judge: Judge, *, limit: float = 20.0, memory: int = 3 << 30
+def run_isolated(
+    count: int, check: Check, *, limit: float = 20.0, memory: int = 3 << 30
 ) -> Iterator[Verdict]:
-    """The verdict of each case.
+    """Yield the verdict of each case, in order.
 
-    ``limit`` bounds the time of a case [s], ``memory`` what a child takes beyond today's [B].
+    ``limit``: longest time of a case [s]. ``memory``: address space that a child may use beyond
+    that of this process [B].
     """
     done = 0
     while done < count:
@@ -40,7 +41,7 @@ def judged(
         child = os.fork()
         if child == 0:
             os.close(receive)
-            _work(range(done, count), judge, os.fdopen(send, "w"), memory)
+            _run_child(range(done, count), check, os.fdopen(send, "w"), memory)
         os.close(send)
         for line in _lines(receive, limit):
             if line is None:
@@ -48,8 +49,8 @@ def judged(
                 yield "hang", f"no verdict within {limit:g} s"
                 done += 1
                 break
-            verdict, words = json.loads(line)
-            yield verdict, words
+            verdict, text = json.loads(line)
+            yield verdict, text
             done += 1
         os.close(receive)
         status = os.waitpid(child, 0)[1]
@@ -59,7 +60,7 @@ def judged(
 
 
 def _lines(receive: int, limit: float) -> Iterator[bytes | None]:
-    """Lines as they come; None when none comes in time."""
+    """Yield the lines from a pipe as they come, and None when none comes within ``limit`` [s]."""
     rest = b""
     while select.select([receive], [], [], limit)[0]:
         data = os.read(receive, 1 << 16)
@@ -70,27 +71,27 @@ def _lines(receive: int, limit: float) -> Iterator[bytes | None]:
     yield None
 
 
-def _work(cases: range, judge: Judge, out: IO[str], memory: int) -> None:
+def _run_child(cases: range, check: Check, out: IO[str], memory: int) -> None:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + memory, used + memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    heard = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115 - until the process ends
-    for number, file in enumerate(heard, start=1):
+    captured = [tempfile.TemporaryFile() for _ in range(2)]  # noqa: SIM115 - until the process ends
+    for number, file in enumerate(captured, start=1):
         os.dup2(file.fileno(), number)
     sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
     warnings.simplefilter("error")
     warnings.simplefilter("ignore", PendingDeprecationWarning)
     for case in cases:
-        verdict = _verdict(case, judge)
+        verdict = _verdict(case, check)
         sys.stdout.flush()
         sys.stderr.flush()
-        said = []
-        for file in heard:
+        printed = []
+        for file in captured:
             file.seek(0)
-            said.append(file.read().decode(errors="replace"))
+            printed.append(file.read().decode(errors="replace"))
             file.seek(0)
             file.truncate()
-        noise = said[0] + "".join(x for x in said[1].splitlines(True) if EXPECTED not in x)
+        noise = printed[0] + "".join(x for x in printed[1].splitlines(True) if EXPECTED not in x)
         if noise and verdict[0] in ("refused", "equal", "other"):
             verdict = "noise", noise
         out.write(json.dumps((verdict[0], verdict[1][:600])) + "\n")
@@ -98,13 +99,13 @@ def _work(cases: range, judge: Judge, out: IO[str], memory: int) -> None:
     os._exit(0)
 
 
-def _verdict(case: int, judge: Judge) -> Verdict:
+def _verdict(case: int, check: Check) -> Verdict:
     try:
-        return judge(case), ""
+        return check(case), ""
     except FlipperctlError as error:
         text = str(error)
         if error.exit_code != 2 or text.count("\n") > 1 or not text.replace("\n", "").isprintable():
             return "traceback", f"exit code {error.exit_code}: {text!r}"
         return "refused", text
-    except BaseException:  # noqa: BLE001 - whatever comes is what the fuzz looks for
+    except BaseException:  # noqa: BLE001 - the fuzz looks for any other error
         return "traceback", traceback.format_exc()[-600:]

@@ -1,4 +1,4 @@
-"""SIGKILL at random moments: each run that is killed is resumed to the result of one that was not.
+"""SIGKILL at random times: each killed run is resumed and must equal a run that was not killed.
 
 ``python -m tests.long.kills --count 200 --early 50 --seed 1`` kills real trainings, ``--early`` of
 them before their first checkpoint, and prints a table; it fails on any violation.
@@ -29,7 +29,7 @@ from tests.long.forked import (
 
 LAST = Path("checkpoints/last.safetensors")
 _AGAIN = 0.3
-"""Share of the resumed runs that are killed again, at most twice."""
+"""Fraction of the resumed runs that are killed again, at most twice."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Reference:
     arguments: list[str]
     found: dict[str, Any]
     begun: float
-    """When its config.yaml was there [s]."""
+    """Time from the start until config.yaml existed [s]."""
     first: float
-    """When its first checkpoint was there [s]."""
+    """Time from the start until the first checkpoint existed [s]."""
     whole: float
-    """When it had ended [s]."""
+    """Time from the start until the end [s]."""
 
 
 def reference(mode: str, folder: Path) -> Reference:
-    """Train to the end."""
+    """Train to the end and return the run with its times."""
     arguments = ["train", *QUICK, f"train.mode={mode}", "hydra.run.dir=run"]
     folder.mkdir()
     command = start(arguments, folder, folder / "log")
@@ -65,7 +65,7 @@ def reference(mode: str, folder: Path) -> Reference:
 
 
 class Case:
-    """One run that is killed, once or more often, and brought to its end."""
+    """A run that is killed once or more often and then resumed to its end."""
 
     def __init__(self, model: Reference, folder: Path, rng: random.Random) -> None:
         self.model, self.folder, self.rng = model, folder, rng
@@ -73,7 +73,7 @@ class Case:
         folder.mkdir()
 
     def kill(self, earliest: float, latest: float) -> str | None:
-        """Kill it at a time between [s]; returns what was there then, None if it had ended."""
+        """Kill the run at a random time [s]; return its state then, or None if it had ended."""
         command = self._start(self.model.arguments)
         if not self._killed(command, self.rng.uniform(earliest, latest)):
             return None
@@ -83,12 +83,12 @@ class Case:
         return "before the first checkpoint" if self._begun() else "before config.yaml"
 
     def finish(self) -> Tally:
-        """Resume it, perhaps killing it again, and compare."""
+        """Resume the run, perhaps kill it again, and compare it with the reference."""
         resume = ["train", "--resume", "run"]
         for _ in range(2):
             if self._begun() and self.rng.random() < _AGAIN:
                 self._killed(self._start(resume), self.rng.uniform(0.0, self.model.whole))
-        if not self._begun():  # it was no run yet: that is said, and it is started anew
+        if not self._begun():  # there is no run yet: resuming fails, and it is started again
             self._end(self._start(resume), 2)
             self._end(self._start(self.model.arguments), 0)
         else:
@@ -107,23 +107,23 @@ class Case:
     def _start(self, arguments: list[str]) -> Command:
         return start(arguments, self.folder, self.folder / "log")
 
-    def _killed(self, command: Command, moment: float) -> bool:
-        while command.age < moment and not command.ended():
+    def _killed(self, command: Command, at: float) -> bool:
+        while command.age < at and not command.ended():
             time.sleep(0.001)
         killed = command.kill()
-        self.tally.hangs += not command.left_alone()
+        self.tally.hangs += not command.workers_ended()
         return killed
 
     def _end(self, command: Command, expected: int) -> None:
         self.tally.hangs += not command.wait()
         self.tally.check(command, expected)
-        self.tally.hangs += not command.left_alone()
+        self.tally.hangs += not command.workers_ended()
 
 
 def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
-    """Kill ``count`` runs, ``early`` of them before their first checkpoint; returns the exit code.
+    """Kill ``count`` runs, ``early`` of them before their first checkpoint; return the exit code.
 
-    ``fast``: share of trainings with worker processes.
+    ``fast``: fraction of trainings with worker processes.
     """
     begun = time.monotonic()
     rng = random.Random(seed)
@@ -138,32 +138,32 @@ def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
         mode = "fast" if rng.random() < fast else "exact"
         model = modes[mode]
         case = Case(model, folder / f"case{index}", rng)
-        # Half of the early ones while the first files are written, a small part of that time.
+        # Half of the early kills fall into the short time in which the first files are written.
         earliest = model.begun if left["early"] % 2 else 0.0
-        moment = case.kill(earliest, model.first if left["early"] else model.whole)
-        kind = "later" if moment == "after the first checkpoint" else "early"
-        if moment is None or not left[kind]:
+        state = case.kill(earliest, model.first if left["early"] else model.whole)
+        kind = "later" if state == "after the first checkpoint" else "early"
+        if state is None or not left[kind]:
             shutil.rmtree(case.folder)
             continue
         left[kind] -= 1
-        tallies[f"{mode}, {moment}"].add(case.finish())
+        tallies[f"{mode}, {state}"].add(case.finish())
         progress(tallies, count)
     if any(left.values()):
-        print(f"these kills did not come about: {left}", file=sys.stderr)
+        print(f"these kills were not made: {left}", file=sys.stderr)
         return 1
     return report(tallies, time.monotonic() - begun)
 
 
 def main() -> None:
-    """See the module."""
+    """Parse the command line and run the cases."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--early", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--fast", type=float, default=0.25, help="share with worker processes")
-    given = parser.parse_args()
+    parser.add_argument("--fast", type=float, default=0.25, help="fraction with worker processes")
+    options = parser.parse_args()
     with TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
-        sys.exit(run(given.count, given.early, given.seed, Path(folder), given.fast))
+        sys.exit(run(options.count, options.early, options.seed, Path(folder), options.fast))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What large recorded ground costs, and what thinning it changes.
+"""The cost of large recorded ground, and the effect of thinning it.
 
-``python -m tests.long.large_ground`` prints, for recordings of 50 m, the points that are left, and
-the seconds and the memory that loading and driving two episodes take on top of start-up; then the
-metrics of the same drives on the whole and on the thinned ground. ``--whole`` measures without
-thinning.
+``python -m tests.long.large_ground`` prints, for recordings of 50 m, the number of points after
+thinning, and the seconds and the memory that loading and driving two episodes take beyond start-up;
+then the metrics of the same drives on the whole and on the thinned ground. ``--whole`` measures
+without thinning.
 """
 
 import json
@@ -57,7 +57,7 @@ def drive(env: FlipperEnv, controller: str, seed: int) -> dict[str, Any]:
 def measure(file: str) -> dict[str, Any]:
     """Load the recording and drive two episodes on it."""
     plugins.load()
-    drive(FlipperEnv("flat"), "okada", 0)  # what any first episode needs
+    drive(FlipperEnv("flat"), "okada", 0)  # the first episode of a process takes longer
     before, begin, busy = memory(), time.perf_counter(), time.process_time()
     env = FlipperEnv({"name": "profile_file", "path": file})
     ends = [drive(env, "okada", seed)["outcome"] for seed in range(2)]
@@ -72,7 +72,7 @@ def measure(file: str) -> dict[str, Any]:
 
 
 def compare(grain: float, count: int, length: float) -> list[dict[str, Any]]:
-    """Drive from the same starts, at most 1 mm apart, on the whole and on the thinned ground."""
+    """Compare drives from equal starts, within 1 mm, on the whole and on the thinned ground."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "ground.csv"
@@ -93,14 +93,14 @@ def compare(grain: float, count: int, length: float) -> list[dict[str, Any]]:
 
 
 def starts(file: Path, rule: str) -> tuple[list[dict[str, Any]], int]:
-    """Return the metrics of eight episodes, and how many points the ground had."""
+    """Return the metrics of eight episodes and the number of points of the ground."""
     terrain = {"name": "profile_file", "path": str(file)}
     env = FlipperEnv(terrain, episode={"start_noise": 1e-3})
     return [drive(env, rule, seed) for seed in range(8)], len(env.profile.points)
 
 
 def main(arguments: list[str]) -> None:
-    """Print one line of JSON a measure."""
+    """Print one line of JSON for each measurement."""
     if arguments[:1] == ["--child"]:
         if "--whole" in arguments:
             flipper_env.thinned = lambda profile, radius: profile

@@ -1,8 +1,8 @@
-"""Plugins that misbehave at random, used through the command line: whose fault is told, and how.
+"""Plugins that misbehave at random, used through the command line: errors must name the plugin.
 
-``python -m tests.long.misbehaving --count 2000 --seed 1`` prints a table of what was tried and
-fails if any command ended other than with exit code 1 or 2 and one error that names plugin, method,
-file and line.
+``python -m tests.long.misbehaving --count 2000 --seed 1`` prints a table of the cases and fails
+unless every command ended with exit code 1 or 2 and one error that names plugin, method, file and
+line.
 """
 
 import argparse
@@ -20,12 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.long.misbehaviour import BEFORE, Misbehaviour, draw
+from tests.long.misbehaviour import BEFORE, Misbehaviour, sample_misbehaviour
 
 LIMIT = 90.0
-"""Longest time of a command [s]: worker processes import torch anew on a busy machine."""
+"""Longest time of a command [s]; worker processes import torch again, on a busy machine."""
 ROOM = 6 * 2**30
-"""Address space that a command may take beyond what this process has [B]."""
+"""Address space that a command may use beyond that of this process [B]."""
 SHORT = (
     *("terrain=flat", "train.decisions=60", "train.validate_every=30", "agent.batch_size=8"),
     *("train.validation_episodes=1", "agent.learning_starts=16", "agent.epsilon_decisions=1"),
@@ -69,26 +69,28 @@ SLOW = ("eval --jobs", "train fast", "export pt2")
 
 @dataclass(frozen=True)
 class Done:
-    """What a command left behind."""
+    """The results of a command."""
 
     code: int | None
-    """None if it did not end in time."""
+    """Exit code; None if the command did not end in time."""
     out: str
     err: str
     seconds: float
 
 
 def main() -> int:
-    """Run the cases and print what came of them."""
+    """Run the cases and print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--slow", type=float, default=0.06, help="share of cases with processes")
+    parser.add_argument(
+        "--slow", type=float, default=0.06, help="fraction of cases with worker processes"
+    )
     chosen = parser.parse_args()
     _preload()
     tried, reached, violations = Counter(), Counter(), Counter()
     with tempfile.TemporaryDirectory() as folder:
-        good = _good(Path(folder))
+        good = _train_good_network(Path(folder))
         for index in range(chosen.count):
             rng = np.random.default_rng([chosen.seed, index])
             what, name, command = _case(rng, chosen.slow, good)
@@ -96,8 +98,8 @@ def main() -> int:
             work.mkdir()
             file, marker = work / "odd_plugin.py", work / "marker"
             file.write_text(what.source(marker))
-            done = _forked([*command, "--plugins", str(file)], work)
-            key = (what.kind, what.spot, _sort(what), name)
+            done = _run_forked([*command, "--plugins", str(file)], work)
+            key = (what.kind, what.spot, _manner(what), name)
             tried[key] += 1
             reached[key] += marker.exists()
             for problem in problems(what, done, file, reached=marker.exists()):
@@ -110,7 +112,7 @@ def main() -> int:
 
 
 def problems(what: Misbehaviour, done: Done, file: Path, *, reached: bool) -> list[str]:
-    """What is wrong with the way in which a command ended."""
+    """Return the faults in the exit code and the error of a command."""
     if done.code is None:
         return ["it hangs"]
     if not reached:
@@ -127,7 +129,7 @@ def problems(what: Misbehaviour, done: Done, file: Path, *, reached: bool) -> li
 
 
 def unnamed(what: Misbehaviour, text: str, file: Path) -> list[str]:
-    """What an error's text does not name."""
+    """Return what the text of an error should name but does not."""
     found = []
     if not re.search(re.escape(str(file)) + r":\d+", text):
         found.append("no file and line")
@@ -145,20 +147,20 @@ def unnamed(what: Misbehaviour, text: str, file: Path) -> list[str]:
 
 def _case(rng: np.random.Generator, slow: float, good: Path) -> tuple[Misbehaviour, str, list[str]]:
     kind = str(rng.choice(list(COMMANDS)))
-    what = draw(rng, kind)
+    what = sample_misbehaviour(rng, kind)
     known = COMMANDS[kind] | (FOR_ALL if what.spot in BEFORE else {})
-    wanted = rng.random() < slow
-    names = [name for name in known if (name in SLOW) == wanted] or list(known)
+    is_slow = rng.random() < slow
+    names = [name for name in known if (name in SLOW) == is_slow] or list(known)
     name = str(rng.choice(names))
     return what, name, [part.format(good=good) for part in known[name]]
 
 
-def _sort(what: Misbehaviour) -> str:
+def _manner(what: Misbehaviour) -> str:
     return "returns" if what.statement.startswith("return ") else "raises"
 
 
 def _preload() -> None:
-    """Import once what every command needs; the children are forked from here."""
+    """Import the modules that every command needs before children are forked."""
     import hydra  # noqa: F401
     import rich.progress  # noqa: F401
     import tensorboard  # noqa: F401
@@ -172,24 +174,24 @@ def _preload() -> None:
     os.environ.pop("FLIPPERCTL_DEBUG", None)
 
 
-def _good(folder: Path) -> Path:
-    """A run of a network ``odd`` that behaves."""
+def _train_good_network(folder: Path) -> Path:
+    """Train a network ``odd`` that does not misbehave; return its run directory."""
     file = folder / "odd_plugin.py"
     file.write_text(Misbehaviour("network", "forward", "pass", 10**9).source(folder / "marker"))
     run = folder / "good"
     arguments = [*COMMANDS["network"]["train"], f"hydra.run.dir={run}", "--plugins", str(file)]
-    done = _forked(arguments, folder)
+    done = _run_forked(arguments, folder)
     if done.code != 0:
         raise RuntimeError(done.err)
     return run
 
 
-def _forked(arguments: list[str], folder: Path) -> Done:
+def _run_forked(arguments: list[str], folder: Path) -> Done:
     """Run a command in a child of this process, with limits on its time and memory."""
     begun = time.perf_counter()
     child = os.fork()
     if child == 0:
-        _run(arguments, folder)
+        _run_child(arguments, folder)
     code: int | None = None
     while time.perf_counter() - begun < LIMIT:
         ended, status = os.waitpid(child, os.WNOHANG)
@@ -205,8 +207,8 @@ def _forked(arguments: list[str], folder: Path) -> Done:
     return Done(code, *texts, time.perf_counter() - begun)
 
 
-def _run(arguments: list[str], folder: Path) -> None:
-    """In the child: the command line, to its end; never returns."""
+def _run_child(arguments: list[str], folder: Path) -> None:
+    """Run the command line in the child and exit; never return."""
     code = 99
     try:
         os.setsid()
@@ -222,7 +224,7 @@ def _run(arguments: list[str], folder: Path) -> None:
             command(arguments)
         except SystemExit as left:
             code = left.code if isinstance(left.code, int) else 0 if left.code is None else 98
-    except BaseException:  # noqa: BLE001  # whatever it is, it shows as a violation
+    except BaseException:  # noqa: BLE001  # any error shows as a violation
         traceback.print_exc()
     finally:
         sys.stdout.flush()

@@ -1,7 +1,7 @@
-"""Plugin files that misbehave: at which spot, in which way, and from which call on.
+"""Plugin files that misbehave at a given place, in a given manner, from a given call on.
 
-In: a random generator. Out: the source of a plugin file of one plugin, ``odd``. The file touches
-a marker when it misbehaves, so that a case whose spot was never reached is told apart.
+In: a random generator. Out: the source of a file with one plugin, ``odd``. The file touches a
+marker when it misbehaves, which distinguishes the cases that never reach the place.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ RAISED = (
     *("deep(0)", "np.zeros(10**14)", "[][3]", "{}['key']", "None.attribute", "1 / 0", "undefined"),
     *("raise subprocess.CalledProcessError(0, 'x')", "Profile('x')", "Bounded(x=7)"),
 )  # fmt: skip
-"""Statements that leave a method by an exception; ``KeyboardInterrupt`` is the user's."""
+"""Statements that raise an exception; ``KeyboardInterrupt`` is left out, as users raise it."""
 
 BAD_NUMBERS = ("None", "'1.0'", "[1.0]", "object()", "1j", "float('nan')", "float('inf')", "{}")
 RETURNED = {
@@ -62,7 +62,7 @@ RETURNED = {
         *("float('nan')", "1e300", "object()", "10**30", "()", "np.array([1, 2])"),
     ),
 }  # fmt: skip
-"""Kind and method → expressions that it must not return; ``size`` and ``x`` as in the templates."""
+"""Kind and method → expressions that it must not return; the templates define ``size``, ``x``."""
 
 SPOTS = {
     "terrain": ("generate", "at", "first_difficulty", "next_difficulty"),
@@ -71,7 +71,7 @@ SPOTS = {
     "controller": ("build", "reset", "act"),
 }
 BEFORE = ("import", "factory", "validator", "field validator", "serialiser")
-"""Spots that every kind has."""
+"""Places that every kind of plugin has."""
 
 HEADER = """\
 import asyncio, subprocess, sys, pathlib
@@ -207,7 +207,7 @@ NOISE = """\
 
 @dataclass(frozen=True)
 class Misbehaviour:
-    """A plugin's kind, where it misbehaves, how, and from which call on."""
+    """The kind of a plugin, and where, how and from which call on it misbehaves."""
 
     kind: str
     spot: str
@@ -215,7 +215,7 @@ class Misbehaviour:
     call: int
 
     def source(self, marker: Path) -> str:
-        """The plugin file."""
+        """Return the source of the plugin file."""
         spots = (*BEFORE, *(spot for found in SPOTS.values() for spot in found))
         key = self.spot.replace(" ", "_")
         filled = {spot.replace(" ", "_"): "pass" for spot in spots}
@@ -241,8 +241,8 @@ class Misbehaviour:
         return f"{self.kind} {self.spot}: {self.statement[:60]} (call {self.call})"
 
 
-def draw(rng: np.random.Generator, kind: str) -> Misbehaviour:
-    """A random misbehaviour of a plugin of one kind."""
+def sample_misbehaviour(rng: np.random.Generator, kind: str) -> Misbehaviour:
+    """Return a random misbehaviour of a plugin of one kind."""
     early = rng.random() < 0.25
     spot = str(rng.choice(BEFORE if early else SPOTS[kind]))
     returned = RETURNED.get((kind, spot), ())

@@ -1,4 +1,4 @@
-"""Ways to spoil a file: its bytes, or the JSON and the numbers within it."""
+"""Mutations of a file: of its bytes, or of the JSON and the numbers in it."""
 
 import json
 import re
@@ -12,34 +12,34 @@ Mutation = Callable[[bytes, Rng], bytes]
 
 
 def flip(data: bytes, rng: Rng) -> bytes:
-    """One bit."""
+    """Flip one bit."""
     return _flipped(data, rng, 1)
 
 
 def flips(data: bytes, rng: Rng) -> bytes:
-    """2 to 20 bits."""
+    """Flip 2 to 20 bits."""
     return _flipped(data, rng, int(rng.integers(2, 21)))
 
 
 def flips_at_the_start(data: bytes, rng: Rng) -> bytes:
-    """1 to 8 bits of the first 500 bytes, where headers lie."""
+    """Flip 1 to 8 bits of the first 500 bytes, where headers lie."""
     return _flipped(data[:500], rng, int(rng.integers(1, 9))) + data[500:]
 
 
 def _flipped(data: bytes, rng: Rng, count: int) -> bytes:
-    spoilt = bytearray(data)
+    mutant = bytearray(data)
     for bit in rng.choice(8 * len(data), min(count, 8 * len(data)), replace=False):
-        spoilt[bit // 8] ^= 1 << (bit % 8)
-    return bytes(spoilt)
+        mutant[bit // 8] ^= 1 << (bit % 8)
+    return bytes(mutant)
 
 
 def truncate(data: bytes, rng: Rng) -> bytes:
-    """Some of the end is lost."""
+    """Cut off the end."""
     return data[: int(rng.integers(0, len(data)))]
 
 
 def swap(data: bytes, rng: Rng) -> bytes:
-    """Two parts of equal length change places."""
+    """Swap two parts of equal length."""
     length = int(rng.integers(1, max(2, len(data) // 8)))
     one, two = sorted(int(at) for at in rng.integers(0, max(1, len(data) - length), 2))
     two = min(max(two, one + length), len(data) - length)
@@ -50,7 +50,7 @@ def swap(data: bytes, rng: Rng) -> bytes:
 
 
 def blank(data: bytes, rng: Rng) -> bytes:
-    """A part becomes zeros, as where a disk lost a block."""
+    """Set a part to zeros, as a disk that lost a block does."""
     at = int(rng.integers(0, len(data)))
     length = int(rng.integers(1, 600))
     part = data[at : at + length]
@@ -58,7 +58,7 @@ def blank(data: bytes, rng: Rng) -> bytes:
 
 
 def insert(data: bytes, rng: Rng) -> bytes:
-    """Random bytes come in between."""
+    """Insert random bytes."""
     at = int(rng.integers(0, len(data) + 1))
     return data[:at] + rng.bytes(int(rng.integers(1, 40))) + data[at:]
 
@@ -71,7 +71,7 @@ NUMBERS = ("-1", "0", "1152921504606846976", "1" + "0" * 400, "nan", "inf", "1e3
 
 
 def number_at_the_start(data: bytes, rng: Rng) -> bytes:
-    """A number of the first 2,000 bytes becomes another."""
+    """Replace a number in the first 2,000 bytes."""
     found = list(re.finditer(rb"[0-9][0-9.]*", data[:2000]))
     if not found:
         return insert(data, rng)
@@ -87,7 +87,7 @@ VALUES: tuple[Any, ...] = (
 
 
 def document(value: Any, rng: Rng) -> str:
-    """The JSON text of a document with one thing changed, or of something quite different."""
+    """Return the JSON text of a document with up to three changes, or other or invalid text."""
     kind = int(rng.integers(12))
     if kind == 0:
         text = json.dumps(value)
@@ -98,7 +98,9 @@ def document(value: Any, rng: Rng) -> str:
     if kind == 2:
         text = json.dumps(value)
         first = text.find('"')
-        return text[:first] + '"format": 2, ' + text[first:]  # a key twice, where there is one
+        return (
+            text[:first] + '"format": 2, ' + text[first:]
+        )  # a key that occurs twice, if it has one
     changed = value
     for _ in range(int(rng.integers(1, 4))):
         changed = _changed(changed, rng, VALUES[int(rng.integers(len(VALUES)))])
@@ -106,7 +108,7 @@ def document(value: Any, rng: Rng) -> str:
 
 
 def _changed(value: Any, rng: Rng, new: Any) -> Any:
-    """A copy in which one node, found by a walk from the root, is replaced, dropped or renamed."""
+    """Return a copy in which one random node is replaced, dropped or renamed."""
     if isinstance(value, dict) and value and rng.random() < 0.93:
         key = list(value)[int(rng.integers(len(value)))]
         act = rng.random()

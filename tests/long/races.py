@@ -1,7 +1,7 @@
-"""Pairs of processes that race for one run: one wins, the other is refused, the run is whole.
+"""Pairs of processes that race for one run: one wins, the other is refused, the run is complete.
 
-``python -m tests.long.races --count 100 --seed 1`` lets two fresh starts, two resumes, or one of
-each begin in one run directory, and prints a table; it fails on any violation.
+``python -m tests.long.races --count 100 --seed 1`` starts two fresh runs, two resumed runs, or one
+of each in one run directory, and prints a table; it fails on any violation.
 """
 
 import argparse
@@ -24,8 +24,8 @@ _REFUSALS = ("is being trained by", "already holds a run", "no such run", "holds
 _LATE = "nothing left to do"
 
 
-def half_way(model: Reference, folder: Path) -> Path:
-    """A run that was interrupted, to resume from."""
+def interrupted_run(model: Reference, folder: Path) -> Path:
+    """Return the directory of a run that was interrupted, to resume from."""
     folder.mkdir()
     command = start(model.arguments, folder, folder / "log")
     metrics = folder / "run" / "metrics.csv"
@@ -42,7 +42,7 @@ def half_way(model: Reference, folder: Path) -> Path:
 def race(
     kind: str, model: Reference, stopped: Path, folder: Path, rng: random.Random
 ) -> Tally | None:
-    """Let two commands race; None if the second came when the first had done its work."""
+    """Let two commands race; return None if the second started after the first had finished."""
     folder.mkdir()
     if kind == "resume + resume":
         shutil.copytree(stopped, folder / "run")
@@ -58,10 +58,10 @@ def race(
     tally = Tally(count=1)
     for command in (first, second):
         tally.hangs += not command.wait()
-        tally.hangs += not command.left_alone()
+        tally.hangs += not command.workers_ended()
     if _LATE in first.text + second.text:
         return None
-    _judge(tally, [first, second])
+    _check_pair(tally, [first, second])
     wrong = differences(folder / "run", model.found)
     tally.changes += bool(wrong)
     if tally.violations:
@@ -69,8 +69,8 @@ def race(
     return tally
 
 
-def _judge(tally: Tally, pair: list[Command]) -> None:
-    """One won; the other was refused in one line."""
+def _check_pair(tally: Tally, pair: list[Command]) -> None:
+    """Check that one command won and the other was refused in one line."""
     codes = sorted(str(command.code) for command in pair)
     for command in pair:
         tally.check(command, 0, 2)
@@ -81,13 +81,13 @@ def _judge(tally: Tally, pair: list[Command]) -> None:
 
 
 def run(count: int, seed: int, folder: Path, fast: float) -> int:
-    """Let ``count`` pairs race, a share ``fast`` with workers; returns the exit code."""
+    """Let ``count`` pairs race, a fraction ``fast`` with workers; return the exit code."""
     begun = time.monotonic()
     rng = random.Random(seed)
     preload()
     names = ["exact"] * (fast < 1) + ["fast"] * (fast > 0)
     modes = {mode: reference(mode, folder / mode) for mode in names}
-    stopped = {mode: half_way(modes[mode], folder / f"stopped-{mode}") for mode in modes}
+    stopped = {mode: interrupted_run(modes[mode], folder / f"stopped-{mode}") for mode in modes}
     tallies: dict[str, Tally] = defaultdict(Tally)
     done = 0
     for index in range(5 * count):
@@ -107,14 +107,14 @@ def run(count: int, seed: int, folder: Path, fast: float) -> int:
 
 
 def main() -> None:
-    """See the module."""
+    """Parse the command line and run the races."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--fast", type=float, default=0.2, help="share with worker processes")
-    given = parser.parse_args()
+    parser.add_argument("--fast", type=float, default=0.2, help="fraction with worker processes")
+    options = parser.parse_args()
     with TemporaryDirectory(prefix="races-", ignore_cleanup_errors=True) as folder:
-        sys.exit(run(given.count, given.seed, Path(folder), given.fast))
+        sys.exit(run(options.count, options.seed, Path(folder), options.fast))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Checkpoints and exported policies to spoil, and what they are to whoever reads them."""
+"""Checkpoints and exported policies to damage, also with valid checksums, and their contents."""
 
 import contextlib
 import hashlib
@@ -17,21 +17,21 @@ from flipperctl.agent.d3qn import arrays
 from flipperctl.cli.inspect.checkpoint import _print as show
 from flipperctl.cli.inspect.checkpoint import describe
 from flipperctl.config import with_overrides
-from flipperctl.export import policy as export
+from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
+from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document
 from tests.short import short_config, trainer
 
-SEEN = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32)
+INPUTS = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32)
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """``best`` and ``last`` of a tiny run with an outstanding request, ``onnx`` and ``old``."""
+    """Return ``best`` and ``last`` of a tiny run with a pending request, ``onnx`` and ``old``."""
     run = folder / "run"
     small = {"network": {"name": "at_d3qn", "terrain": [8], "fused": 8, "head": 8}}
     budget = {"train.decisions": 150, "train.validate_every": 100, "train.validation_episodes": 1}
@@ -44,7 +44,7 @@ def files(folder: Path) -> dict[str, bytes]:
     learner.progress.started += 1
     learner.save([request])
     saved = checkpoint.read(run / checkpoint.BEST)
-    export.export(saved, "onnx", folder / "step.onnx")
+    export(saved, "onnx", folder / "step.onnx")
     whole = (folder / "step.onnx").read_bytes()
     return {
         "best": (run / checkpoint.BEST).read_bytes(),
@@ -60,7 +60,7 @@ def _model(data: bytes) -> tuple[Any, dict[str, str]]:
 
 
 def _old(data: bytes) -> bytes:
-    """The policy as flipperctl 0.1 wrote it."""
+    """Return the policy as flipperctl 0.1 wrote it."""
     model, metadata = _model(data)
     del metadata[CHECKSUM], metadata["flipperctl.terrain_config"]
     del model.metadata_props[:]
@@ -69,7 +69,7 @@ def _old(data: bytes) -> bytes:
 
 
 def read_checkpoint(path: Path) -> str:
-    """All that commands do with a checkpoint before they play; a hash of what they then know."""
+    """Read a checkpoint as the commands do before they run it; return a hash of its contents."""
     saved = checkpoint.read(checkpoint.find(path))
     found = describe(saved)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -89,15 +89,20 @@ def read_checkpoint(path: Path) -> str:
 
 
 def read_onnx(path: Path) -> str:
-    """All that ``eval`` and a robot do with an exported file before they drive."""
+    """Read an exported file as ``eval`` and a robot do; return a hash of its contents."""
     policy = OnnxPolicy(path)
     config = exported_config(path)
     size = policy.interface.inputs
-    values = policy.q_values(np.resize(SEEN, (50, size)))
+    values = policy.q_values(np.resize(INPUTS, (50, size)))
     policy.act(np.zeros(policy.interface.size))
-    says = policy.interface
+    interface = policy.interface
     return _hash(
-        [repr(says), str(says.actions.tolist()), config.model_dump_json(), values.tobytes().hex()]
+        [
+            repr(interface),
+            str(interface.actions.tolist()),
+            config.model_dump_json(),
+            values.tobytes().hex(),
+        ]
     )
 
 
@@ -106,14 +111,14 @@ def _hash(known: list[str]) -> str:
 
 
 def resigned(data: bytes, folder: Path, rng: Rng) -> bytes:
-    """A checkpoint with another document, and a checksum that fits it."""
+    """Return a checkpoint with a changed document and a valid checksum."""
     saved = _saved(data, folder)
     text = document(saved.document.plain(), rng)
-    return checkpoint.signed(text.encode(errors="replace").decode(), saved.tensors)
+    return checkpoint.serialize(text.encode(errors="replace").decode(), saved.tensors)
 
 
 def resigned_tensors(data: bytes, folder: Path, rng: Rng) -> bytes:
-    """A checkpoint with another tensor, and a checksum that fits it."""
+    """Return a checkpoint with a changed tensor and a valid checksum."""
     saved = _saved(data, folder)
     tensors = dict(saved.tensors)
     name = list(tensors)[int(rng.integers(len(tensors)))]
@@ -134,7 +139,7 @@ def resigned_tensors(data: bytes, folder: Path, rng: Rng) -> bytes:
     new = changes[int(rng.integers(len(changes)))]()
     if new is not None:
         tensors[f"more.{name}" if rng.random() < 0.1 else name] = new
-    return checkpoint.signed(saved.document.text(), tensors)
+    return checkpoint.serialize(saved.document.text(), tensors)
 
 
 def _saved(data: bytes, folder: Path) -> checkpoint.Checkpoint:
@@ -144,7 +149,7 @@ def _saved(data: bytes, folder: Path) -> checkpoint.Checkpoint:
 
 
 def resealed(data: bytes, rng: Rng) -> bytes:
-    """An exported policy with other metadata, and a checksum that fits it."""
+    """Return an exported policy with changed metadata and a valid checksum."""
     model, metadata = _model(data)
     names = sorted(name for name in metadata if name != CHECKSUM)
     for _ in range(int(rng.integers(1, 3))):
@@ -152,18 +157,18 @@ def resealed(data: bytes, rng: Rng) -> bytes:
         value = metadata[name]
         try:
             text = document(json.loads(value), rng)
-        except (ValueError, RecursionError):  # no JSON, or spoilt before
+        except (ValueError, RecursionError):  # no JSON, or changed before
             text = str(rng.choice(["", "x", "mix", "1", "é\n", "null"]))
         metadata[name] = text.encode(errors="replace").decode()
     if rng.random() < 0.1:
         del metadata[names[int(rng.integers(len(names)))]]
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**metadata, CHECKSUM: PLACEHOLDER})
-    return sealed(model.SerializeToString())
+    return add_checksum(model.SerializeToString())
 
 
 def disguised(data: bytes, rng: Rng) -> bytes:
-    """Damaged, and its entries look as though they were of an older format."""
+    """Return a damaged exported policy whose entries look like those of an older format."""
     names = (b"sha256", b"terrain_config", b"format_version", b"flipperctl.sha256")
     for _ in range(int(rng.integers(1, 3))):
         name = names[int(rng.integers(len(names)))]

@@ -1,4 +1,4 @@
-"""Some hundred spoilt files of each kind; ``python -m tests.long.files`` spoils thousands."""
+"""Some hundred damaged files of each kind; ``python -m tests.long.files`` runs thousands."""
 
 import os
 import signal
@@ -9,11 +9,11 @@ import pytest
 
 from flipperctl.errors import CheckpointError, ExportError
 from tests.long.files import BAD, KINDS, fuzz
-from tests.long.isolated import judged
+from tests.long.isolated import run_isolated
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_spoilt_files_are_refused_or_read_as_what_they_were(kind: str) -> None:
+def test_damaged_files_are_refused_or_read_as_the_original(kind: str) -> None:
     with fuzz(kind, seed=0) as found:
         verdicts = list(found.run(120))
     assert len(verdicts) == 120
@@ -42,7 +42,7 @@ def _misbehave(case: int) -> str:
     return "equal"
 
 
-def test_all_that_must_not_be_is_found() -> None:
-    verdicts = [verdict for verdict, _ in judged(10, _misbehave, limit=1.0)]
+def test_every_kind_of_violation_is_found() -> None:
+    verdicts = [verdict for verdict, _ in run_isolated(10, _misbehave, limit=1.0)]
     expected = ["equal", "refused", "traceback", "traceback", "traceback", "noise", "hang"]
     assert verdicts == [*expected, "traceback", "traceback", "equal"]

@@ -1,4 +1,4 @@
-"""A handful of what ``python -m tests.long.kills`` and ``races`` try by the hundred."""
+"""A few cases of ``python -m tests.long.kills`` and ``races``, which run hundreds."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""An exported file in the simulator: judged as the checkpoint it came from, in its own setting."""
+"""An exported policy in the simulator: it acts as its checkpoint, with its own settings."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from flipperctl import checkpoint
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError, PolicyError
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.export import policy as export
+from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import call
@@ -18,11 +18,11 @@ from tests.runtime import linear
 @pytest.fixture(scope="module")
 def exported(short_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("exported") / "step.onnx"
-    export.export(checkpoint.read(short_run / checkpoint.BEST), "onnx", path)
+    export(checkpoint.read(short_run / checkpoint.BEST), "onnx", path)
     return path
 
 
-def test_the_exported_policy_drives_as_the_trained_one(short_run: Path, exported: Path) -> None:
+def test_the_exported_policy_acts_as_the_trained_one(short_run: Path, exported: Path) -> None:
     config = EnvConfig(terrain="step")
     trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
     robot = PolicySource(checkpoint=exported)
@@ -31,7 +31,7 @@ def test_the_exported_policy_drives_as_the_trained_one(short_run: Path, exported
     assert list(play_episodes(config, robot, episodes=3, seed=1, jobs=2)) == expected
 
 
-def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:
+def test_the_file_holds_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:
     config = exported_config(exported)
     assert config.terrain.plugin_name == "step"
     robot = {"chassis_length": 0.9, "flipper_length": 0.5}
@@ -43,7 +43,7 @@ def test_the_file_brings_its_terrain_robot_and_layout(exported: Path, tmp_path: 
     assert config.perception.bin_width == 0.1
 
 
-def test_a_policy_of_a_mix_is_judged_on_that_mix(tmp_path: Path) -> None:
+def test_a_policy_of_a_mix_is_evaluated_on_that_mix(tmp_path: Path) -> None:
     mix = {
         "name": "mix",
         "parts": [{"name": "step", "low": 0.1, "high": 0.2}, {"name": "ramp", "length_low": 0.9}],
@@ -76,12 +76,12 @@ def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
     assert done.code == 2
     assert done.err.startswith("error: no.onnx is damaged, or not a file of flipperctl export")
     assert done.err.count("\n") == 1
-    spoilt = bytearray(exported.read_bytes())
-    spoilt[len(spoilt) // 2] ^= 1
-    (tmp_path / "spoilt.onnx").write_bytes(spoilt)
-    done = call("eval", "--checkpoint", "spoilt.onnx", "--json", cwd=tmp_path)
+    damaged = bytearray(exported.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    (tmp_path / "damaged.onnx").write_bytes(damaged)
+    done = call("eval", "--checkpoint", "damaged.onnx", "--json", cwd=tmp_path)
     assert (done.code, done.out) == (2, "")
     assert done.err == (
-        "error: spoilt.onnx is damaged, or was changed since its export: "
+        "error: damaged.onnx is damaged, or was changed since its export: "
         "its SHA-256 does not match its contents\n"
     )

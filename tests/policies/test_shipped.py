@@ -1,4 +1,4 @@
-"""The policies that come with the package: whole, described, and of today's configuration."""
+"""The policies that come with the package are complete, described and up to date."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
 
-SHIPPED = sorted(checkpoint.shipped().items())
+SHIPPED = sorted(checkpoint.shipped_policies().items())
 
 
 def test_there_is_a_generalist() -> None:
@@ -19,7 +19,9 @@ def test_there_is_a_generalist() -> None:
 
 
 @pytest.mark.parametrize(("name", "path"), SHIPPED)
-def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: Path) -> None:
+def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_the_finish(
+    name: str, path: Path
+) -> None:
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
     config_store.offer_defaults()
@@ -33,11 +35,11 @@ def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: 
 @pytest.mark.parametrize(("name", "path"), SHIPPED)
 def test_a_shipped_policy_has_its_card(name: str, path: Path) -> None:
     card = path.with_suffix(".md").read_text()
-    for heading in ("## What it is for", "## How it was trained", "## How it was judged"):
+    for heading in ("## What it is for", "## How it was trained", "## How it was evaluated"):
         assert heading in card
     assert f"experiment={name}" in card
 
 
-def test_an_unknown_policy_is_answered_with_those_there_are(tmp_path: Path) -> None:
+def test_the_error_for_an_unknown_policy_names_a_close_match(tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="did you mean 'generalist'"):
         checkpoint.find(Path("generalst"))

@@ -1,4 +1,4 @@
-"""The one loop that plays an episode."""
+"""The one episode loop."""
 
 import itertools
 import warnings
@@ -19,15 +19,15 @@ def okada() -> Policy:
     return resolver.create("controller", "okada", "controller").build()
 
 
-def test_a_decision_holds_what_was_decided_on_and_what_came_of_it() -> None:
+def test_a_decision_holds_the_policy_s_input_and_the_results() -> None:
     env = FlipperEnv("step")
-    seen = list(decisions(env, okada(), 3))
-    for one, following in itertools.pairwise(seen):
+    episode = list(decisions(env, okada(), 3))
+    for one, following in itertools.pairwise(episode):
         assert one.next_perception is following.perception
         assert one.transition.after is following.transition.before
         assert one.ending is None
         assert one.reward == pytest.approx(sum(one.rewards.values()))
-    assert seen[-1].ending == play(env, okada(), 3)
+    assert episode[-1].ending == play(env, okada(), 3)
 
 
 def test_poses_are_100_hz_and_end_where_the_state_is() -> None:
@@ -40,22 +40,22 @@ def test_poses_are_100_hz_and_end_where_the_state_is() -> None:
     assert (np.diff(first.poses[:, 3]) > 0).mean() > 0.9
 
 
-def test_who_stops_iterating_cancels_the_episode() -> None:
+def test_to_stop_iterating_cancels_the_episode() -> None:
     env = FlipperEnv("step")
     for decision in decisions(env, okada(), 3):
         if decision.transition.after.time > 2.0:
             break
     assert 2.0 < env.state.time < 3.0
-    assert play(env, okada(), 3)["outcome"] == "reached"  # and the next one is whole
+    assert play(env, okada(), 3)["outcome"] == "reached"  # the next episode is complete
 
 
-def test_the_pace_is_asked_before_each_decision() -> None:
-    asked: list[float] = []
-    told = [
+def test_the_pace_is_called_before_each_decision() -> None:
+    called: list[float] = []
+    expected = [
         d.transition.before.time
-        for d in decisions(FlipperEnv("flat"), okada(), 0, pace=asked.append)
+        for d in decisions(FlipperEnv("flat"), okada(), 0, pace=called.append)
     ]
-    assert asked == told
+    assert called == expected
 
 
 def test_real_time_waits_for_the_rest_of_each_decision() -> None:
@@ -69,14 +69,14 @@ def test_real_time_waits_for_the_rest_of_each_decision() -> None:
     assert slept == pytest.approx([0.2])
 
 
-def test_play_shows_every_decision() -> None:
-    seen: list[Decision] = []
-    row = play(FlipperEnv("flat"), okada(), 0, watch=seen.append)
-    assert len(seen) == row["decisions"]
+def test_play_passes_every_decision_to_watch() -> None:
+    watched: list[Decision] = []
+    row = play(FlipperEnv("flat"), okada(), 0, watch=watched.append)
+    assert len(watched) == row["decisions"]
 
 
 @pytest.mark.usefixtures("registry")
-def test_a_controller_of_version_0_1_still_hears_of_each_episode() -> None:
+def test_the_begin_of_a_version_0_1_controller_is_called_in_each_episode() -> None:
     begun = []
     with pytest.warns(DeprecationWarning, match=r"begin is deprecated.*build"):
 
@@ -97,8 +97,8 @@ def test_a_controller_of_version_0_1_still_hears_of_each_episode() -> None:
     assert OldFashioned.searches_first
 
 
-def test_a_controller_that_can_never_decide_is_refused() -> None:
+def test_a_controller_without_act_and_build_is_refused() -> None:
     with warnings.catch_warnings(), pytest.raises(TypeError, match=r"Idle.*act\(p\) or build\(\)"):
 
         class Idle(Controller):
-            """Neither acts nor builds a policy."""
+            """Has neither ``act`` nor ``build``."""

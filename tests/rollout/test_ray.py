@@ -17,7 +17,7 @@ ray = pytest.importorskip("ray")
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
-    """A head without a CPU to play on, and two nodes with one each."""
+    """Yield a head node without a CPU for episodes and two nodes with one CPU each."""
     from ray.cluster_utils import Cluster
 
     with warnings.catch_warnings():
@@ -34,7 +34,7 @@ def cluster() -> Iterator[Any]:
 
 
 class NodeKiller:
-    """A listener that takes a node away behind an episode."""
+    """A listener that removes a node after an episode."""
 
     def __init__(self, cluster: Any, episode: int) -> None:
         self._cluster, self._at = cluster, episode
@@ -71,7 +71,7 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert max(killer.lags) > 0
 
 
-def test_an_address_without_a_cluster_is_said(tmp_path: Path) -> None:
+def test_an_address_without_a_cluster_is_named(tmp_path: Path) -> None:
     collector = {"name": "ray", "address": "127.0.0.1:1", "workers": 1}
     config = short_config(**{"train.mode": "fast", "collector": collector})
     with pytest.raises(ConfigError, match=r"collector\.address: no Ray cluster answers"):

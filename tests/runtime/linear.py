@@ -1,4 +1,4 @@
-"""An exported policy made by hand: the Q-value of action a is the a-th terrain height."""
+"""An exported policy built by hand: the Q-value of action a is the a-th terrain height."""
 
 import json
 import math
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, sealed
+from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 
 HEIGHTS = [{"name": f"h_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"} for i in range(15)]
 ANGLES = [
@@ -29,9 +29,9 @@ METADATA = {
     "terrain_config": {"name": "stair", "rise": 0.15},
     "seed": 7,
 }
-"""As ``flipperctl export onnx`` writes it."""
-FORMAT_1 = {"format_version": 1, "terrain_config": None, "seal": False}
-"""What makes ``write`` leave a file of format 1."""
+"""Metadata as ``flipperctl export onnx`` writes them."""
+FORMAT_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
+"""Arguments of ``write`` for a file of format 1."""
 
 
 def write(
@@ -40,10 +40,10 @@ def write(
     size: int = 18,
     output: str = "q_values",
     scale: float = 1.0,
-    seal: bool = True,
+    checksum: bool = True,
     **changes: object,
 ) -> Path:
-    """Write the policy; ``changes`` replace metadata, and None drops them."""
+    """Write the policy and return its path; ``changes`` replace metadata, None removes an entry."""
     weights = numpy_helper.from_array(np.eye(size, 9, dtype=np.float32) * np.float32(scale), "w")
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["observation", "w"], [output])],
@@ -57,7 +57,7 @@ def write(
     texts = {
         f"flipperctl.{k}": v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()
     }
-    helper.set_model_props(model, texts | ({CHECKSUM: PLACEHOLDER} if seal else {}))
+    helper.set_model_props(model, texts | ({CHECKSUM: PLACEHOLDER} if checksum else {}))
     data = model.SerializeToString()
-    path.write_bytes(sealed(data) if seal else data)
+    path.write_bytes(add_checksum(data) if checksum else data)
     return path

@@ -1,4 +1,4 @@
-"""The checksum of an exported policy: no change of the file passes, old files can be judged."""
+"""The checksum of an exported policy: it finds every change, and old files can still be read."""
 
 import logging
 from pathlib import Path
@@ -31,10 +31,10 @@ def test_a_truncated_or_longer_file_is_damaged(whole: bytes) -> None:
             checksum.verify(data, "p.onnx")
 
 
-def test_a_new_file_without_its_checksum_is_not_taken_for_an_old_one(
+def test_a_new_file_without_its_checksum_is_not_read_as_an_old_one(
     whole: bytes, tmp_path: Path
 ) -> None:
-    without = write(tmp_path / "q.onnx", seal=False).read_bytes()
+    without = write(tmp_path / "q.onnx", checksum=False).read_bytes()
     disguised = without.replace(b"format_version\x12\x012", b"format_version\x12\x011")
     assert disguised != without
     for data in (without, disguised, whole.replace(b"flipperctl.sha256", b"flipperctl.sha257")):
@@ -74,6 +74,6 @@ def test_a_damaged_file_of_format_1_raises_the_runtime_s_own_error_and_prints_no
     assert capfd.readouterr().out == ""
 
 
-def test_only_one_placeholder_is_sealed() -> None:
+def test_a_model_needs_exactly_one_placeholder() -> None:
     with pytest.raises(ValueError, match=r"must hold flipperctl\.sha256 once"):
-        checksum.sealed(b"no metadata")
+        checksum.add_checksum(b"no metadata")

@@ -1,4 +1,4 @@
-"""What an exported file says, and what is said when it is not one of ours."""
+"""The interface of an exported policy, and the errors for files of other programs."""
 
 import math
 from pathlib import Path
@@ -10,30 +10,35 @@ from flipperctl.runtime import OnnxPolicy
 from tests.runtime.linear import METADATA, write
 
 
-def test_a_file_says_what_it_takes_and_gives(tmp_path: Path) -> None:
-    says = OnnxPolicy(write(tmp_path / "p.onnx")).interface
-    assert (says.size, says.bins, says.bin_width) == (18, 15, 0.15)
-    assert (says.frames, says.inputs) == (1, 18)  # where the metadata say nothing of frames
-    assert [q.name for q in says.observation[14:]] == ["h_15", "theta_f1", "theta_f2", "theta_R"]
-    assert says.observation[15].unit == "rad"
+def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
+    interface = OnnxPolicy(write(tmp_path / "p.onnx")).interface
+    assert (interface.size, interface.bins, interface.bin_width) == (18, 15, 0.15)
+    assert (interface.frames, interface.inputs) == (1, 18)  # the metadata have no entry of frames
+    assert [q.name for q in interface.observation[14:]] == [
+        "h_15",
+        "theta_f1",
+        "theta_f2",
+        "theta_R",
+    ]
+    assert interface.observation[15].unit == "rad"
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
-    assert says.actions.shape == (9, 2)
-    assert says.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
-    assert says.decision_period == 0.6
-    assert says.robot["chassis_length"] == 0.76
-    assert (says.terrain, says.seed, says.package_version) == ("stair", 7, "0.1.0")
-    assert dict(says.terrain_config) == {"name": "stair", "rise": 0.15}
+    assert interface.actions.shape == (9, 2)
+    assert interface.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
+    assert interface.decision_period == 0.6
+    assert interface.robot["chassis_length"] == 0.76
+    assert (interface.terrain, interface.seed, interface.package_version) == ("stair", 7, "0.1.0")
+    assert dict(interface.terrain_config) == {"name": "stair", "rise": 0.15}
 
 
-def test_nobody_changes_what_a_file_says(tmp_path: Path) -> None:
-    says = OnnxPolicy(write(tmp_path / "p.onnx")).interface
+def test_an_interface_is_read_only(tmp_path: Path) -> None:
+    interface = OnnxPolicy(write(tmp_path / "p.onnx")).interface
     with pytest.raises(ValueError, match="read-only"):
-        says.actions[0] = 0
+        interface.actions[0] = 0
     with pytest.raises(TypeError):
-        says.robot["chassis_length"] = 1.0
+        interface.robot["chassis_length"] = 1.0
 
 
-def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
+def test_a_policy_may_have_another_number_of_bins(tmp_path: Path) -> None:
     entries = METADATA["observation"][:5] + METADATA["observation"][-3:]
     policy = OnnxPolicy(write(tmp_path / "p.onnx", size=8, bins=5, observation=entries))
     assert policy.interface.size == 8
@@ -44,11 +49,11 @@ def test_a_policy_of_other_bins_says_so(tmp_path: Path) -> None:
     ("changes", "text"),
     [
         (
-            {**dict.fromkeys(METADATA), "seal": False},
+            {**dict.fromkeys(METADATA), "checksum": False},
             r"not a file of flipperctl export onnx.*no flipperctl\.format_version",
         ),
         ({"format_version": 3}, r"format version '3'; this version of flipperctl reads 1 and 2"),
-        ({"format_version": 3, "seal": False}, r"format version '3', or is damaged; this version"),
+        ({"format_version": 3, "checksum": False}, r"format version '3', or is damaged"),
         ({"format_version": None}, r"format version None; this version of flipperctl reads 1 and"),
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
         ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),

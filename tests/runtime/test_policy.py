@@ -1,4 +1,4 @@
-"""The policy as the robot runs it: what it decides, what it refuses, what it imports."""
+"""The policy as the robot runs it: its decisions, its errors and its imports."""
 
 import math
 import subprocess
@@ -19,7 +19,7 @@ def policy(tmp_path: Path) -> OnnxPolicy:
 
 
 def observation(highest: int) -> np.ndarray:
-    """All 0 but one height."""
+    """Return an observation of zeros but one height."""
     return np.eye(18)[highest] * 0.3
 
 
@@ -39,12 +39,12 @@ def test_q_values_of_one_and_of_many(policy: OnnxPolicy) -> None:
     assert policy.q_values(np.zeros((0, 18))).shape == (0, 9)
 
 
-def test_a_decision_leaves_earlier_values_and_the_observation_alone(policy: OnnxPolicy) -> None:
-    seen = observation(4)
-    first = policy.q_values(seen)
+def test_a_decision_changes_neither_earlier_values_nor_the_observation(policy: OnnxPolicy) -> None:
+    given = observation(4)
+    first = policy.q_values(given)
     policy.act(observation(6))
     assert first[4] == pytest.approx(0.3)
-    assert seen.tolist() == observation(4).tolist()
+    assert given.tolist() == observation(4).tolist()
 
 
 @pytest.mark.parametrize("shape", [(17,), (1, 18), (18, 1), ()])
@@ -67,7 +67,7 @@ def test_an_observation_that_is_not_finite_is_named(policy: OnnxPolicy, bad: flo
         policy.act(wrong)
     with pytest.raises(NonFiniteError, match=r"observation\[1, 16\] \(theta_f2\)"):
         policy.q_values([observation(4), wrong])
-    assert policy.act(observation(5)) == 5  # and the next decision is as good as ever
+    assert policy.act(observation(5)) == 5  # the next decision is right again
 
 
 def test_a_policy_of_several_frames_keeps_the_observations_before(tmp_path: Path) -> None:
@@ -77,22 +77,22 @@ def test_a_policy_of_several_frames_keeps_the_observations_before(tmp_path: Path
     policy = OnnxPolicy(path)
     assert (policy.interface.size, policy.interface.frames, policy.interface.inputs) == (9, 3, 27)
 
-    def seen(*highest: int) -> list[int]:
+    def act(*highest: int) -> list[int]:
         return [policy.act(np.eye(9)[a]) for a in highest]
 
-    assert seen(4, 5, 6, 7) == [4, 4, 4, 5]  # the first stands in for those before it
-    assert seen(8) == [6]
+    assert act(4, 5, 6, 7) == [4, 4, 4, 5]  # the first also fills the frames before it
+    assert act(8) == [6]
     policy.reset()
-    assert seen(2, 1, 0, 3) == [2, 2, 2, 1]
+    assert act(2, 1, 0, 3) == [2, 2, 2, 1]
     with pytest.raises(NonFiniteError, match=r"observation\[7\] \(theta_f2\) is nan"):
         policy.act(np.where(np.arange(9) == 7, np.nan, 0.0))
-    assert seen(8) == [0]  # what was refused was not seen
+    assert act(8) == [0]  # the refused observation is not kept
     with pytest.raises(PolicyError, match=r"\(27,\) or \(B, 27\) is allowed: 6 .* of each frame"):
         policy.q_values(np.zeros(9))
     assert policy.q_values(np.arange(27.0)).tolist() == list(range(9))
 
 
-def test_what_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:
+def test_an_observation_that_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:
     with pytest.raises(PolicyError, match="is not numbers"):
         policy.act(["steep"] * 18)
 

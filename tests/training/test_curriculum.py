@@ -1,4 +1,4 @@
-"""A curriculum in training: it grows with success, it is written down, and it resumes."""
+"""A curriculum in training: difficulty grows with success, is recorded, and is resumed."""
 
 from pathlib import Path
 
@@ -25,9 +25,7 @@ CURRICULUM = {
 }
 
 
-def test_it_grows_with_success_and_a_resumed_run_goes_on_at_its_difficulty(
-    tmp_path: Path,
-) -> None:
+def test_difficulty_grows_with_success_and_is_kept_when_a_run_is_resumed(tmp_path: Path) -> None:
     config = short_config(**CURRICULUM)
     path, tail = tmp_path / "metrics.csv", tmp_path / "tail.csv"
     whole = trainer(config, tmp_path / "whole")
@@ -55,7 +53,7 @@ def test_it_grows_with_success_and_a_resumed_run_goes_on_at_its_difficulty(
             assert ours[key] == theirs[key]
 
 
-def test_only_training_meets_the_easy_ground() -> None:
+def test_only_training_uses_the_easy_terrain() -> None:
     env = FlipperEnv(config=short_config(**CURRICULUM).environment())
     env.reset(seed=0, options={"difficulty": 0.5})
     assert env.profile.end == pytest.approx(0.6)

@@ -1,4 +1,4 @@
-"""One process holds a run directory; one that died holds nothing."""
+"""The lock of a run directory: one process holds it, and a dead process releases it."""
 
 import errno
 import json
@@ -26,7 +26,7 @@ os._exit(9)
 
 
 def dies_holding(folder: Path, *, soft: bool) -> None:
-    """A process that ends without letting go."""
+    """Run a process that ends without releasing the lock."""
     command = [sys.executable, "-c", DIES.format(soft=soft), str(folder)]
     assert subprocess.run(command, check=False, timeout=60).returncode == 9
 
@@ -39,7 +39,7 @@ def without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_the_second_is_told_who_holds_it(
+def test_the_error_for_a_second_process_names_the_holder(
     soft: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if soft:
@@ -50,17 +50,17 @@ def test_the_second_is_told_who_holds_it(
         with pytest.raises(RunHeldError) as refused, hold(tmp_path):
             pass
         assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-    said = str(refused.value)
-    assert f"process {os.getpid()} on {socket.gethostname()} since {note['since']}" in said
-    assert (".run.softlock" in said) == soft
-    assert len(said.splitlines()) == 1
+    text = str(refused.value)
+    assert f"process {os.getpid()} on {socket.gethostname()} since {note['since']}" in text
+    assert (".run.softlock" in text) == soft
+    assert len(text.splitlines()) == 1
     with hold(tmp_path):
         assert (tmp_path / ".run.lock.json").exists()
     assert not (tmp_path / ".run.lock.json").exists()
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_a_process_that_died_holds_nothing(
+def test_a_process_that_died_holds_no_lock(
     soft: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dies_holding(tmp_path, soft=soft)
@@ -71,7 +71,7 @@ def test_a_process_that_died_holds_nothing(
         assert json.loads((tmp_path / ".run.lock.json").read_text())["pid"] == os.getpid()
 
 
-def test_locks_of_other_names_and_folders_do_not_meet(tmp_path: Path) -> None:
+def test_locks_of_other_names_and_folders_are_independent(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     with hold(tmp_path), hold(tmp_path, "sweep"), hold(tmp_path / "run"):
         pass

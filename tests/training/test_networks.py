@@ -1,4 +1,4 @@
-"""Every network is trained, judged and exported by its name alone."""
+"""Every network can be trained, evaluated and exported by its name alone."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from flipperctl.api import Network
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.export import policy as export
+from flipperctl.export import policy as export_policy
 from flipperctl.policies.source import PolicySource
 from flipperctl.runtime import OnnxPolicy
 from tests.short import short_config, trainer
@@ -21,7 +21,7 @@ NEW = [n for n in registered_names("network") if n not in ("at_d3qn", "dueling_m
 
 
 def config(name: str, **more: object) -> TrainConfig:
-    """A training of some twelve episodes."""
+    """Return the configuration of a training of some twelve episodes."""
     quick = {
         "train.decisions": 260,
         "train.validate_every": 130,
@@ -36,7 +36,7 @@ def config(name: str, **more: object) -> TrainConfig:
 
 @pytest.fixture(scope="module", params=NEW)
 def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a finished run of one of the networks."""
+    """Return the directory of a finished run of one of the networks."""
     folder = tmp_path_factory.mktemp(request.param)
     summary = trainer(config(request.param), folder).run()
     assert summary["network"] == request.param
@@ -61,28 +61,28 @@ def test_a_resumed_run_equals_the_uninterrupted_one(trained: Path, tmp_path: Pat
         assert getattr(resumed.document.state, key) == getattr(whole.document.state, key)
 
 
-def test_the_exported_policy_drives_as_the_trained_one(
+def test_the_exported_policy_acts_as_the_trained_one(
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(export, "OBSERVATIONS", 100)
+    monkeypatch.setattr(export_policy, "OBSERVATIONS", 100)
     saved, path = checkpoint.read(trained / checkpoint.BEST), tmp_path / "policy.onnx"
     for found in (
-        export.export(saved, "onnx", path),
-        export.export(saved, "pt2", tmp_path / "policy.pt2"),
+        export_policy.export(saved, "onnx", path),
+        export_policy.export(saved, "pt2", tmp_path / "policy.pt2"),
     ):
         assert found["action_agreement"] == 1.0
     frames = saved.config().network.frames
     assert OnnxPolicy(path).interface.frames == frames
     (entry,) = onnxruntime.InferenceSession(path).get_inputs()
     assert entry.shape[1] == 18 * frames
-    judged = EnvConfig(terrain="step")
+    scene = EnvConfig(terrain="step")
     expected = list(
-        play_episodes(judged, PolicySource(trained / checkpoint.BEST), episodes=3, seed=1)
+        play_episodes(scene, PolicySource(trained / checkpoint.BEST), episodes=3, seed=1)
     )
-    assert list(play_episodes(judged, PolicySource(path), episodes=3, seed=1)) == expected
+    assert list(play_episodes(scene, PolicySource(path), episodes=3, seed=1)) == expected
 
 
-def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Path) -> None:
+def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None:
     from flipperctl.agent.d3qn import D3qn, arrays
     from flipperctl.config import container
     from flipperctl.rollout.actor import Actor
@@ -96,7 +96,7 @@ def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Pa
         weights = arrays(agent.online)
         actors = [Actor(container(settings), []) for _ in range(2)]
         requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
-        actors[1].evaluate(weights, [3])  # leaves no trace in what is played next
+        actors[1].evaluate(weights, [3])  # must not change the next rollout
         one, again, other = (
             actor.play(request, weights)
             for actor, request in zip(
@@ -105,5 +105,5 @@ def test_workers_see_several_frames_and_explore_by_noise_repeatably(tmp_path: Pa
         )
         assert one.observations.shape[1] == network.frames * layout.size
         assert np.array_equal(one.actions, again.actions)
-        # Without random actions, only noise makes two episodes of equal ground differ
+        # Without random actions, only noise makes two episodes of equal terrain differ.
         assert np.array_equal(one.actions, other.actions) == (name == "stacked")

@@ -1,4 +1,4 @@
-"""Training: it learns, it can be stopped and goes on bit for bit, it leaves what it promises."""
+"""Training: it learns, it resumes bit for bit, and its records are complete."""
 
 import csv
 import json
@@ -23,7 +23,7 @@ def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
         short_config(**{"train.decisions": 3000, "agent.epsilon_decisions": 2000}), tmp_path
     )
     best = learner.run()["best"]
-    # An untrained network reaches hardly any finish (first validation); a trained one most.
+    # An untrained network hardly ever reaches the finish (first validation); a trained one mostly.
     assert best is not None
     assert best["success_rate"] >= 2 / 3
     assert best["decision"] > 300
@@ -60,7 +60,7 @@ def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_requests(
         **{
             "train.mode": "fast",
             "train.workers": workers,
-            # An order carries its episode's difficulty.
+            # A request holds the difficulty of its episode.
             "terrain": {"name": "curriculum", "start": 0.5, "up": 0.2, "down": 0.1},
         }
     )
@@ -99,7 +99,7 @@ def test_the_budget_is_met_exactly(short_run: Path) -> None:
     assert summary["last"]["decision"] == 600
 
 
-def test_metrics_hold_a_row_an_episode_and_drop_what_lies_behind_a_resumed_checkpoint(
+def test_metrics_have_a_row_per_episode_and_drop_rows_after_a_resumed_checkpoint(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "metrics.csv"
@@ -131,10 +131,10 @@ def test_best_is_chosen_by_success_then_by_pitch_variation() -> None:
     assert validator.best == validation(1.0, 1.5)
 
 
-def test_a_reward_that_is_no_number_stops_and_is_named(tmp_path: Path) -> None:
+def test_a_reward_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) -> None:
     @reward("sometimes_nan")
     class SometimesNan(RewardTerm):
-        """NaN when an episode ends."""
+        """Return NaN when an episode ends."""
 
         def __call__(self, t: Transition) -> float:
             return 0.0 if t.outcome is None else math.nan

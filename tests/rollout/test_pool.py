@@ -1,4 +1,4 @@
-"""Worker processes: they are replaced when they die, and the rest of their work is done."""
+"""The worker pool: it replaces a process that dies and runs the remaining calls."""
 
 import os
 import signal
@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout.processes import WorkerDiedError, Workers
+from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 from flipperctl.training.trainer import Trainer
 from tests.short import short_config, trainer
 
 
-def begin() -> None:
-    """Nothing to prepare."""
+def initialize() -> None:
+    """Prepare nothing."""
 
 
 def double(number: int) -> int:
@@ -29,20 +29,20 @@ def fail() -> None:
     raise FlipperctlError("on purpose")
 
 
-def test_a_dead_worker_is_replaced_and_does_what_waited_behind() -> None:
-    workers = Workers(1, begin, ())
+def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
+    workers = WorkerPool(1, initialize, ())
     try:
-        jobs = [workers.submit(double, 1), workers.submit(die), workers.submit(double, 2)]
-        assert workers.result(jobs[0]) == 2
+        calls = [workers.submit(double, 1), workers.submit(die), workers.submit(double, 2)]
+        assert workers.result(calls[0]) == 2
         with pytest.raises(WorkerDiedError, match="worker process 0 died"):
-            workers.result(jobs[1])
-        assert workers.result(jobs[2]) == 4
+            workers.result(calls[1])
+        assert workers.result(calls[2]) == 4
     finally:
         workers.close()
 
 
-def test_a_worker_that_always_dies_is_given_up_with_a_reason() -> None:
-    workers = Workers(1, begin, ())
+def test_a_worker_that_always_dies_ends_the_pool_with_a_reason() -> None:
+    workers = WorkerPool(1, initialize, ())
     try:
         for _ in range(2):
             with pytest.raises(WorkerDiedError):
@@ -53,8 +53,8 @@ def test_a_worker_that_always_dies_is_given_up_with_a_reason() -> None:
         workers.close()
 
 
-def test_an_error_in_a_worker_arrives_as_it_is() -> None:
-    workers = Workers(2, begin, ())
+def test_an_error_in_a_worker_is_raised_unchanged() -> None:
+    workers = WorkerPool(2, initialize, ())
     try:
         with pytest.raises(FlipperctlError, match="on purpose"):
             workers.result(workers.submit(fail))
@@ -64,7 +64,7 @@ def test_an_error_in_a_worker_arrives_as_it_is() -> None:
 
 
 class Killer:
-    """A listener that kills a worker behind the fifth episode, and hears what is said of it."""
+    """A listener that kills a worker after the fifth episode and collects the notes."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -86,23 +86,23 @@ class Killer:
         pass
 
 
-_workers: list[Workers] = []
+_pools: list[WorkerPool] = []
 
 
 def children() -> list[int]:
-    return _workers[-1].processes()
+    return _pools[-1].process_ids()
 
 
-def test_a_training_run_goes_on_when_a_worker_is_killed(
+def test_a_training_run_continues_when_a_worker_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    create = Workers.__init__
+    create = WorkerPool.__init__
 
-    def remembered(self: Workers, *arguments: object) -> None:
+    def remembered(self: WorkerPool, *arguments: object) -> None:
         create(self, *arguments)
-        _workers.append(self)
+        _pools.append(self)
 
-    monkeypatch.setattr(Workers, "__init__", remembered)
+    monkeypatch.setattr(WorkerPool, "__init__", remembered)
     learner: Trainer = trainer(short_config(**{"train.mode": "fast"}), tmp_path)
     killer = Killer()
     learner.listeners.append(killer)

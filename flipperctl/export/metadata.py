@@ -1,0 +1,64 @@
+"""The metadata of an exported policy.
+
+In: a checkpoint. Out: what a robot must know to run the policy, as strings under ``flipperctl.*``.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from flipperctl import __version__
+from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.config import resolver
+from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
+
+
+def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
+    """Return the metadata of a policy, without its checksum; values that are not text are JSON."""
+    config = checkpoint.config()
+    layout, robot = config.perception, config.robot
+    table = [[front * robot.angle_step, rear * robot.angle_step] for front, rear in ACTIONS]
+    geometry = robot.model_dump(mode="json")
+    values: dict[str, Any] = {
+        "format_version": FORMAT_VERSION,
+        "package_version": __version__,
+        "observation": describe_observation(layout),
+        "bins": layout.bins,
+        "bin_width": layout.bin_width,
+        "frames": config.network.frames,
+        "actions": table,
+        "decision_period": robot.decision_period,
+        "robot": geometry,
+        "terrain": config.terrain.plugin_name,
+        "terrain_config": resolver.container(config.terrain),
+        "seed": config.seed,
+        "network": config.network.plugin_name,
+    }
+    return {
+        f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
+        for name, value in values.items()
+    }
+
+
+def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
+    """Return name, unit, frame and meaning of each of the N + 3 numbers of an observation."""
+    low, width = -layout.reach, layout.bin_width
+    heights = [
+        {
+            "name": f"h_{i + 1}",
+            "unit": "m",
+            "frame": "L",
+            "meaning": "mean terrain height, up positive, for x in "
+            f"[{low + i * width:.3f}, {low + (i + 1) * width:.3f}) m",
+        }
+        for i in range(layout.bins)
+    ]
+    flipper = {"unit": "rad", "frame": "R"}
+    return [
+        *heights,
+        {"name": "theta_f1", **flipper, "meaning": "front flippers, above chassis positive"},
+        {"name": "theta_f2", **flipper, "meaning": "rear flippers, above chassis positive"},
+        {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch, nose up positive"},
+    ]

@@ -1,0 +1,86 @@
+"""The comparison of an exported policy with torch on the observations of real rollouts.
+
+In: a network in torch and the same network exported. Out: their largest difference, or an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.frames import stacked
+from flipperctl.api import Perception
+from flipperctl.config import TrainConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ExportError
+from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import episode_seed
+
+TOLERANCE = 1e-4
+"""Largest difference of a Q-value that counts as rounding, relative to the largest |Q|."""
+
+QFunction = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9)."""
+
+
+class _RecordingPolicy(TrainedPolicy):
+    """Acts like the policy and keeps the inputs of its network."""
+
+    def __init__(self, module: torch.nn.Module, frames: int) -> None:
+        super().__init__(module, frames)
+        self.inputs: list[NDArray[np.float32]] = []
+
+    def act(self, p: Perception) -> int:
+        self.inputs.append(stacked(p.recent, self.frames))
+        return super().act(p)
+
+
+def rollout_observations(
+    config: TrainConfig, module: torch.nn.Module, count: int
+) -> NDArray[np.float32]:
+    """Return ``count`` or more inputs of the network from its own episodes, (M, F · (N + 3))."""
+    env = FlipperEnv(config=config.environment())
+    policy = _RecordingPolicy(module, config.network.frames)
+    episode = 0
+    while len(policy.inputs) < count:
+        play(env, policy, episode_seed("evaluation", config.seed, episode))
+        episode += 1
+    return np.stack(policy.inputs)
+
+
+def compare(
+    module: torch.nn.Module, exported: QFunction, observations: NDArray[np.float32]
+) -> dict[str, Any]:
+    """Return the largest difference of the Q-values and the agreement of the chosen actions.
+
+    Raises:
+        ExportError: the Q-values differ by more than rounding, or rounding does not explain a
+            different action.
+    """
+    with torch.inference_mode():
+        expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
+    actual = exported(observations)
+    if actual.shape != expected.shape:
+        raise ExportError(f"the exported policy gives {actual.shape}, torch {expected.shape}")
+    difference = float(np.abs(expected - actual).max())
+    limit = TOLERANCE * max(1.0, float(np.abs(expected).max()))
+    agreement = float((expected.argmax(1) == actual.argmax(1)).mean())
+    ordered = np.sort(expected, axis=1)
+    decided = ordered[:, -1] - ordered[:, -2] > 2 * limit  # no tie within rounding
+    differs = decided & (expected.argmax(1) != actual.argmax(1))
+    if not difference <= limit or differs.any():
+        raise ExportError(
+            f"the exported policy disagrees with torch: Q-values differ by up to {difference:g} "
+            f"(allowed {limit:g}), actions agree on {agreement:.2%} of {len(observations)} "
+            "observations; nothing was written"
+        )
+    return {
+        "observations": len(observations),
+        "largest_difference": difference,
+        "action_agreement": agreement,
+    }
