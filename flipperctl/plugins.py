@@ -114,7 +114,7 @@ def _where(error: BaseException, file: Path | None) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
     found = guard.import_place(error, file)
-    return f"{found}: {guard.words(error)}" if found else guard.words(error)
+    return f"{found}: {guard.error_line(error)}" if found else guard.error_line(error)
 
 
 def names(kind: str) -> list[str]:
@@ -210,7 +210,7 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
         return container(construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
-            f"{guard.called(cls)}: its defaults are not valid: "
+            f"{guard.plugin_label(cls)}: its defaults are not valid: "
             f"{explain(error, '', cls)} ({guard.definition(cls)})"
         ) from error
 

@@ -78,7 +78,7 @@ def test_a_shaped_task_has_the_optimal_policy_of_the_task(seed: int) -> None:
 
 
 def episode(seed: int, **settings: Any) -> list[Transition]:
-    """One episode on the stair with random actions."""
+    """Play one episode on the stair with random actions; return its transitions."""
     env = FlipperEnv(config=parse(EnvConfig, merged(EnvConfig(terrain="stair"), settings)))
     env.reset(seed=seed)
     rng, transitions, over = np.random.default_rng(seed), [], False
@@ -90,13 +90,13 @@ def episode(seed: int, **settings: Any) -> list[Transition]:
 
 
 def discounted(parts: list[float]) -> float:
-    """The sum of γ^t times the t-th."""
+    """Return the discounted sum of one value per decision."""
     return float(np.dot(parts, GAMMA ** np.arange(len(parts))))
 
 
-# The shaping telescopes on what the robot really does, so that no policy gains by it.
+# The shaping telescopes along the robot's real trajectory, so that no policy gains by it.
 def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
-    """Whatever the end, a timeout included."""
+    """It does so for each outcome, including a timeout."""
     term = plugins.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     assert isinstance(term, Shaping)
     ends = set()
@@ -113,7 +113,7 @@ def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
 
 
 def test_n_step_sums_of_shaping_telescope() -> None:
-    """The learner bootstraps behind n decisions: γ^n Φ(there) is what its value then lacks."""
+    """The learner bootstraps after n decisions, where its value is lower by Φ of that state."""
     term = plugins.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     transitions = episode(0)
     for n in (1, 3, 5):
@@ -143,8 +143,8 @@ def test_the_shaping_s_discount_is_the_agent_s() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_shaping_refuses_values_behind_an_outcome() -> None:
+def test_shaping_refuses_bootstrapped_outcomes() -> None:
     with pytest.raises(ConfigError) as error:
         train(**{"agent.bootstrap_outcomes": ["timeout"]})
-    for words in ("agent.bootstrap_outcomes: ", "rewards.way", "agent.bootstrap_outcomes=[]"):
-        assert words in str(error.value)
+    for text in ("agent.bootstrap_outcomes: ", "rewards.way", "agent.bootstrap_outcomes=[]"):
+        assert text in str(error.value)

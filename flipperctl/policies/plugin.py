@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flipperctl.api import Controller, Perception, Policy, Simulator
 from flipperctl.env.actions import ALLOWED, action_index
-from flipperctl.guard import fault, refusal, shown
+from flipperctl.guard import fault, refusal, short_repr
 
 
 class PluginPolicy:
@@ -22,7 +22,7 @@ class PluginPolicy:
         except BaseException as error:
             raise fault(error, controller, "build") from error
         if not all(callable(getattr(self._policy, name, None)) for name in ("reset", "act")):
-            text = f"returned {shown(self._policy)}; an object with reset and act is allowed"
+            text = f"returned {short_repr(self._policy)}; an object with reset and act is allowed"
             raise refusal(controller, "build", text)
 
     def reset(self, simulator: Simulator) -> None:
@@ -48,5 +48,5 @@ class PluginPolicy:
         except BaseException as error:
             raise fault(error, self._controller, "act") from error
         if index is None:
-            raise refusal(self._controller, "act", f"returned {shown(answer)}; {ALLOWED}")
+            raise refusal(self._controller, "act", f"returned {short_repr(answer)}; {ALLOWED}")
         return index

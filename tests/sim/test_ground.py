@@ -79,7 +79,7 @@ def test_a_track_feels_the_same_ground(grain: float) -> None:
     assert np.abs(felt(whole, at, RADIUS) - felt(thin, at, RADIUS)).max() < 1.16 * TOLERANCE
 
 
-def test_coarse_ground_and_short_profiles_are_driven_on_as_they_are() -> None:
+def test_coarse_ground_and_short_profiles_are_not_thinned() -> None:
     few = fine(lambda x: 0 * x, count=FEW)
     coarse = fine(lambda x: 0 * x, length=20.0, count=2001)
     assert thinned(few, RADIUS) is few
@@ -136,7 +136,7 @@ def test_an_episode_drives_on_thinned_ground() -> None:
     assert env.state.position[0] - state.position[0] == pytest.approx(0.12, abs=0.03)
 
 
-def test_ground_without_bounds_is_the_request_s_fault() -> None:
+def test_ground_beyond_its_bounds_is_a_wrong_request() -> None:
     class Endless(Terrain):
         plugin_name = "endless"
 
