@@ -30,7 +30,7 @@ class Table(Shaping):
     phi: tuple[float, ...] = ()
 
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
-        """One entry."""
+        """Return the entry of the state."""
         return self.phi[int(state.position[0])]
 
 
@@ -39,7 +39,7 @@ def at(number: int) -> RobotState:
 
 
 def shaping(term: Shaping) -> np.ndarray:
-    """(STATES, STATES + 1) from state to next state, the last of which is the end."""
+    """Return the shaping (STATES, STATES + 1) by state and next state, the last of them the end."""
 
     def one(s: int, after: int) -> float:
         outcome = Outcome.REACHED if after == STATES else None
@@ -51,7 +51,7 @@ def shaping(term: Shaping) -> np.ndarray:
 
 
 def solved(chance: np.ndarray, pay: np.ndarray) -> np.ndarray:
-    """Q* (STATES, ACTIONS) by value iteration; chance and pay are (STATES, ACTIONS, STATES + 1)."""
+    """Return Q* (STATES, ACTIONS); chance and pay are (STATES, ACTIONS, STATES + 1)."""
     q = np.zeros((STATES, ACTIONS))
     for _ in range(400):  # 0.9^400 = 5e-19
         value = np.append(q.max(axis=1), 0.0)
@@ -113,7 +113,7 @@ def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
 
 
 def test_n_step_sums_of_shaping_telescope() -> None:
-    """The learner bootstraps after n decisions, where its value is lower by Φ of that state."""
+    """Over n decisions they sum to γ^n Φ(end) − Φ(begin), as an n-step target needs."""
     term = plugins.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     transitions = episode(0)
     for n in (1, 3, 5):

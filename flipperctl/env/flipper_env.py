@@ -68,12 +68,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        """Configure the environment.
+        """Configure the task; ``config`` replaces ``terrain`` and ``overrides``.
 
-        ``terrain``: a name, a mapping with ``name`` and fields, or an instance.
-        ``overrides``: sections of the configuration, nested (``episode={"slack": 2}``) or dotted
-        (``**{"rewards.pitch.lambda_2": 8}``); ``rewards={}`` removes every term. ``config``
-        replaces both.
+        ``terrain``: a name, a mapping with ``name`` and fields, or an instance. ``overrides``:
+        sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
+        ``rewards={}`` removes every term.
 
         Raises:
             ConfigError: a setting, value, plugin or render mode does not exist.
@@ -110,8 +109,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a terrain and place the robot before it; equal seeds give equal episodes.
 
-        Returns the first observation and an empty info. ``options``: ``difficulty`` from 0 to 1
-        (default 1), for terrains that use it.
+        ``options``: ``difficulty`` from 0 to 1 for terrains that use it; without it, it is 1.
 
         Raises:
             ValueError: the difficulty is not a number from 0 to 1.
@@ -199,11 +197,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and simulate one decision.
 
-        Returns observation, reward, terminated, truncated and info.
-
         Raises:
             ValueError: there is no such action.
-            ResetNeeded: no episode runs; Gymnasium's exception.
+            ResetNeeded: no episode is running.
             PluginFailedError: the code of a reward term, the engine or the sensor failed.
             NonFiniteError: the state or a reward is not a finite number.
         """

@@ -1,6 +1,6 @@
 """Thins fine recordings to what the tracks can feel, and bounds the simulated ground.
 
-In: a generated profile. Out: a profile that moves the robot alike and is cheap to simulate.
+In: a generated profile. Out: a profile that the tracks feel alike and that is cheap to simulate.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 In a container or a service, neither the package's folder nor the home folder's cache may be
 writable; numba then refuses to decorate. Such functions are cached in the temporary folder, and
-without one they are compiled anew by every process.
+without one every process compiles them again.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ RADIUS = 0.1  # [m]
 
 
 def fine(height: object, length: float = 2.0, count: int = 20_001) -> Profile:
-    """Ground of this height(x) every 0.1 mm."""
+    """Return ground of this height(x) with a point every 0.1 mm."""
     x = np.linspace(0.0, length, count)
     return Profile(np.column_stack([x, height(x)]))  # type: ignore[operator]
 
@@ -25,7 +25,7 @@ def drive_on(terrain: Terrain) -> FlipperEnv:
 
 
 def felt(profile: Profile, at: np.ndarray, radius: float) -> np.ndarray:
-    """Height of the lowest point of a disc that rests on the ground, its centre at ``at`` [m]."""
+    """Return the lowest height of a disc that rests on the ground with its centre at ``at`` [m]."""
     x = np.arange(profile.start, profile.end, 1e-4)
     z = np.interp(x, *profile.points.T)
     heights = []

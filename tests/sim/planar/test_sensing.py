@@ -87,7 +87,7 @@ def test_noise_is_normal_in_height_alone() -> None:
     error = look(noisy) - look(clean)
     assert len(error) == pytest.approx(3000, abs=1)
     assert not error[:, 0].any()
-    # 3000 samples: the mean scatters by 0.02 / √3000 = 0.0004, the deviation by 0.02 / √6000 = 0.0003
+    # 3000 draws: the mean varies by 0.02 / √3000 = 0.0004, the deviation 0.02 / √6000 = 0.0003
     assert error[:, 1].mean() == pytest.approx(0.0, abs=0.0016)
     assert error[:, 1].std() == pytest.approx(0.02, abs=0.0012)
 

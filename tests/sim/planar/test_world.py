@@ -34,7 +34,7 @@ def turn(world: PlanarWorld, angle: float, lift: float) -> None:
 
 
 def on_slope(degrees: float, friction: float) -> PlanarWorld:
-    """A braking robot that stands on a slope 120 m long."""
+    """Return a braking robot that stands on a slope of 120 m length."""
     slope = math.radians(degrees)
     rise = 60.0 * math.tan(slope)
     ground = Profile([(-60.0, -rise), (60.0, rise)])
