@@ -1,26 +1,26 @@
-"""Every exception that flipperctl raises on purpose.
+"""All exceptions that flipperctl raises on purpose.
 
-``RequestError`` and its children mean that the request was wrong (exit code 2); any other
+``RequestError`` and its subclasses mean that the request was wrong (exit code 2); any other
 ``FlipperctlError`` means that the work failed (exit code 1).
 
-Plugins: one that is refused before it works (it does not import, cannot be made from its settings,
-builds no network that fits, generates no profile that a robot can start on) is a wrong request;
-one that fails at work, by what it raises or returns, is failed work.
+A plugin that is refused before it is used is a wrong request: it does not import, cannot be built
+from its settings, builds a network that does not fit, or generates a profile that no robot can
+start on. A plugin that raises an error or returns a wrong value in use is failed work.
 
-Each takes its text and nothing else, so that it comes back whole from a worker process.
+Each exception takes its text and nothing else, so that it can be pickled by a worker process.
 """
 
 from __future__ import annotations
 
 
 class FlipperctlError(Exception):
-    """Root of the package's own exceptions; its text is shown to the user as it is."""
+    """Base class of the package's own exceptions; its text is shown to the user unchanged."""
 
     exit_code = 1
 
 
 class RequestError(FlipperctlError):
-    """What was asked for cannot be done as asked."""
+    """The request cannot be carried out as it was given."""
 
     exit_code = 2
 
@@ -30,7 +30,7 @@ class ConfigError(RequestError):
 
 
 class PluginError(RequestError):
-    """A plugin is missing, does not import, takes a name twice, or cannot be made."""
+    """A plugin is missing, does not import, uses a taken name, or cannot be built."""
 
 
 class TerrainError(RequestError):
@@ -42,11 +42,11 @@ class CheckpointError(RequestError):
 
 
 class PolicyError(RequestError):
-    """An exported policy is missing, damaged or foreign, or was fed what it does not take."""
+    """An exported policy is missing, damaged or foreign, or received an input that does not fit."""
 
 
 class OutputError(RequestError):
-    """A path asked for cannot be written."""
+    """A requested path cannot be written."""
 
 
 class RunHeldError(RequestError):
@@ -58,7 +58,7 @@ class MissingExtraError(RequestError):
 
 
 class PluginFailedError(FlipperctlError):
-    """A plugin's code raised, or returned what the contract does not allow."""
+    """A plugin's code raised an error, or returned a value that the contract does not allow."""
 
 
 class NonFiniteError(FlipperctlError):
@@ -66,7 +66,7 @@ class NonFiniteError(FlipperctlError):
 
 
 class ConformanceError(FlipperctlError, AssertionError):
-    """A plugin does not keep to the contract; an assertion too, for those who test theirs."""
+    """A plugin violates the contract; also an AssertionError, for the tests of its author."""
 
 
 class ExportError(FlipperctlError):
@@ -74,10 +74,10 @@ class ExportError(FlipperctlError):
 
 
 class WriteError(FlipperctlError):
-    """Writing failed half way (a full disk, say); what was there before is untouched."""
+    """Writing failed half way, as on a full disk; the previous file is untouched."""
 
 
 class InterruptedRunError(FlipperctlError):
-    """The user interrupted the work; what was done so far is saved."""
+    """The user interrupted the work; its results so far are saved."""
 
     exit_code = 130

@@ -1,4 +1,4 @@
-"""Writing files so that nothing is ever lost or half-written."""
+"""Writes files whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replace ``path`` by ``data``, whole or not at all.
+    """Replace the content of ``path`` by ``data``, whole or not at all.
 
     Raises:
         OutputError: the path cannot be written.
-        WriteError: writing failed half way; what was at ``path`` before is untouched.
+        WriteError: writing failed half way; the previous file is untouched.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -33,15 +33,15 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Like ``write_bytes``, for a JSON document."""
+    """Replace the content of ``path`` by a JSON document; see ``write_bytes``."""
     write_bytes(path, (json.dumps(document, indent=2) + "\n").encode())
 
 
 def make_folder(path: Path) -> Path:
-    """The folder, made if it is not there.
+    """Return the folder ``path``, created if it does not exist.
 
     Raises:
-        OutputError: it cannot be made or written.
+        OutputError: the folder cannot be created or written.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -53,10 +53,10 @@ def make_folder(path: Path) -> Path:
 
 
 def check_writable(path: Path) -> None:
-    """Find out before long work that a file can be written there.
+    """Check, before long work, that a file can be written to ``path``.
 
     Raises:
-        OutputError: it cannot.
+        OutputError: the path cannot be written.
     """
     if path.is_dir():
         raise OutputError(f"{path} cannot be written: it is a folder")
@@ -67,7 +67,7 @@ def check_writable(path: Path) -> None:
 
 
 def failure(path: Path, error: OSError) -> FlipperctlError:
-    """The error to raise for what the operating system said of ``path``."""
+    """Return the exception to raise for an error of the operating system at ``path``."""
     reason = os.strerror(error.errno) if error.errno else str(error)
     if error.errno in _RAN_OUT:
         return WriteError(f"{path}: writing failed half way ({reason}); the old file is kept")

@@ -1,7 +1,7 @@
-"""Whose fault it is: what a plugin's code raises, told with plugin, method, file and line.
+"""Names the plugin, method, file and line of an error that a plugin's code raised.
 
-In: what was raised while the core called a plugin. Out: one of the package's own exceptions, with
-one line of text. Every such call stands in a ``try``, which costs nothing until something is
+In: an exception raised while the core called a plugin. Out: one of the package's own exceptions,
+with one line of text. Every such call stands in a ``try``, which costs nothing until something is
 raised:
 
     try:
@@ -9,7 +9,8 @@ raised:
     except BaseException as error:
         raise fault(error, terrain, "generate") from error
 
-``SystemExit`` and the like are a plugin's errors too; only ``KeyboardInterrupt`` is the user's.
+``SystemExit`` and ``GeneratorExit`` count as errors of the plugin too; only ``KeyboardInterrupt``
+comes from the user.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 from flipperctl.api import Plugin
 from flipperctl.errors import FlipperctlError, PluginFailedError
 
-_LONGEST = 300  # characters of what an exception says
+_LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 _CORE = "flipperctl"
 
@@ -39,12 +40,15 @@ def fault(
     while_: str = "",
     plain: bool = False,
 ) -> FlipperctlError:
-    """The exception to raise for ``error``, which came out of a plugin's method.
+    """Return the exception to raise for ``error``, which a plugin's method raised.
 
-    A plugin that was called by this one takes the blame for what it raised itself. ``while_`` says
-    what the method was called for; ``plain`` leaves out the exception's type, where raising it is
-    how a plugin says no. Raises ``error`` as it is where it is no fault of a plugin: an interrupt,
-    or an error of the core that the plugin only passed on.
+    If the error was raised in another plugin that this one called, the text names that other
+    plugin. ``while_`` says what the method was called for; ``plain`` leaves out the exception's
+    type, for methods that raise it to refuse a request.
+
+    Raises:
+        BaseException: ``error`` itself, where no plugin is at fault: an interrupt, or an error of
+            the core that passed through the plugin.
     """
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     if isinstance(error, KeyboardInterrupt):
@@ -52,10 +56,10 @@ def fault(
     if isinstance(error, FlipperctlError) and frames and _is_core(frames[-1]):
         raise error
     plugin, method = _culprit(frames, plugin, method)
-    where = place(error, plugin, method)
-    what = _text(error) if plain else f"{method} raised {words(error)}"
-    place_of = f"{method}, {where}" if plain else where
-    return raised(f"{called(plugin)}{while_}: {what} ({place_of})")
+    where = error_place(error, plugin, method)
+    what = _text(error) if plain else f"{method} raised {error_line(error)}"
+    where = f"{method}, {where}" if plain else where
+    return raised(f"{plugin_label(plugin)}{while_}: {what} ({where})")
 
 
 def refusal(
@@ -66,33 +70,33 @@ def refusal(
     *,
     owner: type | None = None,
 ) -> FlipperctlError:
-    """The exception for what a plugin's method returned, as ``text`` says.
+    """Return the exception to raise for a value that a plugin's method must not return.
 
-    ``owner``: the class that has the method, where it is one of an object that the plugin built.
+    ``owner`` is the class that has the method, where an object that the plugin built has it.
     """
     where = definition(owner or plugin, method)
-    return raised(f"{called(plugin)}: {method} {text} ({where})")
+    return raised(f"{plugin_label(plugin)}: {method} {text} ({where})")
 
 
-def called(plugin: Plugin | type[Plugin]) -> str:
-    """How an error names a plugin: its kind and its name."""
+def plugin_label(plugin: Plugin | type[Plugin]) -> str:
+    """Return the name of a plugin for errors: its kind and its registered name."""
     cls = _class(plugin)
     return f"{cls.kind} {getattr(cls, 'plugin_name', cls.__name__)!r}"
 
 
-def words(error: BaseException) -> str:
-    """An exception in one line: its type and what it says."""
+def error_line(error: BaseException) -> str:
+    """Return an exception as one line: its type and its text."""
     text = _text(error)
     return f"{_flat(type(error).__name__, 60)}{': ' if text else ''}{text}"
 
 
-def shown(value: object) -> str:
-    """A value in one short line, whatever its ``repr`` does."""
+def short_repr(value: object) -> str:
+    """Return the ``repr`` of a value as one short line, even if ``repr`` fails."""
     return _flat(_careful(repr, value), 60)
 
 
-def place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
-    """File and line of the plugin's own that led to the error; without one, of the method."""
+def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
+    """Return file and line of the plugin's code that led to the error, else of the method."""
     steps = list(traceback.walk_tb(error.__traceback__))
     package = _package(_class(plugin).__module__)
     own = [s for s in steps if not _is_core(s[0]) and _package(_module(s[0])) == package]
@@ -100,7 +104,7 @@ def place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> s
 
 
 def import_place(error: BaseException, file: Path | None) -> str:
-    """File and line in a plugin's ``file``, or else outside the core, that led to the error."""
+    """Return file and line in a plugin's ``file``, else outside the core, that led to the error."""
     steps = list(traceback.walk_tb(error.__traceback__))
     own = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
     outside = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
@@ -109,7 +113,7 @@ def import_place(error: BaseException, file: Path | None) -> str:
 
 
 def definition(plugin: Plugin | type, method: str = "") -> str:
-    """File and line at which a method is defined, or its plugin; its module for what has none."""
+    """Return file and line where a method is defined, else those of its plugin, else its module."""
     cls: type = plugin if isinstance(plugin, type) else type(plugin)
     found = inspect.getattr_static(cls, method, None) if method else None
     code = getattr(getattr(found, "fget", found), "__code__", None)
@@ -124,7 +128,7 @@ def definition(plugin: Plugin | type, method: str = "") -> str:
 def _culprit(
     frames: list[FrameType], plugin: Plugin | type[Plugin], method: str
 ) -> tuple[Plugin | type[Plugin], str]:
-    """The innermost plugin that was at work, and which of its methods the others called."""
+    """Return the innermost plugin that was running, and which of its methods was called."""
     seen: object = None
     for frame in frames:
         for name in ("self", "cls"):
@@ -160,13 +164,13 @@ def _is_core(frame: FrameType) -> bool:
 
 
 def _is_of(frame: FrameType, cls: type[Plugin]) -> bool:
-    """Whether the code is a plugin's own, and not that of a library that it is made with."""
+    """Return whether the code is the plugin's own, and not that of a library that it uses."""
     same = _package(_module(frame)) == _package(cls.__module__)
     return _is_foreign(frame) or (same and not _is_core(frame))
 
 
 def _is_foreign(frame: FrameType) -> bool:
-    """Whether the code is neither of flipperctl's core nor of a library."""
+    """Return whether the code belongs neither to flipperctl's core nor to a library."""
     file = frame.f_code.co_filename
     return not (_is_core(frame) or file.startswith(("<", *_LIBRARIES)))
 
@@ -176,7 +180,7 @@ def _careful(how: Callable[[Any], str], value: object) -> str:
         return how(value)
     except KeyboardInterrupt:
         raise
-    except BaseException:  # noqa: BLE001  # a plugin's own __str__ may do anything
+    except BaseException:  # noqa: BLE001  # a plugin's own __str__ may raise anything
         return f"<{type(value).__name__}>"
 
 

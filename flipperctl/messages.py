@@ -1,4 +1,4 @@
-"""Words for errors: close matches, and pydantic's findings as one line each."""
+"""Texts of errors: close matches, and pydantic's validation errors as one line each."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any, get_args
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
     from pydantic import BaseModel, ValidationError
 
-_LONGEST = 600  # characters of what a validator says
+_LONGEST = 600  # characters of a validator's message
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
 def close_match(word: str, known: Iterable[str]) -> str:
-    """``; did you mean 'x'?``, or nothing."""
+    """Return ``; did you mean 'x'?`` for the closest known word; empty without one."""
     found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f"; did you mean {found[0]!r}?" if found else ""
 
 
 def bounds(model: type[BaseModel], field: str) -> str:
-    """The bounds of a field, as in ``> 0, ≤ 0.4``; empty without bounds."""
+    """Return the bounds of a field, as in ``> 0, ≤ 0.4``; empty without bounds."""
     info = model.model_fields.get(field)
     parts = []
     for item in info.metadata if info else ():
@@ -33,12 +33,12 @@ def bounds(model: type[BaseModel], field: str) -> str:
 
 
 def unit(model: type[BaseModel], field: str) -> str:
-    """The unit in which a field's description ends, as in ``m``; empty without one."""
+    """Return the unit at the end of a field's description, as in ``m``; empty without one."""
     return _split(model, field)[1]
 
 
 def meaning(model: type[BaseModel], field: str) -> str:
-    """A field's description without its unit."""
+    """Return a field's description without its unit."""
     return _split(model, field)[0]
 
 
@@ -52,15 +52,15 @@ def explain(
     error: ValidationError,
     where: str,
     model: type[BaseModel],
-    given: Mapping[str, Any] | None = None,
+    validated: Mapping[str, Any] | None = None,
 ) -> str:
-    """The first finding of a validation in one line: path, value, what is allowed.
+    """Return the first error of a validation as one line: path, value, what is allowed.
 
-    ``given`` is what was validated: it says which plugins lie within the model's fields.
+    ``validated`` is the validated document, which names the plugins within the model's fields.
     """
     first = error.errors()[0]
     location = ".".join(map(str, (*([where] if where else []), *first["loc"])))
-    owner, known = _owner(model, first["loc"], given or {})
+    owner, known = _owner(model, first["loc"], validated or {})
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
         hint = close_match(leaf, known)
@@ -78,29 +78,31 @@ def explain(
 
 
 def _owner(
-    model: type[BaseModel], location: tuple[int | str, ...], given: Any
+    model: type[BaseModel], location: tuple[int | str, ...], validated: Any
 ) -> tuple[type[BaseModel] | None, list[str]]:
-    """The model whose field the location's last part names, and its fields."""
+    """Return the model whose field the last part of the location names, and its fields."""
     from pydantic import BaseModel
 
     from flipperctl.api import Plugin, registry
 
     owner: type[BaseModel] | None = model
     for part in location[:-1]:
-        if not isinstance(part, int):  # which is an item of the field before it
+        if not isinstance(part, int):  # an integer is an item of the field before it
             info = owner.model_fields.get(part) if owner else None
             owner = _model_in(info.annotation, BaseModel) if info else None
         try:
-            given = given[part]
+            validated = validated[part]
         except (KeyError, IndexError, TypeError):
-            given = None
-        if owner and issubclass(owner, Plugin) and isinstance(given, Mapping) and "name" in given:
-            owner = registry.get((owner.kind, str(given["name"])), owner)
+            validated = None
+        if not (owner and issubclass(owner, Plugin) and isinstance(validated, Mapping)):
+            continue
+        if "name" in validated:
+            owner = registry.get((owner.kind, str(validated["name"])), owner)
     return owner, sorted(owner.model_fields) if owner else []
 
 
 def _model_in(annotation: Any, base: type[BaseModel]) -> type[BaseModel] | None:
-    """The first model that an annotation such as ``tuple[Model, ...]`` speaks of."""
+    """Return the first model in an annotation such as ``tuple[Model, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, base):
         return annotation
     inner = (_model_in(item, base) for item in get_args(annotation))
@@ -110,6 +112,6 @@ def _model_in(annotation: Any, base: type[BaseModel]) -> type[BaseModel] | None:
 def _short(value: object) -> str:
     try:
         text = dict(value).__repr__() if isinstance(value, Mapping) else repr(value)
-    except ValueError:  # a whole number of more digits than Python writes
+    except ValueError:  # an integer with more digits than Python converts
         text = f"a {type(value).__name__} of thousands of digits"
     return text if len(text) <= 60 else text[:57] + "..."

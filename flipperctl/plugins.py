@@ -109,4 +109,4 @@ def _where(error: BaseException, file: Path | None) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
     found = guard.import_place(error, file)
-    return f"{found}: {guard.words(error)}" if found else guard.words(error)
+    return f"{found}: {guard.error_line(error)}" if found else guard.error_line(error)

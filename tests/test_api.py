@@ -1,12 +1,14 @@
-"""The contract's values: profiles, actions and the layout of an observation."""
+"""The contract's values: profiles, actions, the layout of an observation, and old names."""
 
 import math
 
 import numpy as np
 import pytest
 
+from flipperctl import api
 from flipperctl.api import (
     ACTIONS,
+    MAX_HISTORY,
     ObservationLayout,
     Outcome,
     Profile,
@@ -27,7 +29,7 @@ RAMP = Profile([(0.0, 0.0), (2.0, 1.0), (2.0, 0.0), (3.0, -0.5)])
         (2.0, 1.0),  # the higher of the two at the face
         (2.5, -0.25),
         (3.0, -0.5),
-        (9.0, -0.5),  # level behind
+        (9.0, -0.5),  # level past the end
     ],
 )
 def test_height(x: float, height: float) -> None:
@@ -97,6 +99,13 @@ def test_action_index_is_3_i_plus_j_from_both_down_to_both_up() -> None:
     assert ACTIONS[5] == (0, 1)
     assert ACTIONS[7] == (1, 0)
     assert ACTIONS[8] == (1, 1)
+
+
+def test_the_old_name_of_a_constant_warns_and_an_unknown_name_is_missing() -> None:
+    with pytest.warns(DeprecationWarning, match="MEMORY is deprecated .* use MAX_HISTORY"):
+        assert api.MEMORY == MAX_HISTORY == 32
+    with pytest.raises(AttributeError, match=r"'flipperctl\.api' has no attribute 'MEMORIES'"):
+        _ = api.MEMORIES
 
 
 def test_outcomes_are_their_names() -> None:

@@ -1,4 +1,4 @@
-"""Whose fault it is: whatever a plugin's code raises or returns, its error names it."""
+"""Errors of a plugin's code name the plugin, whatever it raises or returns."""
 
 import pickle
 import re
@@ -28,7 +28,7 @@ FLAT = {"episode.run_out": 0.2}
 
 
 def use(what: Misbehaviour, file: Path) -> None:
-    """Use the plugin as the commands do, until it was at work."""
+    """Use the plugin as the commands do, until its code has run."""
     plugins.load([file])
     defaults = resolver.defaults(resolver.get(what.kind, "odd", what.kind))
     if what.kind == "controller":
@@ -57,7 +57,7 @@ def use(what: Misbehaviour, file: Path) -> None:
 
 
 def cases() -> list[Misbehaviour]:
-    """Every value at its spot, every spot with some exceptions, every exception somewhere."""
+    """Return each value in its place, some exceptions in each place, each exception once."""
     found = [
         Misbehaviour(kind, spot, f"return {value}", 1)
         for (kind, spot), values in RETURNED.items()
@@ -101,7 +101,7 @@ def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
     config = EnvConfig(terrain={"name": "mirror", "terrain": {"name": "mix", "parts": ["odd"]}})
     line = 1 + next(i for i, t in enumerate(file.read_text().splitlines()) if "seven" in t)
     with pytest.raises(PluginFailedError) as error:
-        ground.draw(config.terrain, np.random.default_rng(0), 1.0)
+        ground.draw_profile(config.terrain, np.random.default_rng(0), 1.0)
     assert str(error.value) == f"terrain 'odd': generate raised IndexError: seven ({file}:{line})"
 
 

@@ -170,7 +170,7 @@ def test_a_bad_name_and_a_wrong_family_are_errors(tmp_path: Path) -> None:
         plugins.load([write(tmp_path / "name.py", "My Ridge")])
     wrong = write(tmp_path / "family.py")
     wrong.write_text(wrong.read_text().replace("terrain", "reward"))
-    with pytest.raises(PluginError, match="Ridge is no RewardTerm"):
+    with pytest.raises(PluginError, match="Ridge is not a RewardTerm"):
         plugins.load([wrong])
 
 

@@ -29,7 +29,7 @@ class Table(Shaping):
     phi: tuple[float, ...] = ()
 
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
-        """One entry."""
+        """Return the entry of the state."""
         return self.phi[int(state.position[0])]
 
 
@@ -38,7 +38,7 @@ def at(number: int) -> RobotState:
 
 
 def shaping(term: Shaping) -> np.ndarray:
-    """(STATES, STATES + 1) from state to next state, the last of which is the end."""
+    """Return the shaping (STATES, STATES + 1) by state and next state, the last of them the end."""
 
     def one(s: int, after: int) -> float:
         outcome = Outcome.REACHED if after == STATES else None
@@ -50,7 +50,7 @@ def shaping(term: Shaping) -> np.ndarray:
 
 
 def solved(chance: np.ndarray, pay: np.ndarray) -> np.ndarray:
-    """Q* (STATES, ACTIONS) by value iteration; chance and pay are (STATES, ACTIONS, STATES + 1)."""
+    """Return Q* (STATES, ACTIONS); chance and pay are (STATES, ACTIONS, STATES + 1)."""
     q = np.zeros((STATES, ACTIONS))
     for _ in range(400):  # 0.9^400 = 5e-19
         value = np.append(q.max(axis=1), 0.0)
@@ -77,7 +77,7 @@ def test_a_shaped_task_has_the_optimal_policy_of_the_task(seed: int) -> None:
 
 
 def episode(seed: int, **settings: Any) -> list[Transition]:
-    """One episode on the stair with random actions."""
+    """Play one episode on the stair with random actions; return its transitions."""
     env = FlipperEnv(config=with_overrides(EnvConfig(terrain="stair"), settings))
     env.reset(seed=seed)
     rng, transitions, over = np.random.default_rng(seed), [], False
@@ -89,13 +89,13 @@ def episode(seed: int, **settings: Any) -> list[Transition]:
 
 
 def discounted(parts: list[float]) -> float:
-    """The sum of γ^t times the t-th."""
+    """Return the discounted sum of one value per decision."""
     return float(np.dot(parts, GAMMA ** np.arange(len(parts))))
 
 
-# The shaping telescopes on what the robot really does, so that no policy gains by it.
+# The shaping telescopes along the robot's real trajectory, so that no policy gains by it.
 def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
-    """Whatever the end, a timeout included."""
+    """It does so for each outcome, including a timeout."""
     term = resolver.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     assert isinstance(term, Shaping)
     ends = set()
@@ -112,7 +112,7 @@ def test_shaping_adds_up_to_the_potential_of_the_start() -> None:
 
 
 def test_n_step_sums_of_shaping_telescope() -> None:
-    """The learner bootstraps behind n decisions: γ^n Φ(there) is what its value then lacks."""
+    """Over n decisions they sum to γ^n Φ(end) − Φ(begin), as an n-step target needs."""
     term = resolver.create("reward", {"name": "shaped_progress", "gamma": GAMMA}, "rewards.s")
     transitions = episode(0)
     for n in (1, 3, 5):
@@ -142,8 +142,8 @@ def test_the_shaping_s_discount_is_the_agent_s() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_shaping_refuses_values_behind_an_outcome() -> None:
+def test_shaping_refuses_bootstrapped_outcomes() -> None:
     with pytest.raises(ConfigError) as error:
         train(**{"agent.bootstrap_outcomes": ["timeout"]})
-    for words in ("agent.bootstrap_outcomes: ", "rewards.way", "agent.bootstrap_outcomes=[]"):
-        assert words in str(error.value)
+    for text in ("agent.bootstrap_outcomes: ", "rewards.way", "agent.bootstrap_outcomes=[]"):
+        assert text in str(error.value)

@@ -1,4 +1,4 @@
-"""A decision from a Q-network's values."""
+"""The greedy decision of a Q-network."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.building import blamed, told
+from flipperctl.agent.building import describe_fault, module_fault
 from flipperctl.api import ACTIONS
 from flipperctl.errors import NonFiniteError, PluginFailedError
 
@@ -18,13 +18,13 @@ _CPU = torch.device("cpu")
 def greedy(
     module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
 ) -> int:
-    """The action of the largest Q-value of a network on ``device``; the first of equal ones.
+    """Return the action of the largest Q-value of a network on ``device``; of equals the first.
 
-    ``observation``: what the network sees, (frames · (N + 3),).
+    ``observation``: the input row of the network, (frames · (N + 3),) in SI units.
 
     Raises:
         NonFiniteError: a Q-value is not a finite number.
-        PluginFailedError: the network's code failed.
+        PluginFailedError: the network's code failed, or gave another number of Q-values.
     """
     try:
         with torch.inference_mode():
@@ -32,12 +32,12 @@ def greedy(
         (values,) = output.tolist()
         best, total = int(values.index(max(values))), float(sum(values))
     except BaseException as error:
-        raise blamed(error, module, "forward") from error
+        raise module_fault(error, module, "forward") from error
     if len(values) != len(ACTIONS):
         text = f"gave {len(values)} Q-values for an observation; {len(ACTIONS)} are allowed"
-        raise PluginFailedError(told(module, "forward", text))
+        raise PluginFailedError(describe_fault(module, "forward", text))
     if not math.isfinite(total):
         raise NonFiniteError(
-            told(module, "forward", f"gave Q-values that are not finite, such as {total}")
+            describe_fault(module, "forward", f"gave Q-values that are not finite, such as {total}")
         )
     return best

@@ -1,7 +1,7 @@
 """Adam on one vector of parameters (Kingma & Ba 2015, Algorithm 1).
 
-torch's own optimiser does the same, but making one imports torch's compiler (``torch._dynamo``;
-seen with torch 2.13): a second and 80 MB for nothing.
+torch's own optimiser computes the same, but constructing one imports torch's compiler
+(``torch._dynamo``, as of torch 2.13), which costs a second and 80 MB.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ import math
 import torch
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
-"""The paper's constants."""
+"""The paper's decay rates of the moments, and its term against division by zero [-]."""
 
 
 class Adam:
-    """Keeps the moments of the gradient; changes ``parameters`` in place."""
+    """Holds the moments of the gradient and changes ``parameters`` in place."""
 
     def __init__(self, parameters: torch.Tensor) -> None:
-        """``parameters``: (P,)."""
+        """Optimise ``parameters``, (P,)."""
         self.parameters = parameters
         self.moments = {name: torch.zeros_like(parameters) for name in ("first", "second")}
         self.steps = 0
 
     def step(self, gradient: torch.Tensor, rate: float) -> None:
-        """One step against ``gradient``, (P,), with the given learning rate."""
+        """Take one step against ``gradient``, (P,), with the learning rate ``rate``."""
         self.steps += 1
         first, second = self.moments["first"], self.moments["second"]
         first.lerp_(gradient, 1 - BETA_1)

@@ -1,7 +1,7 @@
-"""A Q-network from its plugin, after a check that it is one and fits into memory.
+"""Builds a Q-network from its plugin, and checks its outputs and its size in memory.
 
-In: a network plugin and the observations' layout. Out: a torch module that was tried as it will be
-used: on a batch and on one observation, in ``train()`` and in ``eval()`` mode.
+In: a network plugin and the observations' layout. Out: a torch module that was tried on a batch
+and on one observation, in ``train()`` and in ``eval()`` mode.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import torch
 from flipperctl.agent import memory
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.heads import Distributional
-from flipperctl.api import MEMORY, Network, ObservationLayout
+from flipperctl.api import MAX_HISTORY, Network, ObservationLayout
 from flipperctl.errors import ConfigError, FlipperctlError
-from flipperctl.guard import called, definition, fault, refusal, shown
+from flipperctl.guard import definition, fault, plugin_label, refusal, short_repr
 
-TRAINED = 6
+TRAINING_COPIES = 6
 """Copies of the parameters in a training: online and target network, two moments, two gradients."""
 
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
@@ -29,55 +29,55 @@ _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 def build_network(
     network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
 ) -> torch.nn.Module:
-    """The network, checked. ``copies``: how often its parameters will lie in memory.
+    """Return the network after checks; ``copies`` of its parameters must fit into memory.
 
     Raises:
-        ConfigError: it does not map (B, frames · (N + 3)) to (B, n_actions) finite float32
-            numbers, raises, or does not fit into memory.
+        ConfigError: the network does not map (B, frames · (N + 3)) to (B, n_actions) finite
+            float32 numbers, raises an exception, or does not fit into memory.
     """
     try:
         frames = network.frames
     except BaseException as error:
         raise fault(error, network, "frames", ConfigError) from error
-    if not isinstance(frames, int) or not 1 <= frames <= MEMORY:
-        text = f"is {shown(frames)}; 1 to {MEMORY} is allowed"
+    if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
+        text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
         raise refusal(network, "frames", text, ConfigError)
-    module = _built(network, layout, n_actions, copies)
+    module = _build(network, layout, n_actions, copies)
     if not isinstance(module, torch.nn.Module):
         text = f"must return a torch module; got {type(module).__name__}"
         raise refusal(network, "build", text, ConfigError)
-    belongs(module, network)
-    with torch.random.fork_rng(devices=[]), torch.no_grad(), _as_it_was(module):
+    record_plugin(module, network)
+    with torch.random.fork_rng(devices=[]), torch.no_grad(), _restored_afterwards(module):
         _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
     return module
 
 
-def belongs(module: torch.nn.Module, network: Network) -> None:
-    """Note that a module is a plugin's, so that the plugin can be named when the module fails."""
+def record_plugin(module: torch.nn.Module, network: Network) -> None:
+    """Record the plugin that built a module, so that errors of the module name the plugin."""
     _plugins[module] = network
 
 
-def blamed(error: BaseException, module: torch.nn.Module, method: str) -> FlipperctlError:
-    """The exception to raise for what came out of a module; see ``guard.fault``."""
+def module_fault(error: BaseException, module: torch.nn.Module, method: str) -> FlipperctlError:
+    """Return the exception to raise for an error in a module's method; see ``guard.fault``."""
     network = _plugins.get(module)
     if network is None or isinstance(error, KeyboardInterrupt):
         raise error
     return fault(error, network, method)
 
 
-def told(module: torch.nn.Module, method: str, text: str) -> str:
-    """A text on what a module returned, with its plugin's name and place."""
+def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
+    """Return an error text on a module's output, with the name and place of its plugin."""
     network = _plugins.get(module)
     if network is None:
         return f"a {type(module).__name__}: {method} {text}"
-    return f"{called(network)}: {method} {text} ({definition(network, 'build')})"
+    return f"{plugin_label(network)}: {method} {text} ({definition(network, 'build')})"
 
 
-def _built(network: Network, layout: ObservationLayout, n_actions: int, copies: int) -> Any:
+def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: int) -> Any:
     counted: dict[int, int] = {}
 
     def count(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter | None) -> None:
-        """Called after a parameter's memory was promised and before it is filled."""
+        """Count a parameter whose memory is reserved but not filled yet."""
         if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
             counted[id(parameter)] = parameter.numel() * parameter.element_size()
             free = memory.available()
@@ -96,7 +96,7 @@ def _built(network: Network, layout: ObservationLayout, n_actions: int, copies: 
 
 
 class _TooLargeError(Exception):
-    """The parameters counted so far do not fit."""
+    """The parameters counted so far do not fit into memory."""
 
 
 def _too_large(
@@ -106,7 +106,7 @@ def _too_large(
         with torch.device("meta"):  # on which tensors have a shape and no memory
             module = network.build(layout, n_actions)
         sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
-    except Exception:  # noqa: BLE001  # plugin code that cannot do without numbers
+    except Exception:  # noqa: BLE001  # plugin code that needs real numbers
         sizes = []
     count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
     parameters = f"{count:,} parameters" if count else "parameters"
@@ -127,9 +127,9 @@ def _is_out_of_memory(error: BaseException) -> bool:
 
 
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
-    """Raise ConfigError unless the module gives Q-values in every way in which it will be used."""
+    """Raise ConfigError unless the module returns Q-values in each use that it will have."""
     shape = tuple(probe.shape)
-    output = _called(network, module, probe, f" fails on observations of shape {shape}")
+    output = _call(network, module, probe, f" fails on observations of shape {shape}")
     found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
     if found != (2, n_actions):
         text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {found}"
@@ -141,7 +141,7 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
         )
         raise _unfit(network, text)
     if isinstance(module, Distributional):
-        quantiles = _called(network, module, probe, "", "quantiles")
+        quantiles = _call(network, module, probe, "", "quantiles")
         found = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
         if len(found) != 3 or found[:2] != (2, n_actions) or not found[2]:
             text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
@@ -154,7 +154,7 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
     for mode, rows, use in uses:
         module.train(mode == "train")
         number = "one observation" if rows == 1 else "a batch"
-        output = _called(network, module, probe[:rows], f" fails on {number} {use}")
+        output = _call(network, module, probe[:rows], f" fails on {number} {use}")
         found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
         if found != (rows, n_actions):
             text = f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {found}"
@@ -163,10 +163,10 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
 
 def _unfit(network: Network, text: str) -> ConfigError:
     where = definition(network, "build")
-    return ConfigError(f"{called(network)}: forward: {text} ({where})")
+    return ConfigError(f"{plugin_label(network)}: forward: {text} ({where})")
 
 
-def _called(
+def _call(
     network: Network, module: Any, probe: torch.Tensor, use: str, method: str = "forward"
 ) -> Any:
     try:
@@ -176,8 +176,8 @@ def _called(
 
 
 @contextmanager
-def _as_it_was(module: torch.nn.Module) -> Iterator[None]:
-    """Put back what a trial changes: the modes, and buffers such as running statistics."""
+def _restored_afterwards(module: torch.nn.Module) -> Iterator[None]:
+    """Restore what a trial changes: the modes, and buffers such as running statistics."""
     modes = {part: part.training for part in module.modules()}
     lazy = torch.nn.parameter.is_lazy
     buffers = {name: b.clone() for name, b in module.named_buffers() if not lazy(b)}

@@ -1,4 +1,4 @@
-"""The double dueling DQN: learns from batches. It knows no environment."""
+"""The double dueling DQN, which learns from batches and knows no environment."""
 
 from __future__ import annotations
 
@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.adam import Adam
-from flipperctl.agent.building import TRAINED, belongs, blamed, build_network
-from flipperctl.agent.heads import head
+from flipperctl.agent.building import (
+    TRAINING_COPIES,
+    build_network,
+    module_fault,
+    record_plugin,
+)
+from flipperctl.agent.heads import choose_head
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -27,18 +32,18 @@ __all__ = ["D3qn", "arrays", "build_network", "greedy"]
 
 
 def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
-    """A copy of a network's weights, for those who play elsewhere."""
+    """Return a copy of a network's weights, for policies in other processes."""
     state = module.state_dict()
     return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
 
 
 def _persistent_buffers(module: torch.nn.Module) -> list[str]:
-    """The names of the buffers that a checkpoint holds: statistics, but no noise."""
+    """Return the names of the buffers that a checkpoint holds: statistics, but no noise."""
     saved = module.state_dict().keys()
     return [name for name, _ in module.named_buffers() if name in saved]
 
 
-def _joined(module: torch.nn.Module) -> torch.Tensor:
+def _flatten_parameters(module: torch.nn.Module) -> torch.Tensor:
     """Move the parameters of a module into one vector, (P,), of which they become views."""
     parameters = list(module.parameters())
     vector = torch.cat([p.detach().reshape(-1) for p in parameters])
@@ -49,7 +54,7 @@ def _joined(module: torch.nn.Module) -> torch.Tensor:
 
 
 class D3qn:
-    """Online and target network, their optimiser, and how they learn."""
+    """Online and target network, their optimiser, and the update from a batch."""
 
     def __init__(
         self,
@@ -65,7 +70,7 @@ class D3qn:
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            built = build_network(network, layout, n_actions, copies=TRAINED)
+            built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(network, "build", "made a network with nothing to learn", ConfigError)
         try:
@@ -73,50 +78,51 @@ class D3qn:
             self.target = copy.deepcopy(self.online).requires_grad_(False)
             # Each network's parameters lie in one vector, so that the optimiser, the clipping and
             # the soft update are one operation each instead of one a layer.
-            self._online, self._target = _joined(self.online), _joined(self.target)
+            self._online = _flatten_parameters(self.online)
+            self._target = _flatten_parameters(self.target)
             self._buffers = _persistent_buffers(self.online)
         except BaseException as error:
             raise fault(error, network, "build", ConfigError) from error
         for module in (self.online, self.target):
-            belongs(module, network)
+            record_plugin(module, network)
         self._parameters = list(self.online.parameters())
         self.optimiser = Adam(self._online)
-        self._head = head(self.online)
+        self._head = choose_head(self.online)
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
         self.noise_rng = np.random.default_rng(seed)
-        """What the noise of the networks is drawn from, if they have any."""
+        """Generator of the networks' exploration noise, if they have any."""
 
     @property
     def policy(self) -> torch.nn.Module:
-        """The network that is validated and exported."""
+        """The network that acts, and is validated and exported."""
         return self.target if self.settings.act_with == "target" else self.online
 
     @contextmanager
     def evaluation_mode(self) -> Iterator[torch.nn.Module]:
-        """The policy in ``eval()`` mode, without its noise, until it is left."""
+        """Hold the policy in ``eval()`` mode, without its noise, until the context is left."""
         try:
             yield self.policy.eval()
         finally:
             self.policy.train()
 
-    def update(self, batch: Batch, share: float) -> float:
-        """Gradient steps of ``batch_size`` transitions each; ``share`` of the run is over.
+    def update(self, batch: Batch, fraction: float) -> float:
+        """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
-        ``batch`` holds a whole number of them. The targets of all are computed before the first.
-        Returns the last loss.
+        ``batch`` holds the transitions of one or more steps, whose targets are all computed before
+        the first step. ``fraction`` of the run is complete, which sets the learning rate.
 
         Raises:
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
         try:
-            return self._update(batch, share)
-        except BaseException as error:  # all that is done to them, the networks' code does
-            raise blamed(error, self.online, "forward") from error
+            return self._update(batch, fraction)
+        except BaseException as error:  # nothing but the networks' own code can raise here
+            raise module_fault(error, self.online, "forward") from error
 
-    def _update(self, batch: Batch, share: float) -> float:
+    def _update(self, batch: Batch, fraction: float) -> float:
         s = self.settings
-        rate = linear(s.learning_rate, s.learning_rate_end, share)
+        rate = linear(s.learning_rate, s.learning_rate_end, fraction)
         batch = batch.to(self.device)
         self._noise.draw(self.noise_rng)
         self._target_noise.draw(self.noise_rng)
@@ -141,7 +147,7 @@ class D3qn:
         loss = self._head.loss(self.online, observation, action, target)
         value = float(loss.detach())
         if not math.isfinite(value):
-            return value  # the caller raises; the weights stay whole
+            return value  # the caller raises; the weights are not changed
         gradients = torch.autograd.grad(loss, self._parameters)
         with torch.no_grad():
             gradient = torch.cat([g.reshape(-1) for g in gradients])
@@ -154,7 +160,7 @@ class D3qn:
         return value
 
     def _follow_buffers(self) -> None:
-        """Let the target's statistics follow as its weights do; counts are copied."""
+        """Update the target's statistics at the rate of its weights; copy its integer counts."""
         for name in self._buffers:
             online, target = self.online.get_buffer(name), self.target.get_buffer(name)
             if online.is_floating_point():
@@ -163,13 +169,13 @@ class D3qn:
                 target.copy_(online)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All that learning needs to go on: both networks and the optimiser's moments."""
+        """Return the learner's state: both networks and the optimiser's moments."""
         found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
         found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
         return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
 
     def restore(self, tensors: dict[str, torch.Tensor], steps: int) -> None:
-        """Take back what ``tensors`` gave, after as many gradient steps."""
+        """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
         parts: dict[str, dict[str, torch.Tensor]] = {"online": {}, "target": {}, "optimiser": {}}
         for name, tensor in tensors.items():
             part, _, key = name.partition(".")

@@ -1,11 +1,11 @@
-"""What a training will take of memory, compared with what is free before it starts."""
+"""Compares the memory that a training will need with the free memory, before it starts."""
 
 from __future__ import annotations
 
 import torch
 
 from flipperctl.agent import memory
-from flipperctl.agent.building import TRAINED, blamed, build_network
+from flipperctl.agent.building import TRAINING_COPIES, build_network, module_fault
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import row_bytes
 from flipperctl.api import Network, ObservationLayout
@@ -19,13 +19,13 @@ def check_demand(
 ) -> None:
     """Refuse a training whose network, replay or batches would not fit into memory.
 
-    ``decisions``: the run's budget; a replay is never filled beyond it.
+    ``decisions``: the run's budget, which also limits the transitions in the replay.
 
     Raises:
-        ConfigError: the text says how much it would take and what is free.
+        ConfigError: the memory does not suffice; the text says how much is needed and free.
     """
     with torch.random.fork_rng(devices=[]):
-        module = build_network(network, layout, n_actions, copies=TRAINED)
+        module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
         inputs = input_size(network, layout)
         inside = _numbers_inside(module, inputs)
     rows = min(settings.replay_size, decisions)
@@ -35,8 +35,8 @@ def check_demand(
         "keep fewer, or let the network see less",
     )
     together, batch = settings.updates_together, settings.batch_size
-    # The transitions of all updates, and what one update keeps for its gradient: every layer's
-    # output and the gradient of it.
+    # The transitions of all updates, and the numbers that one update keeps for its gradient: the
+    # output of every layer and its gradient.
     numbers = 2 * together * batch * inputs + 2 * batch * inside
     memory.require(
         _FLOAT * numbers,
@@ -47,19 +47,19 @@ def check_demand(
 
 
 def _numbers_inside(module: torch.nn.Module, inputs: int) -> int:
-    """Outputs of all layers for one observation; what is computed between layers is not seen."""
+    """Count the outputs of all layers for one observation, not those between layers [-]."""
     count = 0
 
-    def add(part: torch.nn.Module, given: object, output: object) -> None:
+    def add(part: torch.nn.Module, inputs: object, output: object) -> None:
         nonlocal count
         if isinstance(output, torch.Tensor) and not any(True for _ in part.children()):
             count += output.numel()
 
-    for part in module.modules():  # the module is thrown away after this
+    for part in module.modules():  # the module is discarded after this
         part.register_forward_hook(add)
     try:
         with torch.no_grad():
             module.eval()(torch.zeros(1, inputs))
     except BaseException as error:
-        raise blamed(error, module, "forward") from error
+        raise module_fault(error, module, "forward") from error
     return count

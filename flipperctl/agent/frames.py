@@ -1,4 +1,4 @@
-"""What a network sees: the newest observations of an episode, side by side."""
+"""The input row of a network: the newest observations of an episode, concatenated."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from flipperctl.api import Network, ObservationLayout
 
 
 def input_size(network: Network, layout: ObservationLayout) -> int:
-    """Numbers that the network takes: frames · (N + 3)."""
+    """Return the length of the network's input row, frames · (N + 3)."""
     return network.frames * layout.size
 
 
 def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.float32]:
-    """The newest ``frames`` observations in a row, oldest first: (frames · (N + 3),).
+    """Return the newest ``frames`` observations in one row, oldest first: (frames · (N + 3),).
 
-    ``recent``: observations of one episode, newest last. At its start the first stands in for
-    those that there are not.
+    ``recent``: observations of one episode, newest last. At its start the first observation is
+    repeated in place of those that do not exist yet.
     """
     if frames == 1:
         return recent[-1]

@@ -1,4 +1,4 @@
-"""What a network says of an action's return, and how that is learnt: a number, or quantiles."""
+"""The output of a network for each action, a Q-value or quantiles, with its target and loss."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from flipperctl.agent.replay import Batch
 
 @runtime_checkable
 class Distributional(Protocol):
-    """A network that gives quantiles of each action's return."""
+    """A network that estimates quantiles of each action's return."""
 
     def quantiles(self, observation: torch.Tensor, /) -> torch.Tensor:
-        """K equally likely values an action, (B, A, K)."""
+        """Return K equally likely values of each action's return, (B, A, K)."""
 
 
 class Head(Protocol):
-    """How the online network learns from a target network."""
+    """The target and the loss from which the online network learns."""
 
     def targets(
         self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
     ) -> torch.Tensor:
-        """What the actions of a batch were worth, (B, …); ``reward`` (B,) is the scaled one."""
+        """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
 
     def loss(
         self,
@@ -38,18 +38,18 @@ class Head(Protocol):
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """How far the network is from the targets of the actions, (B,), that were taken."""
+        """Return the loss between the network's outputs for ``action``, (B,), and ``targets``."""
 
 
 class Scalar:
-    """One Q-value an action, by the Huber loss."""
+    """One Q-value for each action, learnt with the Huber loss."""
 
     def targets(
         self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
     ) -> torch.Tensor:
-        """A number each, (B,)."""
-        following = batch.next_observation
-        return double_q_target(reward, batch.discount, online(following), target(following))
+        """Return the double Q-learning targets, (B,)."""
+        next_ = batch.next_observation
+        return double_q_target(reward, batch.discount, online(next_), target(next_))
 
     def loss(
         self,
@@ -58,18 +58,18 @@ class Scalar:
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Of the Q-values."""
-        taken = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
-        return huber(taken, targets)
+        """Return the Huber loss of the Q-values."""
+        predicted = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
+        return huber(predicted, targets)
 
 
 class Quantile:
-    """K quantiles an action, by quantile regression (Dabney et al. 2018)."""
+    """K quantiles for each action, learnt by quantile regression (Dabney et al. 2018)."""
 
     def targets(
         self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
     ) -> torch.Tensor:
-        """K equally likely numbers each, (B, K)."""
+        """Return the target distributions as K equally likely values, (B, K)."""
         values = online(batch.next_observation)
         quantiles = cast("Distributional", target).quantiles(batch.next_observation)
         return double_quantile_target(reward, batch.discount, values, quantiles)
@@ -81,12 +81,12 @@ class Quantile:
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Of the quantiles."""
+        """Return the quantile Huber loss of the quantiles."""
         quantiles = cast("Distributional", online).quantiles(observation)
         rows = torch.arange(len(action), device=action.device)
         return quantile_huber(quantiles[rows, action], targets)
 
 
-def head(module: torch.nn.Module) -> Head:
-    """The one that fits what the module offers."""
+def choose_head(module: torch.nn.Module) -> Head:
+    """Return the quantile head for a module with ``quantiles``, else the scalar head."""
     return Quantile() if isinstance(module, Distributional) else Scalar()

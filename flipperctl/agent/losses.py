@@ -1,4 +1,4 @@
-"""The mathematics of double Q-learning, of values and of distributions, as pure functions."""
+"""Targets and losses of double Q-learning, for values and for distributions."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ def double_q_target(
     next_online: torch.Tensor,
     next_target: torch.Tensor,
 ) -> torch.Tensor:
-    """R + γ · Q_target(s′, argmax_a Q_online(s′, a)), shape (B,). van Hasselt et al. 2016.
+    """Return r + γ · Q_target(s′, argmax_a Q_online(s′, a)), (B,) (van Hasselt et al. 2016).
 
-    ``reward`` and ``discount`` are (B,), the discount 0 where the episode ended for good;
+    ``reward`` and ``discount`` are (B,), the discount 0 where nothing is bootstrapped;
     ``next_online`` and ``next_target`` are (B, A) at the next observation.
     """
     best = next_online.argmax(dim=1, keepdim=True)  # (B, 1)
@@ -21,7 +21,7 @@ def double_q_target(
 
 
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Mean Huber loss with threshold 1 of two (B,) tensors."""
+    """Return the mean Huber loss with threshold 1 of two (B,) tensors."""
     return torch.nn.functional.smooth_l1_loss(prediction, target)
 
 
@@ -31,9 +31,10 @@ def double_quantile_target(
     next_online: torch.Tensor,
     next_target: torch.Tensor,
 ) -> torch.Tensor:
-    """The distribution R + γ · Z_target(s′, argmax_a Q_online(s′, a)) as quantiles, (B, K).
+    """Return the distribution r + γ · Z_target(s′, argmax_a Q_online(s′, a)) as quantiles, (B, K).
 
-    As ``double_q_target``; ``next_target`` holds the quantiles of every action, (B, A, K).
+    The arguments are those of ``double_q_target``, but ``next_target`` holds the quantiles of every
+    action, (B, A, K).
     """
     rows = torch.arange(len(reward), device=reward.device)
     best = next_target[rows, next_online.argmax(dim=1)]  # (B, K)
@@ -41,10 +42,11 @@ def double_quantile_target(
 
 
 def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
+    """Return the quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
 
     ``prediction`` (B, K) holds the quantiles at τ_i = (i + ½) / K, ``target`` (B, K′) values that
-    are equally likely. Summed over the quantiles, averaged over the values and the batch.
+    are equally likely. The loss is summed over the quantiles and averaged over the values and the
+    batch.
     """
     count = prediction.shape[1]
     tau = (torch.arange(count, device=prediction.device) + 0.5) / count

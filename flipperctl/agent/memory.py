@@ -1,7 +1,7 @@
-"""How much memory is left, and a refusal of what would not fit, before it is taken.
+"""Free memory, and a check that a size fits into it before it is allocated.
 
-Linux hands out more memory than there is and ends the process when it is used; so the sizes that
-a configuration asks for are compared with what is free first.
+Linux grants more memory than exists and kills the process that uses it; so the sizes that a
+configuration asks for are compared with the free memory first.
 """
 
 from __future__ import annotations
@@ -14,20 +14,22 @@ _CGROUPS = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
     ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
 )
-"""Limit and use of a container, versions 2 and 1 [B]."""
+"""Files with the limit and the use of a container's memory, versions 2 and 1 of cgroups [B]."""
 
 
 def available() -> int | None:
-    """Memory that this process may still take [B]; None where the system does not say."""
-    found = [*_of_the_machine(), *_of_the_container(), *_of_the_process()]
+    """Return the memory that this process may still allocate [B]; None if it is not known."""
+    found = [*_free_in_machine(), *_free_in_container(), *_free_in_process()]
     return max(0, min(found)) if found else None
 
 
 def require(size: int, what: str, advice: str) -> None:
-    """Compare a size [B] with what is free.
+    """Check that ``size`` [B] fits into the free memory.
+
+    ``what`` begins the error's text, up to the size, and ``advice`` ends it.
 
     Raises:
-        ConfigError: it does not fit. ``what`` names it, ``advice`` says what to change.
+        ConfigError: the size does not fit.
     """
     free = available()
     if free is not None and size > free:
@@ -37,11 +39,11 @@ def require(size: int, what: str, advice: str) -> None:
 
 
 def gigabytes(size: int) -> str:
-    """A size as people read it."""
+    """Return a size [B] as text in gigabytes."""
     return f"{size / 1e9:,.1f} GB" if size < 1e15 else f"{size / 1e9:.1e} GB"
 
 
-def _of_the_machine() -> list[int]:
+def _free_in_machine() -> list[int]:
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -49,20 +51,20 @@ def _of_the_machine() -> list[int]:
     return [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
 
 
-def _of_the_container() -> list[int]:
+def _free_in_container() -> list[int]:
     found = []
     for limit, used in _CGROUPS:
         try:
             found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
-        except (OSError, ValueError):  # no such group, or "max": it has no limit
+        except (OSError, ValueError):  # there is no such group, or the limit is "max"
             continue
     return found
 
 
-def _of_the_process() -> list[int]:
+def _free_in_process() -> list[int]:
     try:
         import resource
-    except ImportError:  # Windows has none
+    except ImportError:  # Windows has no such module
         return []
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:

@@ -1,4 +1,4 @@
-"""Networks that explore by noise of their own (Fortunato et al. 2018)."""
+"""Exploration noise inside networks (Fortunato et al. 2018)."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import blamed
+from flipperctl.agent.building import module_fault
 
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A part of a network that keeps noise, which acts in ``train()`` mode only."""
+    """A submodule that holds noise, which acts in ``train()`` mode only."""
 
     def draw_noise(self, rng: np.random.Generator, /) -> None:
-        """Take new noise."""
+        """Draw new noise from ``rng``."""
 
 
 class Noise:
-    """All noise of a network; there may be none."""
+    """All noisy submodules of a network; there may be none."""
 
     def __init__(self, module: torch.nn.Module) -> None:
         self._module = module
         self._parts = [part for part in module.modules() if isinstance(part, Noisy)]
 
     def draw(self, rng: np.random.Generator) -> None:
-        """New noise everywhere; takes nothing from ``rng`` if there is none."""
+        """Draw new noise for every noisy submodule; without one, ``rng`` is not used."""
         for part in self._parts:
             try:
                 part.draw_noise(rng)
             except BaseException as error:
-                raise blamed(error, self._module, "draw_noise") from error
+                raise module_fault(error, self._module, "draw_noise") from error

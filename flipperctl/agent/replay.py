@@ -1,7 +1,7 @@
 """Uniform replay of n-step transitions in preallocated arrays.
 
-In: decisions in the order in which they happen. Out: random batches of
-(observation, action, discounted reward of n decisions, observation n later, discount there).
+In: decisions in chronological order. Out: random batches of (observation, action, discounted sum
+of n rewards, observation n decisions later, discount of its value).
 """
 
 from __future__ import annotations
@@ -19,42 +19,42 @@ from flipperctl.errors import ConfigError
 
 
 def row_bytes(size: int) -> int:
-    """Memory of one transition whose observations have ``size`` numbers [B]."""
+    """Return the memory of one transition whose observations have ``size`` numbers [B]."""
     return 2 * 4 * size + 8 + 4 + 4
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Transitions as tensors."""
+    """A batch of n-step transitions as tensors."""
 
     observation: torch.Tensor
-    """(B, N + 3) float32, SI units."""
+    """Input rows of the network, (B, frames · (N + 3)) float32 in SI units."""
     action: torch.Tensor
-    """(B,) int64."""
+    """Indices into ``ACTIONS``, (B,) int64."""
     reward: torch.Tensor
-    """(B,) float32, sum of up to n discounted rewards."""
+    """Sums of up to n discounted rewards, (B,) float32 [-]."""
     next_observation: torch.Tensor
-    """(B, N + 3) float32, up to n decisions later."""
+    """Input rows up to n decisions later, (B, frames · (N + 3)) float32 in SI units."""
     discount: torch.Tensor
-    """(B,) float32, γⁿ or 0 where the episode ended."""
+    """Factors of the next value: γⁿ, or 0 where nothing is bootstrapped, (B,) float32 [-]."""
 
     def to(self, device: torch.device) -> Batch:
-        """The batch on another device."""
+        """Return the batch on ``device``."""
         if device.type == "cpu":
             return self
         return Batch(**{name: getattr(self, name).to(device) for name in Replay.FIELDS})
 
 
 class Replay:
-    """A ring of ``capacity`` transitions."""
+    """A ring buffer of ``capacity`` transitions."""
 
     FIELDS = ("observation", "action", "reward", "next_observation", "discount")
 
     def __init__(self, capacity: int, size: int, n_step: int, gamma: float) -> None:
-        """``size``: length of an observation.
+        """Allocate the arrays; ``size`` is the length of an input row.
 
         Raises:
-            ConfigError: the system has not as much memory to give.
+            ConfigError: there is not enough memory.
         """
         self.capacity = capacity
         try:
@@ -88,47 +88,54 @@ class Replay:
         over: bool,
         bootstrap: bool,
     ) -> None:
-        """One decision. ``over``: the episode ended; ``bootstrap``: its value goes on behind it."""
-        self._pending.append((observation, action, reward))
-        goes_on = 1.0 if bootstrap or not over else 0.0
-        if len(self._pending) == self._n_step:
-            self._flush(next_observation, goes_on)
-        while over and self._pending:
-            self._flush(next_observation, goes_on)
+        """Add one decision.
 
-    def _flush(self, next_observation: NDArray[np.float32], goes_on: float) -> None:
+        ``over``: the episode ended with it; ``bootstrap``: the target bootstraps after that end.
+        """
+        self._pending.append((observation, action, reward))
+        continues = 1.0 if bootstrap or not over else 0.0
+        if len(self._pending) == self._n_step:
+            self._flush(next_observation, continues)
+        while over and self._pending:
+            self._flush(next_observation, continues)
+
+    def _flush(self, next_observation: NDArray[np.float32], continues: float) -> None:
         total = 0.0
         for _, _, reward in reversed(self._pending):
             total = reward + self._gamma * total
         length = len(self._pending)
         observation, action, _ = self._pending.popleft()
         row = self.added % self.capacity
-        values = (observation, action, total, next_observation, goes_on * self._gamma**length)
+        values = (observation, action, total, next_observation, continues * self._gamma**length)
         for name, value in zip(self.FIELDS, values, strict=True):
             self.arrays[name][row] = value
         self.added += 1
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
-        """``size`` transitions, drawn uniformly with replacement."""
+        """Return ``size`` transitions, drawn uniformly with replacement."""
         rows = rng.integers(len(self), size=size)
         return Batch(**{n: torch.from_numpy(self.arrays[n][rows]) for n in self.FIELDS})
 
     def drop_pending(self) -> None:
-        """Forget the decisions that still wait for the n-th reward behind them."""
+        """Discard the decisions that still wait for their n-th reward."""
         self._pending.clear()
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
-        """The part in use of each array; only between episodes is it the whole state."""
+        """Return the used part of each array.
+
+        Raises:
+            RuntimeError: an episode is running, whose last decisions the arrays do not hold.
+        """
         if self._pending:
             raise RuntimeError("the replay is saved between episodes only")
         return {name: self.arrays[name][: len(self)] for name in self.FIELDS}
 
     def blank(self, added: int) -> dict[str, NDArray[np.generic]]:
-        """Arrays of the shapes and types that ``filled`` has after ``added`` transitions."""
+        """Return arrays of the shapes and types of ``filled`` after ``added`` transitions."""
         return {name: self.arrays[name][: min(added, self.capacity)] for name in self.FIELDS}
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int) -> None:
-        """Take back what ``filled`` gave."""
+        """Restore the arrays that ``filled`` returned after ``added`` transitions."""
         for name in self.FIELDS:
             self.arrays[name][: len(arrays[name])] = arrays[name]
         self.added = added

@@ -1,11 +1,15 @@
 """The whole contract for plugin authors: the values, the plugin families and their decorators.
 
-In: nothing of the rest of flipperctl. Out: everything that a plugin may import.
+This package imports nothing of the rest of flipperctl and holds everything that a plugin may
+import from it.
 SI units and radians throughout. Frames: world (x forward, z up, the profile's own
 coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
 the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front
 and rear alike; the pitch is positive nose up.
 """
+
+import warnings
+from typing import TYPE_CHECKING
 
 from flipperctl.api.controllers import Controller, Policy, Simulator, controller
 from flipperctl.api.engines import (
@@ -25,7 +29,7 @@ from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sen
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
     ACTIONS,
-    MEMORY,
+    MAX_HISTORY,
     FloatArray,
     ObservationLayout,
     Outcome,
@@ -41,7 +45,7 @@ from flipperctl.api.values import (
 
 __all__ = [
     "ACTIONS",
-    "MEMORY",
+    "MAX_HISTORY",
     "NAME_RULE",
     "NO_LIMITS",
     "SAMPLE_PERIOD",
@@ -83,3 +87,16 @@ __all__ = [
     "sensor",
     "terrain",
 ]
+
+if not TYPE_CHECKING:  # a type checker must go on finding names that do not exist
+
+    def __getattr__(name: str) -> int:
+        """Return the value of a constant that was renamed, with a DeprecationWarning."""
+        if name != "MEMORY":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        warnings.warn(
+            "flipperctl.api.MEMORY is deprecated since flipperctl 0.2; use MAX_HISTORY",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        return MAX_HISTORY

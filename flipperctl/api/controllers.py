@@ -1,4 +1,4 @@
-"""Controllers, the policies that they build, and the simulator for those who look ahead."""
+"""Controllers, the policies that they build, and the simulator for policies that look ahead."""
 
 from __future__ import annotations
 
@@ -11,71 +11,71 @@ from flipperctl.api.values import Outcome, Perception, RobotGeometry, RobotState
 
 
 class Simulator(Protocol):
-    """The scene of an episode, for controllers that look ahead; no real robot has one."""
+    """A copy of an episode's scene for policies that look ahead; it exists in simulation only."""
 
     @property
     def state(self) -> RobotState:
-        """The robot now."""
+        """Current state of the robot."""
 
     @property
     def robot(self) -> RobotGeometry:
-        """Its geometry."""
+        """Geometry of the robot."""
 
     @property
     def speed(self) -> float:
-        """Of its belts [m/s]."""
+        """Speed of the belts [m/s]."""
 
     @property
     def finish(self) -> float:
-        """X that the chassis centre must pass [m]."""
+        """World x that the chassis centre must pass [m]."""
 
     def step(self, action: int) -> Outcome | None:
-        """One decision; None while the episode goes on."""
+        """Simulate one decision; return the outcome, or None while the episode runs."""
 
     def save(self) -> Any:
-        """The moment, for ``load``."""
+        """Return a snapshot of the scene for ``load``."""
 
     def load(self, saved: Any) -> None:
-        """Go back to a moment.
+        """Return to a snapshot.
 
-        The engine's contact impulses are not restored, so that a path through loaded moments
-        differs a little from the same actions in one go.
+        The engine's contact impulses are not restored, so a trajectory through loaded snapshots
+        differs slightly from the same actions without interruption.
         """
 
     def restart(self) -> None:
-        """Back to the start: the same actions now lead to the episode's own states, exactly."""
+        """Return to the start, from which equal actions reproduce the episode's states exactly."""
 
-    def tell(self, share: float) -> None:
-        """Say how much of a long search is done, in [0, 1]."""
+    def report_progress(self, fraction: float) -> None:
+        """Report the completed fraction of a long search, in [0, 1]."""
 
 
 class Policy(Protocol):
-    """Decides, decision after decision; may remember what it perceived in the episode.
+    """Chooses the actions of an episode; it may remember what it perceived.
 
-    Trained networks, exported files, rules, planners and people who drive are all policies.
+    Trained networks, exported files, rules, planners and human drivers are all policies.
     """
 
     def reset(self, simulator: Simulator, /) -> None:
-        """Begin an episode; ``simulator`` is its scene, for those who look ahead."""
+        """Begin an episode; ``simulator`` simulates its scene for policies that look ahead."""
 
     def act(self, p: Perception, /) -> int:
         """Return the index into ``ACTIONS`` of the next action."""
 
 
 class Controller(Plugin):
-    """The frozen settings of a rule, or of something that remembers or plans.
+    """The frozen settings from which a policy is built.
 
-    A rule without memory writes ``act``. Everything else writes ``build``, which makes an object
-    that may keep state, as a network's settings build its module.
+    A rule without memory implements ``act``. Every other controller implements ``build``, which
+    returns an object that may keep state, as a network's settings build its module.
     """
 
     kind: ClassVar[str] = "controller"
     searches_first: ClassVar[bool] = False
-    """Whether ``reset`` searches the scene, which may take long."""
+    """Whether ``reset`` of the policy searches the scene, which may take long."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Refuse what can never decide."""
+        """Raise TypeError for a controller that implements neither ``act`` nor ``build``."""
         if cls.act is Controller.act and cls.build is Controller.build:
             raise TypeError(f"controller {cls.__name__} needs a method act(p) or build()")
         if cls.begin is not Controller.begin:
@@ -88,29 +88,29 @@ class Controller(Plugin):
             cls.searches_first = True
 
     def build(self) -> Policy:
-        """Return a policy with these settings; ``reset`` begins each of its episodes."""
+        """Return a new policy with these settings; ``reset`` begins each of its episodes."""
         return Rule(self)
 
     def act(self, p: Perception) -> int:
-        """Return the index into ``ACTIONS``, from this perception alone."""
+        """Return the index into ``ACTIONS`` of the next action, from this perception alone."""
         raise TypeError(f"controller {type(self).__name__} decides through build() only")
 
     def begin(self, simulator: Simulator) -> None:
-        """Begin an episode; deprecated, see ``build``."""
+        """Begin an episode; deprecated in favour of ``build``."""
 
 
 class Rule:
-    """A controller without memory as a policy."""
+    """The policy of a controller without memory."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; only controllers written for version 0.1 hear of it."""
+        """Begin an episode; only controllers written for version 0.1 implement ``begin``."""
         self._controller.begin(simulator)
 
     def act(self, p: Perception) -> int:
-        """Return what the controller decides."""
+        """Return the controller's action."""
         return self._controller.act(p)
 
 

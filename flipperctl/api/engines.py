@@ -1,7 +1,8 @@
-"""Engines: what simulates one robot on one piece of ground.
+"""Engines, which simulate one robot on one piece of ground.
 
-The environment places a robot, commands its flippers, lets time run and reads states; it knows no
-engine by name. An engine is a plugin like any other: its fields are settings below ``sim``.
+The environment places a robot, commands its flippers, advances the simulation and reads states; it
+knows no engine by name. An engine is a plugin like any other: its fields are settings below
+``sim``.
 """
 
 from __future__ import annotations
@@ -16,83 +17,83 @@ from flipperctl.api.robot import Robot
 from flipperctl.api.values import FloatArray, Profile, RobotState
 
 SAMPLE_PERIOD = 0.01
-"""Time between two samples of the pose, at which θ̂_R is measured [s]."""
+"""Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""
 
 
 class Limits(NamedTuple):
-    """Where a run stops: at ``angle``, or past ``x`` with both ends not above ``top``."""
+    """Where a run stops: at the pitch ``angle``, or past ``x`` with both ends not above ``top``."""
 
     angle: float = math.inf
-    """Of the chassis, either way [rad]."""
+    """Absolute pitch of the chassis [rad]."""
     x: float = math.inf
-    """Of its centre [m]."""
+    """World x of the chassis centre [m]."""
     top: float = math.inf
-    """Height of its higher end [m]."""
+    """World z of the higher end of the chassis [m]."""
     half: float = 0.0
-    """From its centre to each end [m]."""
+    """Distance from the chassis centre to each end [m]."""
 
 
 NO_LIMITS = Limits()
 
 
 class Start(NamedTuple):
-    """Where an episode begins; the robot rests level on the ground."""
+    """Start pose of an episode, in which the robot rests level on the ground."""
 
     x: float
-    """Of the chassis centre in world [m]."""
+    """World x of the chassis centre [m]."""
     front: float = 0.0
-    """Front flippers in frame R [rad]."""
+    """Angle of the front flippers in frame R [rad]."""
     rear: float = 0.0
-    """Rear flippers in frame R [rad]."""
+    """Angle of the rear flippers in frame R [rad]."""
 
 
 class World(Protocol):
-    """One robot on one piece of ground, made for one episode."""
+    """The simulation of one robot on one piece of ground, made for one episode."""
 
     @property
     def position(self) -> tuple[float, float]:
-        """Chassis centre (x, z) in world [m]."""
+        """World coordinates (x, z) of the chassis centre [m]."""
 
     @property
     def pitch(self) -> float:
-        """Of the chassis, nose up positive [rad]."""
+        """Pitch of the chassis, nose up positive [rad]."""
 
     def command(self, front: float, rear: float) -> None:
-        """Set the angles that the flippers turn to, in frame R [rad]."""
+        """Set the target angles of the flippers in frame R [rad]."""
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Let up to ``samples`` sample periods pass; return the pose at the end of each.
+        """Simulate up to ``samples`` sample periods; return the pose at the end of each.
 
-        (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run stops after the
-        sample at which the chassis reaches a limit.
+        The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
+        stops after the sample at which the chassis reaches a limit.
         """
 
     def state(self) -> RobotState:
-        """Return the state now."""
+        """Return the current state."""
 
     def penetration(self) -> float:
-        """Return how deep the robot is in the ground [m]."""
+        """Return the largest depth by which the robot overlaps the ground [m]."""
 
     def save(self) -> Any:
-        """Return a snapshot of all that changes, for ``load``."""
+        """Return a snapshot of the changing state for ``load``."""
 
     def load(self, saved: Any) -> None:
         """Return to a snapshot."""
 
 
 class Engine(Plugin, ABC):
-    """Simulates the robot; equal arguments give equal worlds, bit for bit."""
+    """Simulates the robot; equal arguments give worlds that are equal bit for bit."""
 
     kind: ClassVar[str] = "sim"
     without_effect: ClassVar[frozenset[str]] = frozenset()
-    """Settings that change how fast a world runs, and nothing that comes out."""
+    """Names of the settings that change the speed of a simulation but not its results."""
 
     @abstractmethod
     def place(self, profile: Profile, robot: Robot, start: Start) -> World:
-        """Put the robot on the ground; samples are ``SAMPLE_PERIOD`` apart."""
+        """Return a world with the robot on the ground; its samples are ``SAMPLE_PERIOD`` apart."""
 
     def versions(self) -> dict[str, str]:
-        """Return the versions of the libraries that decide what comes out, for checkpoints."""
+        """Return the versions of the libraries that affect the results, for checkpoints."""
         return {}
 
 

@@ -1,4 +1,4 @@
-"""Q-networks."""
+"""Q-networks, which plugins build as torch modules."""
 
 from __future__ import annotations
 
@@ -16,29 +16,30 @@ if TYPE_CHECKING:
 class Network(Plugin, ABC):
     """Builds the Q-network.
 
-    The module may offer more than ``forward``, and is then trained accordingly:
+    The module may offer methods besides ``forward``, which change how it is trained:
 
     - ``quantiles(observation)`` → (B, n_actions, K): K equally likely values of each action's
-      return, of which ``forward`` gives the mean. They are learnt by quantile regression.
-    - ``draw_noise(rng: np.random.Generator)``, of the module or any part of it: takes new noise,
-      before each decision of training and each update. The noise acts in ``train()`` mode only; a
-      policy is judged and exported in ``eval()`` mode. It lies in buffers that are not persistent.
+      return, whose mean ``forward`` returns. They are learnt by quantile regression.
+    - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule draws new noise
+      before each decision of training and before each update. The noise acts in ``train()`` mode
+      only, and a policy is evaluated and exported in ``eval()`` mode. The noise is stored in
+      buffers that are not persistent.
     """
 
     kind: ClassVar[str] = "network"
 
     @property
     def frames(self) -> int:
-        """How many of the newest observations the module takes in at once, at most ``MEMORY``.
+        """Number of the newest observations in one input row, at most ``MAX_HISTORY``.
 
-        Above 1, a row is their N + 3 numbers one after the other, oldest first; at the start of an
-        episode the first observation stands in for those that there are not.
+        A row holds the N + 3 numbers of each observation, oldest observation first. At the start
+        of an episode the first observation is repeated in place of those that do not exist yet.
         """
         return 1
 
     @abstractmethod
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """A module from (B, frames · (N + 3)) in SI units to Q-values (B, n_actions)."""
+        """Return a module from (B, frames · (N + 3)) in SI units to Q-values (B, n_actions)."""
 
 
 NetworkT = TypeVar("NetworkT", bound=Network)

@@ -1,4 +1,4 @@
-"""What all plugins share: their base, the registry of their names, and what a name selects."""
+"""The base class of all plugins, the registry of their names, and the choice by a name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flipperctl.api.values import Settings
 
 
 class Plugin(Settings):
-    """Base of the four families; a plugin's fields are its settings."""
+    """Base class of all plugin families; a plugin's fields are its settings."""
 
     kind: ClassVar[str]
     plugin_name: ClassVar[str]
@@ -26,18 +26,23 @@ NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
 
 
 def is_plugin_name(name: str) -> bool:
-    """Whether a plugin may be called so."""
+    """Return whether the name is valid for a plugin; see ``NAME_RULE``."""
     return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None
 
 
 def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
-    """A decorator that enters a class of ``family`` under ``name``."""
+    """Return a decorator that registers a class of ``family`` under ``name``.
+
+    Raises:
+        ValueError: the name is not valid or is already taken in the family.
+        TypeError: the decorated class is not a subclass of ``family``.
+    """
     if not is_plugin_name(name):
         raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
 
     def decorate(cls: type[PluginT]) -> type[PluginT]:
         if not issubclass(cls, family):
-            raise TypeError(f"@{family.kind}({name!r}): {cls.__name__} is no {family.__name__}")
+            raise TypeError(f"@{family.kind}({name!r}): {cls.__name__} is not a {family.__name__}")
         taken = registry.get((family.kind, name))
         if taken is not None:
             raise ValueError(

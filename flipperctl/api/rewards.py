@@ -1,4 +1,4 @@
-"""Reward terms, and the shaping that changes no optimal policy."""
+"""Reward terms, and potential-based shaping, which preserves every optimal policy."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ class RewardTerm(Plugin, ABC):
 
     kind: ClassVar[str] = "reward"
     bounds: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
-    """Least and largest unweighted value; a term at its least is saturated."""
+    """Smallest and largest unweighted value; a term at its smallest value is saturated."""
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
     @abstractmethod
     def __call__(self, t: Transition) -> float:
-        """The unweighted reward of one decision [-]."""
+        """Return the unweighted reward of one decision [-]."""
 
 
 class Shaping(RewardTerm):
-    """Potential-based shaping: γ·Φ(after) − Φ(before), and Φ = 0 behind every outcome.
+    """Potential-based shaping: γ·Φ(after) − Φ(before), with Φ = 0 after every outcome.
 
     It leaves every optimal policy optimal (Ng, Harada and Russell 1999): over a whole episode the
-    discounted terms add up to −Φ(start), whatever the robot did in between. That holds for the
-    discount ``gamma`` alone, and only if nothing is expected behind an outcome; training checks
-    both. A subclass writes ``potential``, and ``bounds`` if Φ has any.
+    discounted terms add up to −Φ(start), whichever actions were taken. This holds only for the
+    discount ``gamma``, and only if no outcome is bootstrapped; training checks both conditions. A
+    subclass implements ``potential``, and ``bounds`` if Φ is bounded.
     """
 
     gamma: float = Field(
@@ -41,12 +41,12 @@ class Shaping(RewardTerm):
 
     @abstractmethod
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
-        """Φ, how good it is to be there; a function of the state alone [-]."""
+        """Return the potential Φ of a state, a function of the state alone [-]."""
 
     def __call__(self, t: Transition) -> float:
-        """The unweighted shaping of one decision [-]."""
-        ahead = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
-        return self.gamma * ahead - self.potential(t.before, t.profile, t.robot)
+        """Return the unweighted shaping of one decision [-]."""
+        after = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
+        return self.gamma * after - self.potential(t.before, t.profile, t.robot)
 
 
 RewardT = TypeVar("RewardT", bound=RewardTerm)

@@ -1,4 +1,4 @@
-"""The robot: geometry, masses and what its drives can do."""
+"""The robot: geometry, masses, and the speeds and torques of its drives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flipperctl.api.values import RobotGeometry
 
 
 class Robot(RobotGeometry):
-    """The robot: geometry from the paper, masses from the laboratory's public robot model."""
+    """Geometry from the paper, and masses from the laboratory's public robot model."""
 
     chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
     flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
@@ -24,10 +24,13 @@ class Robot(RobotGeometry):
         200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
     )
     actuator_delay: float = Field(
-        0.0, ge=0, le=0.5, description="from a decision to the flippers' turn; paper silent [s]"
+        0.0,
+        ge=0,
+        le=0.5,
+        description="delay of the flippers' turn after a decision; paper silent [s]",
     )
 
     @property
     def decision_period(self) -> float:
-        """Time in which a flipper turns by one angle step [s]."""
+        """Time in which a flipper turns by one ``angle_step`` [s]."""
         return self.angle_step / self.flipper_speed

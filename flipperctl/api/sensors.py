@@ -1,7 +1,7 @@
-"""Sensors: what a robot perceives of the ground and of itself.
+"""Sensors, which perceive the ground and the posture of the robot.
 
-The true ground is a ``Profile``; what was sensed of it is a ``SensedGround``. A sensor is a plugin:
-its fields are settings below ``perception``.
+The true ground is a ``Profile``; the sensed ground is a ``SensedGround``. A sensor is a plugin: its
+fields are settings below ``perception``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flipperctl.api.values import FloatArray, ObservationLayout, Profile, RobotS
 
 @dataclass(frozen=True)
 class SensedGround:
-    """What is known of the ground around the robot, in frame L."""
+    """The sensed ground around the robot, in frame L."""
 
     points: FloatArray
     """(P, 2) sensed points, x never decreasing [m]."""
@@ -30,43 +30,42 @@ class SensedGround:
 
 @dataclass(frozen=True)
 class SensedAngles:
-    """What is known of the robot's own posture."""
+    """The sensed posture of the robot."""
 
     front: float
-    """Front flippers in frame R [rad]."""
+    """Angle of the front flippers in frame R [rad]."""
     rear: float
-    """Rear flippers in frame R [rad]."""
+    """Angle of the rear flippers in frame R [rad]."""
     pitch: float
-    """Nose up positive [rad]."""
+    """Pitch of the chassis, nose up positive [rad]."""
 
 
 class GroundSensor(Protocol):
-    """A sensor in one episode, on one piece of ground."""
+    """A sensor in use on the ground of one episode."""
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
     ) -> tuple[SensedGround, SensedAngles]:
-        """Sense the ground and the posture from a true state; noise comes from ``rng``."""
+        """Sense ground and posture from the robot's true state; noise is drawn from ``rng``."""
 
 
 class Sensor(ObservationLayout, Plugin, ABC):
-    """Perceives the ground, as the layout of the observation asks for it."""
+    """Perceives the ground in the layout of the observation."""
 
     kind: ClassVar[str] = "perception"
-    delay: float = Field(
-        0.0, ge=0, le=0.5, description="age of all that is perceived at a decision [s]"
-    )
+    delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
     @abstractmethod
     def over(self, profile: Profile, margin: float) -> GroundSensor:
-        """Return the sensor on a piece of ground.
+        """Return the sensor in use on the ground of one episode.
 
-        ``margin``: level ground before and past the profile that may come into view [m].
+        ``margin``: length of the level ground before and past the profile that may come into
+        view [m].
         """
 
     @property
     def layout(self) -> ObservationLayout:
-        """What the numbers of an observation are, without the sensor's own settings."""
+        """Layout of the observation, without the sensor's own settings."""
         return ObservationLayout(bins=self.bins, bin_width=self.bin_width)
 
 

@@ -1,4 +1,4 @@
-"""Terrains, and fields that take one."""
+"""Terrains, and the type of a field that takes a terrain."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from flipperctl.api.values import Profile
 
 
 class Terrain(Plugin, ABC):
-    """Draws the ground of an episode."""
+    """Generates the ground of an episode."""
 
     kind: ClassVar[str] = "terrain"
 
     @abstractmethod
     def generate(self, rng: np.random.Generator) -> Profile:
-        """A profile; every random choice comes from ``rng``."""
+        """Return a profile; every random choice is drawn from ``rng``."""
 
     @property
     def first_difficulty(self) -> float:
-        """Difficulty of the first episode of a training, 0 to 1."""
+        """Difficulty of the first episode of a training, from 0 to 1."""
         return 1.0
 
     def next_difficulty(self, difficulty: float, reached: bool) -> float:
-        """Difficulty of the episodes behind one that did or did not reach the finish, 0 to 1."""
+        """Return the difficulty, from 0 to 1, after an episode that did or did not succeed."""
         return difficulty
 
     def at(self, difficulty: float) -> Terrain:
-        """The terrain from which a training at this difficulty draws; itself is that of 1."""
+        """Return this terrain configured for ``difficulty``; at 1 it is unchanged."""
         return self
 
     def labelled(self, rng: np.random.Generator) -> Profile:
-        """What ``generate`` draws; without a label it gets the terrain's name.
+        """Return a generated profile; without a label of its own it gets the terrain's name.
 
         Raises:
-            ValueError: it is no profile.
+            ValueError: ``generate`` returned something other than a profile.
         """
         profile = self.generate(rng)
         if not isinstance(profile, Profile):

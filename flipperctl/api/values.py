@@ -1,4 +1,4 @@
-"""The values that plugins are given: geometry, ground, states, perceptions, decisions."""
+"""The values that plugins receive: geometry, ground, states, perceptions and transitions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from pydantic import BaseModel, ConfigDict, Field
 FloatArray = NDArray[np.float64]
 
 ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-"""Action index → (front, rear); +1 raises the pair by one angle step (paper Eq. 3)."""
+"""Action index → (front, rear); +1 raises the flipper pair by one angle step (paper Eq. 3)."""
 
-MEMORY = 32
-"""Observations that ``Perception.recent`` holds at most."""
+MAX_HISTORY = 32
+"""Largest number of observations in ``Perception.recent`` [-]."""
 
 
 def action_index(front: int, rear: int) -> int:
-    """Index of the action that turns the pairs by ``front`` and ``rear`` in {-1, 0, 1}."""
+    """Return the index of the action that turns the pairs by ``front``, ``rear`` in {-1, 0, 1}."""
     return 3 * (front + 1) + (rear + 1)
 
 
@@ -68,7 +68,7 @@ class RobotGeometry(Settings):
         return self.flipper_length - 2 * self.track_radius
 
     def clip(self, angle: float) -> float:
-        """The angle limited to what a flipper can reach [rad]."""
+        """Return the angle limited to the range of the flippers [rad]."""
         return min(self.angle_limit, max(-self.angle_limit, angle))
 
 
@@ -77,8 +77,8 @@ class Profile:
     """The obstacle in the robot's side plane, from its first edge to its last.
 
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
-    The ground goes on level before the first point and behind the last. ``label`` says what was
-    drawn, for tables; empty stands for the terrain's own name.
+    The ground is level before the first point and past the last. ``label`` names the drawn terrain
+    in tables; if it is empty, they show the terrain's own name.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
@@ -101,7 +101,7 @@ class Profile:
             i = int(drops[0])
             raise ValueError(
                 f"x decreases from {array[i, 0]:g} to {array[i + 1, 0]:g} m "
-                f"between profile points {i} and {i + 1}; it may only grow or stay"
+                f"between profile points {i} and {i + 1}; it must never decrease"
             )
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
@@ -109,21 +109,21 @@ class Profile:
 
     @property
     def start(self) -> float:
-        """X of the first edge [m]."""
+        """World x of the first edge [m]."""
         return float(self.points[0, 0])
 
     @property
     def end(self) -> float:
-        """X of the last edge [m]."""
+        """World x of the last edge [m]."""
         return float(self.points[-1, 0])
 
-    def extended(self, before: float, behind: float) -> FloatArray:
-        """The polyline with level ground added, (V + 2, 2) [m]."""
+    def extended(self, before: float, after: float) -> FloatArray:
+        """Return the polyline with level ground of these lengths added, (V + 2, 2) [m]."""
         first, last = self.points[0], self.points[-1]
-        return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + behind, last[1]]])
+        return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + after, last[1]]])
 
     def height(self, x: float) -> float:
-        """Height of the ground at x; the higher of the two at a vertical face [m]."""
+        """Return the height of the ground at x, at a vertical face that of its top [m]."""
         points = self.points
         right = int(np.searchsorted(points[:, 0], x, side="right"))
         left = int(np.searchsorted(points[:, 0], x, side="left"))
@@ -135,9 +135,10 @@ class Profile:
         return float(z0 + (z1 - z0) * (x - x0) / (x1 - x0))
 
     def sample(self, spacing: float, margin: float) -> FloatArray:
-        """Points along the outline, vertical faces included, (P, 2) in world [m].
+        """Return points along the outline, vertical faces included, (P, 2) in world [m].
 
-        x never decreases; ``margin`` metres of level ground are added on both sides.
+        The points are ``spacing`` [m] apart and their x never decreases; ``margin`` [m] of level
+        ground is added on both sides.
         """
         line = self.extended(margin, margin)
         lengths = np.hypot(*np.diff(line, axis=0).T)  # (V + 1,) [m]
@@ -147,11 +148,11 @@ class Profile:
 
     @cached_property
     def cloud(self) -> FloatArray:
-        """The outline every 0.02 m with 3 m of level ground on both sides, (P, 2) [m]."""
+        """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
         return self.sample(0.02, 3.0)
 
     def around(self, x: float, reach: float) -> FloatArray:
-        """The points of ``cloud`` within ``reach`` of x, (P', 2) in world [m]."""
+        """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""
         low, high = np.searchsorted(self.cloud[:, 0], (x - reach, x + reach))
         return self.cloud[low:high]
 
@@ -170,23 +171,27 @@ class RobotState:
     """The robot at one instant."""
 
     position: FloatArray
-    """(2,) chassis centre in world [m]."""
+    """World coordinates (x, z) of the chassis centre, (2,) [m]."""
     pitch: float
-    """Chassis against level, nose up positive [rad]."""
+    """Pitch of the chassis, nose up positive [rad]."""
     front: float
-    """Front flipper pair in frame R, above the chassis positive [rad]."""
+    """Angle of the front flippers in frame R, above the chassis positive [rad]."""
     rear: float
-    """Rear flipper pair in frame R, above the chassis positive [rad]."""
+    """Angle of the rear flippers in frame R, above the chassis positive [rad]."""
     velocity: FloatArray
-    """(2,) of the chassis centre in world [m/s]."""
+    """Velocity (x, z) of the chassis centre in world, (2,) [m/s]."""
     pitch_rate: float
-    """[rad/s]"""
+    """Angular velocity of the chassis, nose up positive [rad/s]."""
     time: float
-    """Since the start of the episode [s]."""
+    """Time since the start of the episode [s]."""
 
 
 class ObservationLayout(Settings):
-    """What the N + 3 numbers of an observation are (paper Eqs. 1 and 2)."""
+    """Layout of the N + 3 numbers of an observation (paper Eqs. 1 and 2).
+
+    They are N mean heights of the ground in frame L [m], then front and rear flipper angle and
+    pitch [rad].
+    """
 
     bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
     bin_width: float = Field(
@@ -195,7 +200,7 @@ class ObservationLayout(Settings):
 
     @property
     def size(self) -> int:
-        """Length of an observation."""
+        """Length of an observation, N + 3 [-]."""
         return self.bins + 3
 
     @property
@@ -205,52 +210,55 @@ class ObservationLayout(Settings):
 
     @property
     def scale(self) -> FloatArray:
-        """Typical magnitude of each number, (N + 3,) in SI units: networks divide by it."""
+        """Typical magnitude of each number, by which networks divide, (N + 3,) in SI units."""
         return np.concatenate([np.full(self.bins, 0.5), np.full(3, math.pi / 3)])
 
 
 @dataclass(frozen=True)
 class Perception:
-    """What a controller may know when it decides: terrain points and angles as sensed.
+    """What a policy may know when it decides: the sensed terrain points and angles.
 
-    They are as exact as the configuration's ``perception`` says, and nothing is occluded.
+    Their accuracy is set by the configuration's ``perception``.
     """
 
     observation: NDArray[np.float32]
-    """(N + 3,) laid out as ``layout`` says."""
+    """The observation in the order of ``layout``, (N + 3,) in SI units."""
     points: FloatArray
-    """(P, 2) sensed terrain points in frame L [m]."""
+    """Sensed terrain points in frame L, (P, 2) [m]."""
     pitch: float
+    """Sensed pitch of the chassis, nose up positive [rad]."""
     front: float
+    """Sensed angle of the front flippers in frame R [rad]."""
     rear: float
+    """Sensed angle of the rear flippers in frame R [rad]."""
     robot: RobotGeometry
     layout: ObservationLayout
     rng: np.random.Generator
-    """For controllers that draw at random; seeded by the episode."""
+    """Generator for random policies, seeded by the episode."""
     recent: tuple[NDArray[np.float32], ...]
-    """The observations of the episode so far, ``observation`` last; at most ``MEMORY``."""
+    """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
 
 
 @dataclass(frozen=True)
 class Transition:
-    """One decision, as reward terms see it."""
+    """One decision, from which reward terms and measures are computed."""
 
     before: RobotState
     after: RobotState
     pitches: FloatArray
-    """(T,) pitch at every decision of the episode so far, start and ``after`` included [rad]."""
+    """Pitch at each decision of the episode so far, from the start to ``after``, (T,) [rad]."""
     action: tuple[int, int]
-    """(front, rear) in {-1, 0, 1}."""
+    """Turns (front, rear) of the flipper pairs, each in {-1, 0, 1}."""
     profile: Profile
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
-    """None while the episode runs."""
+    """How the episode ended; None while it runs."""
     path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    """(S + 1, 3) x [m], z [m] and pitch [rad] of the chassis every 10 ms, ``before`` included."""
+    """Poses of the chassis from ``before`` to ``after``, (S + 1, 3): x [m], z [m], pitch [rad]."""
     previous_action: tuple[int, int] = (0, 0)
-    """Of the decision before, (0, 0) at an episode's first."""
+    """Action of the previous decision; (0, 0) at the first decision of an episode."""
     flippers: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """(S + 1, 2) front and rear flipper angle in frame R at each pose of ``path`` [rad]."""
+    """Front and rear flipper angle in frame R at each pose of ``path``, (S + 1, 2) [rad]."""
     sample_period: float = 0.01
     """Time between two poses of ``path`` [s]."""
 
@@ -264,13 +272,13 @@ def candidate_angle(
     far: float = 0.45,
     rear: bool = False,
 ) -> float:
-    """The flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
+    """Return the flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
 
-    The largest angle in frame R of the vectors from the hinge to the terrain points inflated by
-    the track radius (paper Sec. III-D after Okada et al. 2011): atan2(z, u) + asin(r / distance).
-    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` of the hinge,
-    measured along the chassis, count, since a point under the hinge would outweigh all others.
-    Clipped to what the flipper can reach; 0 without points.
+    It is the largest angle in frame R of the vectors from the hinge to the terrain points inflated
+    by the track radius: atan2(z, u) + asin(r / distance) (paper Sec. III-D, Okada et al. 2011).
+    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` [m] from the
+    hinge, measured along the chassis, count, since a point under the hinge would outweigh all
+    others. The angle is clipped to the range of the flippers; without points it is 0.
     """
     cos, sin = math.cos(pitch), math.sin(pitch)
     along = cos * points[:, 0] + sin * points[:, 1]

@@ -41,7 +41,7 @@ class Recording:
     actions: list[int] = field(default_factory=list)
     targets: list[tuple[float, float]] = field(default_factory=list)
     """Angles commanded to the front and the rear flippers [rad]."""
-    moments: list[bare.Moment] = field(default_factory=list)
+    moments: list[bare.Snapshot] = field(default_factory=list)
     """One more than decisions: the start is the first."""
     transitions: list[Transition] = field(default_factory=list)
     contacts: list[int] = field(default_factory=list)
@@ -61,7 +61,7 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     state = env.state
     target = Start(float(state.position[0]), state.front, state.rear)
     made = Recording(seed, env.profile, target)
-    made.moments.append(bare.moment(_world(env)))
+    made.moments.append(bare.snapshot(_world(env)))
     for decision in decisions(env, policy, seed):
         world, move = _world(env), ACTIONS[decision.action]
         target = target._replace(
@@ -70,7 +70,7 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
         )
         made.actions.append(decision.action)
         made.targets.append((target.front, target.rear))
-        made.moments.append(bare.moment(world))
+        made.moments.append(bare.snapshot(world))
         made.contacts.append(bare.contacts(world))
         made.transitions.append(decision.transition)
     return made

@@ -168,7 +168,7 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
         return container(_construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
-            f"{guard.called(cls)}: its defaults are not valid: "
+            f"{guard.plugin_label(cls)}: its defaults are not valid: "
             f"{explain(error, '', cls)} ({guard.definition(cls)})"
         ) from error
 

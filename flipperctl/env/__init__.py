@@ -1,7 +1,7 @@
-"""Observation, action, reward sum and ends: the task as a Gymnasium environment.
+"""The task as a Gymnasium environment: observation, action, reward and ends.
 
 Importing this package registers ``flipperctl/Flipper-v0``. Gymnasium reads no entry points since
-1.0, so either import it, or let Gymnasium do so:
+1.0, so either import this package, or let Gymnasium import it:
 ``gymnasium.make("flipperctl.env:flipperctl/Flipper-v0")``.
 """
 

@@ -1,4 +1,4 @@
-"""What counts as an action: an index into ``flipperctl.api.ACTIONS``."""
+"""Checks that a value is an action, an index into ``flipperctl.api.ACTIONS``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ ALLOWED = f"an integer from 0 to {len(ACTIONS) - 1} is allowed"
 
 
 def action_index(value: Any) -> int | None:
-    """The index that a value is, or None.
+    """Return a value as an action index, or None if it is not one.
 
-    Python's and numpy's integers are one, and so is an array of one integer without a dimension.
-    Other numbers, truth values and arrays with a dimension are none, as for Gymnasium's Discrete.
+    Python's and numpy's integers and integer arrays without a dimension are accepted. Other
+    numbers, booleans and arrays with a dimension are not, as for Gymnasium's Discrete.
     """
     if isinstance(value, bool):
         return None

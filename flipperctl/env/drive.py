@@ -1,6 +1,6 @@
 """The physical part of an episode: one robot on one profile, from decision to decision.
 
-In: a profile, what the episode drew, where it starts. Out: states and the outcome. It knows
+In: a profile, the drawn settings and the start. Out: states and the outcome. This part knows
 neither observations nor rewards.
 """
 
@@ -27,12 +27,12 @@ from flipperctl.config import Episode
 from flipperctl.env.ends import Ends
 from flipperctl.guard import fault
 
-_TURN, _LOOK, _END = range(3)
-"""What happens within a decision; at one moment, in this order."""
+_TURN, _PERCEIVE, _END = range(3)
+"""Events within a decision; those of one sample happen in this order."""
 
 
 class Drive:
-    """World, flipper targets and ends."""
+    """Holds the world, the flippers' targets and the ends of one episode."""
 
     def __init__(
         self,
@@ -42,27 +42,31 @@ class Drive:
         start: Start,
         period: float,
     ) -> None:
-        """``period``: of the decisions [s]."""
+        """Place the robot; decisions take ``period`` [s].
+
+        Raises:
+            PluginFailedError: the engine's code failed.
+        """
         self._engine, self.robot, perception = sections
         try:
             self.world: World = self._engine.place(profile, self.robot, start)
         except BaseException as error:
             raise fault(error, self._engine, "place") from error
         self.ends = Ends(profile, self.robot, episode, start.x, period)
-        self.state = self.seen = self.world.state()
-        """The state now, and the one that the robot perceives: ``perception.delay`` older."""
+        self.state = self.delayed_state = self.world.state()
+        """The current state, and the perceived state, which is ``perception.delay`` older."""
         self.poses = self._pose()
-        """(S + 1, 5) the last decision at 100 Hz, the pose before it included: x [m], z [m], pitch,
-        front and rear flipper angle [rad]."""
+        """Poses of the last decision at 100 Hz, from the pose before it on, (S + 1, 5): x [m],
+        z [m], pitch, front and rear flipper angle [rad]."""
         self._target = [start.front, start.rear]
         whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
         act = min(whole, round(self.robot.actuator_delay / SAMPLE_PERIOD))
-        look = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
-        self._moments = sorted([(act, _TURN), (look, _LOOK), (whole, _END)])
-        self._fresh = look == whole
+        perceive = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
+        self._events = sorted([(act, _TURN), (perceive, _PERCEIVE), (whole, _END)])
+        self._undelayed = perceive == whole
 
     def decide(self, action: int) -> Outcome | None:
-        """Turn the flippers by one action and let the world run for one decision."""
+        """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
         robot = self.robot
         self._target = [
             robot.clip(target + turn * robot.angle_step)
@@ -70,42 +74,43 @@ class Drive:
         ]
         outcome = self._run()
         self.state = self.world.state()
-        if self._fresh or outcome is not None:
-            self.seen = self.state
+        if self._undelayed or outcome is not None:
+            self.delayed_state = self.state
         return outcome or self.ends.decision(float(self.state.position[0]))
 
     def _run(self) -> Outcome | None:
         world, ends = self.world, self.ends
         done = 0
         self.poses = self._pose()
-        for moment, what in self._moments:
-            while done < moment:
+        for sample, event in self._events:
+            while done < sample:
                 try:
-                    poses = world.advance(moment - done, ends.limits)
+                    poses = world.advance(sample - done, ends.limits)
                 except BaseException as error:
                     raise fault(error, self._engine, "advance") from error
                 self.poses = np.concatenate([self.poses, poses])
                 if (outcome := ends.instant(world)) is not None:
                     return outcome
                 done += len(poses)
-            if what == _TURN:
+            if event == _TURN:
                 world.command(*self._target)
-            elif what == _LOOK and not self._fresh:
-                self.seen = world.state()
+            elif event == _PERCEIVE and not self._undelayed:
+                self.delayed_state = world.state()
         return None
 
     def _pose(self) -> FloatArray:
-        """The pose at the last decision, (1, 5)."""
+        """Return the pose at the last decision, (1, 5), in the order of ``poses``."""
         world, state = self.world, self.state
         return np.array([[*world.position, world.pitch, state.front, state.rear]])
 
     def save(self) -> tuple[Any, ...]:
-        """All that changes, for ``load``; the engine's contact impulses are not in it."""
-        return self.world.save(), self.ends.save(), self.state, self.seen, tuple(self._target)
+        """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
+        targets = tuple(self._target)
+        return self.world.save(), self.ends.save(), self.state, self.delayed_state, targets
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Go back to what ``save`` gave."""
-        world, ends, self.state, self.seen, target = saved
+        """Return to a snapshot."""
+        world, ends, self.state, self.delayed_state, target = saved
         self.world.load(world)
         self.ends.load(ends)
         self._target = list(target)

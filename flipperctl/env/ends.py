@@ -1,6 +1,6 @@
-"""How an episode ends: reached, overturned, stuck or timeout.
+"""Determines how an episode ends: reached, overturned, stuck or timeout.
 
-In: where the robot is, sample by sample and after each decision. Out: the outcome, or None.
+In: the robot's pose at each sample and after each decision. Out: the outcome, or None.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from flipperctl.config import Episode
 
 
 class Ends:
-    """Ends one episode: ``instant`` within a decision, ``decision`` after one that ended nothing.
+    """The ends of one episode.
 
-    The world stops at the first sample that reaches ``limits``; ``instant`` says which end it is.
+    The world stops at the first sample that reaches ``limits``, and ``instant`` then returns the
+    outcome. ``decision`` is called after each decision without an outcome.
     """
 
     def __init__(
         self, profile: Profile, robot: Robot, episode: Episode, start: float, period: float
     ) -> None:
-        """``start``: x of the chassis centre [m]; ``period``: of the decisions [s]."""
+        """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s]."""
         self._episode = episode
         self.finish = profile.end + episode.run_out
-        # Past the profile the ground is level, so that one height tells who is close to it.
+        # Past the profile the ground is level, so one height decides whether the robot is close.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
         self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
         nominal = (self.finish - start) / robot.track_speed  # [s]
@@ -33,7 +34,7 @@ class Ends:
         self._decisions = 0
 
     def instant(self, world: World) -> Outcome | None:
-        """Overturned, or past the finish with the chassis' higher end close to the ground."""
+        """Return OVERTURNED, or REACHED past the finish with both ends close to the ground."""
         limits = self.limits
         if abs(world.pitch) >= limits.angle:
             return Outcome.OVERTURNED
@@ -42,7 +43,7 @@ class Ends:
         return Outcome.REACHED if x >= limits.x and close else None
 
     def decision(self, x: float) -> Outcome | None:
-        """Too little progress over the window, or out of decisions."""
+        """Return STUCK after too little progress, or TIMEOUT after the last allowed decision."""
         self._decisions += 1
         self._trail.append(x)
         full = len(self._trail) == self._trail.maxlen
@@ -51,10 +52,10 @@ class Ends:
         return Outcome.TIMEOUT if self._decisions >= self.t_max else None
 
     def save(self) -> tuple[tuple[float, ...], int]:
-        """What changes from decision to decision."""
+        """Return a snapshot of the changing state for ``load``."""
         return tuple(self._trail), self._decisions
 
     def load(self, saved: tuple[tuple[float, ...], int]) -> None:
-        """Go back to what ``save`` gave."""
+        """Return to a snapshot."""
         trail, self._decisions = saved
         self._trail = deque(trail, maxlen=self._trail.maxlen)

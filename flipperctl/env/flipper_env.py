@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
-    MEMORY,
+    MAX_HISTORY,
     SAMPLE_PERIOD,
     Outcome,
     Perception,
@@ -42,15 +42,16 @@ from flipperctl.messages import close_match
 
 Observation = NDArray[np.float32]
 
-_DEEPEST_START = 0.005  # [m] of overlap with the ground that counts as standing on it
+_DEEPEST_START = 0.005  # largest overlap with the ground at the start [m]
 
 
 class FlipperEnv(gymnasium.Env[Observation, np.int64]):
-    """One robot that drives across one terrain an episode; the policy turns the flippers.
+    """One robot drives across one terrain in each episode; the policy turns its flippers.
 
-    Observations are (N + 3,) float32 in SI units, laid out as ``layout`` says; actions are
-    indices into ``flipperctl.api.ACTIONS``. ``info`` carries ``rewards`` (each term's part) and,
-    at the end, ``outcome`` and ``metrics``. Timeout truncates; the other outcomes terminate.
+    Observations are (N + 3,) float32 in SI units in the order of ``layout``; actions are indices
+    into ``flipperctl.api.ACTIONS``. ``info`` holds ``rewards`` (the weighted value of each term)
+    and, at the end, ``outcome`` and ``metrics``. A timeout truncates the episode; every other
+    outcome terminates it.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as gymnasium.Env declares it
@@ -66,14 +67,14 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         render_mode: str | None = None,
         **overrides: Any,
     ) -> None:
-        """``terrain``: a name, a mapping with ``name`` and fields, or an instance.
+        """Configure the task; ``config`` replaces ``terrain`` and ``overrides``.
 
-        ``overrides``: sections of the configuration, nested (``episode={"slack": 2}``) or dotted
-        (``**{"rewards.pitch.lambda_2": 8}``); ``rewards={}`` drops every term. ``config`` replaces
-        both.
+        ``terrain``: a name, a mapping with ``name`` and fields, or an instance. ``overrides``:
+        sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
+        ``rewards={}`` removes every term.
 
         Raises:
-            ConfigError: there is no such setting, value, plugin or render mode.
+            ConfigError: a setting, value, plugin or render mode does not exist.
         """
         modes = self.metadata["render_modes"]
         if render_mode is not None and render_mode not in modes:
@@ -87,7 +88,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             config = with_overrides(EnvConfig(terrain=terrain), overrides)
         self.config = config
         self.robot = config.robot
-        """As the episode drew it."""
+        """The robot with the values that the episode drew."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward = RewardSum(config.rewards)
@@ -105,26 +106,26 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a terrain and put the robot before it; equal seeds give equal episodes.
+        """Draw a terrain and place the robot before it; equal seeds give equal episodes.
 
-        ``options``: ``difficulty`` from 0 to 1, for terrains that have one; else it is 1.
+        ``options``: ``difficulty`` from 0 to 1 for terrains that use it; without it, it is 1.
 
         Raises:
-            ValueError: there is no such difficulty.
-            TerrainError: the terrain gives no ground that a robot can start on.
-            PluginFailedError: the terrain's code failed.
+            ValueError: the difficulty is not a number from 0 to 1.
+            TerrainError: the terrain generates no ground that a robot can start on.
+            PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = (options or {}).get("difficulty", 1.0)
-        if not isinstance(difficulty, Real):  # the terrain says which numbers are allowed
+        if not isinstance(difficulty, Real):  # the terrain checks the number itself
             raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
         self._running = False
         super().reset(seed=seed)
-        # One stream each, so that sensing noise never changes the terrain that is drawn.
-        terrain_rng, start_rng, self._sensor_rng, self._controller_rng, draw_rng = (
+        # Each has a generator of its own, so that sensing noise never changes the drawn terrain.
+        terrain_rng, start_rng, self._sensor_rng, self._controller_rng, randomise_rng = (
             self.np_random.spawn(5)
         )
         config, episode = self.config, self.config.episode
-        drawn = config.randomise.draw(draw_rng)
+        drawn = config.randomise.draw(randomise_rng)
         sections = config.drawn(drawn)
         _, self.robot, perception = sections
         self.profile = self._draw(terrain_rng, float(difficulty))
@@ -146,12 +147,17 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             self._sensor = perception.over(self.profile, margin + 2.0)
         except BaseException as error:
             raise fault(error, perception, "over") from error
-        self._draws = {"start_shift": shift, "start_front": front, "start_rear": rear, **drawn}
+        self._drawn_values = {
+            "start_shift": shift,
+            "start_front": front,
+            "start_rear": rear,
+            **drawn,
+        }
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
         self._metrics = measures.EpisodeMetrics(measures.MEASURES)
-        self._recent: deque[Observation] = deque(maxlen=MEMORY)
-        self.perception = self._perceive(self.drive.seen)
+        self._recent: deque[Observation] = deque(maxlen=MAX_HISTORY)
+        self.perception = self._perceive(self.drive.delayed_state)
         self._running = True
         return self.perception.observation, {}
 
@@ -160,38 +166,40 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         period = config.robot.decision_period
         return Drive(self.profile, self._sections, config.episode, self._start, period)
 
-    def simulator(self, tell: Callable[[float], None] = lambda share: None) -> SceneSimulator:
-        """The episode's scene from its start, apart from the episode itself.
+    def simulator(
+        self, report_progress: Callable[[float], None] = lambda fraction: None
+    ) -> SceneSimulator:
+        """Return a copy of the episode's scene at its start; stepping it leaves the episode alone.
 
-        ``tell`` hears what share of a search is done.
+        ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
-        return SceneSimulator(self._drive, tell)
+        return SceneSimulator(self._drive, report_progress)
 
     @property
     def state(self) -> RobotState:
-        """The robot's true state."""
+        """True state of the robot."""
         return self.drive.state
 
     def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
-        drawn = ground.draw(terrain, rng, difficulty)
-        if drawn is not self._drawn:  # recorded ground is the same profile each episode
-            self.profile = ground.prepared(drawn, terrain, self.config.robot.track_radius)
+        drawn = ground.draw_profile(terrain, rng, difficulty)
+        if drawn is not self._drawn:  # recorded ground returns the same profile each time
+            self.profile = ground.prepare_profile(drawn, terrain, self.config.robot.track_radius)
             self._drawn = drawn
         return self.profile
 
     @property
     def points_drawn(self) -> int:
-        """Points of the terrain's own profile, before what no track can feel was left out."""
+        """Number of points in the generated profile, before thinning for the tracks [-]."""
         return 0 if self._drawn is None else len(self._drawn.points)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Turn the flippers by one action and let the world run for one decision.
+        """Turn the flippers by one action and simulate one decision.
 
         Raises:
             ValueError: there is no such action.
-            ResetNeeded: no episode runs; Gymnasium's exception.
-            PluginFailedError: a reward term's code failed.
+            ResetNeeded: no episode is running.
+            PluginFailedError: the code of a reward term, the engine or the sensor failed.
             NonFiniteError: the state or a reward is not a finite number.
         """
         index = action_index(action)
@@ -220,7 +228,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)
-        self.perception = self._perceive(self.drive.seen)
+        self.perception = self._perceive(self.drive.delayed_state)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
             self._running = False
@@ -228,7 +236,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             info["metrics"] = {
                 "terrain": self.profile.label,
                 **self._metrics.summary(),
-                **self._draws,
+                **self._drawn_values,
             }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
@@ -266,7 +274,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def scene(self) -> Scene:
-        """What there is to see now."""
+        """The current instant of the episode, for pictures."""
         return Scene(
             self.config.terrain.plugin_name,
             self.profile,
@@ -280,7 +288,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The scene as an (H, W, 3) picture; None without ``render_mode="rgb_array"``."""
+        """Return a picture of the scene, (H, W, 3); None without ``render_mode="rgb_array"``."""
         if self.render_mode is None:
             return None
         if self._renderer is None:

@@ -1,6 +1,6 @@
-"""What a terrain plugin answers, checked: the profile that it generates, and difficulties.
+"""Calls a terrain plugin and checks its results: profiles and difficulties.
 
-In: a terrain and the episode's generator. Out: a profile that the engine can bear.
+In: a terrain and a random generator. Out: a profile that an engine can simulate.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ import numpy as np
 
 from flipperctl.api import Profile, Terrain
 from flipperctl.errors import PluginFailedError, TerrainError
-from flipperctl.guard import fault, refusal, shown
+from flipperctl.guard import fault, refusal, short_repr
 from flipperctl.sim.ground import check_extent, thinned
 
 LONGEST = 1000.0
-"""From the first edge to the last [m]; an episode of that length takes hours of robot's time."""
+"""Longest profile [m]; its episode takes more than an hour of simulated time."""
 HIGHEST = 100.0
-"""Above or below the first edge [m], as the observation space says."""
+"""Largest height above or below the first edge [m], the bound of the observation space."""
 FARTHEST = 1e7
-"""Of a coordinate [m]: beyond it, numbers lie too close to the contacts' tolerance."""
+"""Largest coordinate [m], beyond which floats are too coarse for the contacts' tolerance."""
 
 
-def draw(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
-    """The profile of an episode.
+def draw_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
+    """Return the generated profile of an episode, checked.
 
     Raises:
-        TerrainError: the terrain gives no ground that a robot can start on: ``generate`` raised a
-            ValueError, which is its way to say so, or its profile is none that the engine can bear.
-        PluginFailedError: it raised anything else.
+        TerrainError: the terrain raised a ValueError because it has no ground, or the profile
+            exceeds the bounds of length, height or coordinates.
+        PluginFailedError: the terrain raised any other error.
     """
     method = "at"
     try:
         at = terrain.at(difficulty)
         if not isinstance(at, Terrain):
-            raise refusal(terrain, "at", f"returned {_a(at)}; a Terrain is allowed")
+            raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
         method = "generate"
         profile = at.labelled(rng)
         _check(profile, terrain)
@@ -51,13 +51,15 @@ def _check(profile: Profile, terrain: Terrain) -> None:
         return TerrainError(str(refusal(terrain, "generate", text)))
 
     if not isinstance(profile.label, str):
-        raise refuse(f"returned a profile whose label is {_a(profile.label)}; a str is allowed")
+        raise refuse(
+            f"returned a profile whose label is {_typed_repr(profile.label)}; a str is allowed"
+        )
     points = profile.points
     farthest = float(np.abs(points).max())
     if not farthest <= FARTHEST:
         raise refuse(
             f"returned a profile with a coordinate of {farthest:g} m; at most {FARTHEST:g} m is "
-            "allowed, before and behind 0"
+            "allowed, on either side of 0"
         )
     length = profile.end - profile.start
     if length > LONGEST:
@@ -70,11 +72,11 @@ def _check(profile: Profile, terrain: Terrain) -> None:
         )
 
 
-def prepared(profile: Profile, terrain: Terrain, track_radius: float) -> Profile:
-    """Return the profile as it is driven on: without what tracks of this radius [m] cannot feel.
+def prepare_profile(profile: Profile, terrain: Terrain, track_radius: float) -> Profile:
+    """Return the profile without details that tracks of this radius [m] cannot feel.
 
     Raises:
-        TerrainError: what is left has too many points or too long an outline.
+        TerrainError: the thinned profile has too many points or too long an outline.
     """
     try:
         felt = thinned(profile, track_radius)
@@ -86,10 +88,10 @@ def prepared(profile: Profile, terrain: Terrain, track_radius: float) -> Profile
 
 
 def first_difficulty(terrain: Terrain) -> float:
-    """The difficulty of a training's first episode.
+    """Return the difficulty of a training's first episode.
 
     Raises:
-        PluginFailedError: the terrain raised, or gave no number from 0 to 1.
+        PluginFailedError: the terrain raised an error, or returned no number from 0 to 1.
     """
     try:
         value: object = terrain.first_difficulty
@@ -99,10 +101,10 @@ def first_difficulty(terrain: Terrain) -> float:
 
 
 def next_difficulty(terrain: Terrain, difficulty: float, reached: bool) -> float:
-    """The difficulty after an episode that did or did not reach the finish.
+    """Return the difficulty after an episode that did or did not reach the finish.
 
     Raises:
-        PluginFailedError: the terrain raised, or gave no number from 0 to 1.
+        PluginFailedError: the terrain raised an error, or returned no number from 0 to 1.
     """
     try:
         value: object = terrain.next_difficulty(difficulty, reached)
@@ -112,15 +114,15 @@ def next_difficulty(terrain: Terrain, difficulty: float, reached: bool) -> float
 
 
 def _difficulty(value: object, terrain: Terrain, method: str) -> float:
-    if isinstance(value, Real) and 0 <= float(value) <= 1:  # a NaN is not
+    if isinstance(value, Real) and 0 <= float(value) <= 1:  # false for NaN
         return float(value)
     raise refusal(
         terrain,
         method,
-        f"returned {shown(value)}; a number from 0 to 1 is allowed",
+        f"returned {short_repr(value)}; a number from 0 to 1 is allowed",
         PluginFailedError,
     )
 
 
-def _a(value: Any) -> str:
-    return f"a {type(value).__name__}, {shown(value)}"
+def _typed_repr(value: Any) -> str:
+    return f"a {type(value).__name__}, {short_repr(value)}"

@@ -1,8 +1,8 @@
-"""The scene from the side as a picture that follows the robot.
+"""Draws the scene from the side as a picture centred on the robot.
 
-In: an environment after ``reset``. Out: an (H, W, 3) picture of the terrain, the robot, what it
-perceives and the angle to which the terrain invites its front flippers. Agg draws it, without a
-screen and without matplotlib's global state; equal states give equal pictures.
+In: a scene. Out: an (H, W, 3) picture of the terrain, the robot, its perception and the candidate
+angle of its front flippers. Agg draws it, without a screen and without matplotlib's global state;
+equal scenes give equal pictures.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from flipperctl.sim.outline import axles, belt_marks, outlines
 if TYPE_CHECKING:
     from flipperctl.env.scene import Scene
 
-# Colours that the colour-blind can tell apart (Okabe and Ito's; the purple is Paul Tol's).
-# The reports use them for the same things.
+# Colours that colour-blind readers can distinguish (Okabe and Ito's; the purple is Paul Tol's).
+# The reports use the same colour for the same object.
 CHASSIS, FRONT, REAR, HEIGHTS = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 GROUND, EARTH, BELT = "#6E6356", "#E4DED4", "#2B2B2B"
 INK, FAINT = "#222222", "#757575"
 
 WIDTH, HEIGHT = 960, 480
-"""Size of the picture [px]."""
+"""Width and height of the picture [px]."""
 
 _DPI = 100
 _BOX = (0.06, 0.215, 0.925, 0.765)  # the axes in the figure: left, bottom, width, height [-]
 _NUMBERS = {"time": 0.135, "x": 0.24, "pitch": 0.315, "front": 0.39, "rear": 0.465}  # right edge
 _WORDS = {"action front, rear": 0.525, "terrain": 0.775}  # left edge [-] of the width
 _TURNS = {-1: "down", 0: "hold", 1: "up"}
-_LEVEL_GROUND = 60.0  # [m] drawn before and behind the profile
+_LEVEL_GROUND = 60.0  # length of the level ground drawn before and past the profile [m]
 _FLAG = np.array([[0.0, 0.0], [0.0, 0.55], [0.14, 0.5], [0.0, 0.45]])  # [m]
 
 
 class RobotArtist:
-    """The robot in an axes: chassis below, flippers above it, belts with marks that run."""
+    """The robot in an axes: flippers drawn over the chassis, and belts with moving marks."""
 
     def __init__(self, axes: Axes, zorder: float = 5.0) -> None:
         groups = (([CHASSIS], zorder), ([FRONT, REAR], zorder + 0.3))
@@ -69,7 +69,7 @@ class RobotArtist:
         )  # fmt: skip
 
     def show(self, state: RobotState, robot: RobotGeometry, travel: float | None = None) -> None:
-        """Draw this pose; ``travel`` is how far the belts have run [m], without it no marks."""
+        """Draw the robot; the belts have marks if their distance run ``travel`` [m] is given."""
         ends, radius, depth = axles(state, robot), robot.track_radius, 0.28 * robot.track_radius
         outer, inner = outlines(state, robot), outlines(state, robot, inset=depth)
         for i, parts in enumerate((slice(0, 1), slice(1, 3))):
@@ -82,7 +82,7 @@ class RobotArtist:
 
 
 class Renderer:
-    """Draws one frame a call into the same figure."""
+    """Draws one picture per call into the same figure."""
 
     def __init__(self) -> None:
         figure = self._figure = Figure((WIDTH / _DPI, HEIGHT / _DPI), _DPI, facecolor="white")
@@ -96,7 +96,7 @@ class Renderer:
         self,
         scene: Scene,
     ) -> NDArray[np.uint8]:
-        """A picture of the scene, (HEIGHT, WIDTH, 3)."""
+        """Return a picture of the scene, (HEIGHT, WIDTH, 3)."""
         self._look_at(scene)
         self._draw_ground(scene)
         state, robot = scene.state, scene.perception.robot
@@ -155,7 +155,7 @@ class Renderer:
                 )
 
     def _look_at(self, scene: Scene) -> None:
-        """Centre the view on the chassis, equal in both axes and wide enough for what counts."""
+        """Centre the view on the chassis, with equal axes that show robot and perceived ground."""
         robot, layout = scene.perception.robot, scene.perception.layout
         length = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         width = 3.2 * max(layout.reach, 1.5 * length)
@@ -202,7 +202,7 @@ class Renderer:
 
 
 def _bins(p: Perception) -> FloatArray:
-    """The perceived heights as one line, broken between the bins, (3·N, 2) in frame L [m]."""
+    """Return the perceived heights as a line with gaps between bins, (3·N, 2) in frame L [m]."""
     left = -p.layout.reach + p.layout.bin_width * np.arange(p.layout.bins)
     gap = 0.06 * p.layout.bin_width
     x, z = np.full((2, p.layout.bins, 3), np.nan)

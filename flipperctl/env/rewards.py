@@ -1,4 +1,4 @@
-"""The reward: the weighted sum of the configured terms."""
+"""The reward, the weighted sum of the configured terms."""
 
 from __future__ import annotations
 
@@ -9,39 +9,44 @@ from typing import NamedTuple
 
 from flipperctl.api import RewardTerm, Transition
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginError, PluginFailedError
-from flipperctl.guard import called, definition, fault, refusal, shown
+from flipperctl.guard import definition, fault, plugin_label, refusal, short_repr
 
 _ROUNDING = 1e-9
-"""Of a value at its bounds, relative to them where they are large."""
+"""Tolerance of a term's bounds for rounding, relative to bounds above 1 [-]."""
 _LARGEST = 1e30
-"""Of a weighted value: the learner's sums in single precision end at 3e38."""
+"""Largest weighted value [-]; the learner's sums in single precision overflow at 3e38."""
 
 
 class _Term(NamedTuple):
-    """A term as the sum needs it at each decision."""
+    """A reward term with its weight and bounds as floats."""
 
     name: str
     term: RewardTerm
     weight: float
     low: float
-    """The declared bounds, with room for rounding."""
+    """Declared lower bound, less a tolerance for rounding [-]."""
     high: float
+    """Declared upper bound, plus a tolerance for rounding [-]."""
 
 
 class RewardSum:
-    """Sums the terms and keeps the parts apart."""
+    """Computes the weighted value of each term."""
 
     def __init__(self, terms: Mapping[str, RewardTerm]) -> None:
-        """Raise ``PluginError`` for a term whose bounds or weight are none."""
+        """Prepare the terms.
+
+        Raises:
+            PluginError: the bounds or the weight of a term are not valid.
+        """
         self.terms = dict(terms)
-        self._terms = [_prepared(name, term) for name, term in terms.items()]
+        self._terms = [_prepare(name, term) for name, term in terms.items()]
 
     def __call__(self, t: Transition) -> dict[str, float]:
-        """The weighted value of each term.
+        """Return the weighted value of each term by its name [-].
 
         Raises:
             NonFiniteError: a term is not finite; the text names it.
-            PluginFailedError: a term raised, returned no number, or one beyond its bounds.
+            PluginFailedError: a term raised an error, or returned no number within its bounds.
         """
         parts = {}
         for name, term, weight, low, high in self._terms:
@@ -50,15 +55,15 @@ class RewardSum:
             except BaseException as error:
                 raise fault(error, term, "__call__", while_=f" (rewards.{name})") from error
             if type(value) is not float:
-                value = _number(name, term, value, t)
+                value = _to_float(name, term, value, t)
             part = weight * value
-            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):  # a NaN is not
-                raise _beyond(name, term, value, part, t)
+            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):  # false for NaN
+                raise _value_error(name, term, value, part, t)
             parts[name] = part
         return parts
 
 
-def _prepared(name: str, term: RewardTerm) -> _Term:
+def _prepare(name: str, term: RewardTerm) -> _Term:
     try:
         bounds, weight = term.bounds, term.weight
     except BaseException as error:
@@ -66,37 +71,39 @@ def _prepared(name: str, term: RewardTerm) -> _Term:
     pair = isinstance(bounds, tuple | list) and len(bounds) == 2
     if not (pair and all(isinstance(b, Real) for b in bounds) and bounds[0] <= bounds[1]):
         raise PluginError(
-            f"rewards.{name}: {called(term)}: bounds are {shown(bounds)}; the least and the "
-            f"largest unweighted value are allowed, in this order ({definition(term)})"
+            f"rewards.{name}: {plugin_label(term)}: bounds are {short_repr(bounds)}; "
+            f"the least and the largest unweighted value are allowed, in this order "
+            f"({definition(term)})"
         )
     if not isinstance(weight, Real):
         raise PluginError(
-            f"rewards.{name}: {called(term)}: weight is {shown(weight)}; a number is allowed "
-            f"({definition(term)})"
+            f"rewards.{name}: {plugin_label(term)}: weight is {short_repr(weight)}; "
+            f"a number is allowed ({definition(term)})"
         )
     low, high = map(float, bounds)
     room = _ROUNDING * max(1.0, *(abs(b) for b in (low, high) if math.isfinite(b)), 0.0)
     return _Term(name, term, float(weight), low - room, high + room)
 
 
-def _number(name: str, term: RewardTerm, value: object, t: Transition) -> float:
-    """A value as a float: Python's and numpy's real numbers, arrays and tensors of one number."""
+def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> float:
+    """Return a real number of Python or numpy, or an array or tensor of one number, as a float."""
     if getattr(value, "shape", None) == ():
-        value = value.item()  # type: ignore[attr-defined]  # what has that shape has it
+        value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
     if isinstance(value, Real):
         return float(value)
     raise refusal(
         term,
         "__call__",
-        f"returned {shown(value)} at time {t.after.time:.2f} s as rewards.{name}; "
+        f"returned {short_repr(value)} at time {t.after.time:.2f} s as rewards.{name}; "
         "a finite number is allowed",
         PluginFailedError,
     )
 
 
-def _beyond(
+def _value_error(
     name: str, term: RewardTerm, value: float, part: float, t: Transition
 ) -> FlipperctlError:
+    """Return the exception for a value that is not finite, too large or out of its bounds."""
     module, qualname = type(term).__module__, type(term).__qualname__
     where = f"rewards.{name}: the term {term.plugin_name!r} ({module}.{qualname}): __call__"
     at = f"at time {t.after.time:.2f} s"

@@ -1,4 +1,4 @@
-"""One instant of an episode, with all that a picture of it needs."""
+"""One instant of an episode, with everything that a picture of it needs."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from flipperctl.api import Outcome, Perception, Profile, RobotState
 
 @dataclass(frozen=True)
 class Scene:
-    """What there is to see."""
+    """One instant of an episode."""
 
     terrain: str
+    """Registered name of the terrain."""
     profile: Profile
     start: float
-    """x of the chassis centre at the start, without its noise [m]."""
+    """World x of the chassis centre at the start, without the drawn shift [m]."""
     finish: float
-    """x that the chassis centre must pass [m]."""
+    """World x that the chassis centre must pass [m]."""
     track_speed: float
-    """[m/s]"""
+    """Speed of the belts [m/s]."""
     state: RobotState
     perception: Perception
     action: tuple[int, int] | None = None
-    """The (front, rear) that led here."""
+    """Last action (front, rear); None before the first."""
     outcome: Outcome | None = None
+    """How the episode ended; None while it runs."""

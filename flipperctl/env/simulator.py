@@ -1,7 +1,8 @@
-"""The scene of an episode in a simulator of its own, for controllers that look ahead."""
+"""The scene of an episode in a simulator of its own, for policies that look ahead."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +11,11 @@ from flipperctl.env.drive import Drive
 
 
 class SceneSimulator:
-    """See ``flipperctl.api.Simulator``; its world is built when it is first used."""
+    """Implements ``flipperctl.api.Simulator``; its world is built when it is first used."""
 
-    def __init__(self, make: Callable[[], Drive], tell: Callable[[float], None]) -> None:
-        self._make, self._tell = make, tell
+    def __init__(self, make: Callable[[], Drive], report_progress: Callable[[float], None]) -> None:
+        """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``."""
+        self._make, self._report_progress = make, report_progress
         self._made: Drive | None = None
 
     @property
@@ -24,40 +26,49 @@ class SceneSimulator:
 
     @property
     def state(self) -> RobotState:
-        """The robot now."""
+        """Current state of the robot."""
         return self._drive.state
 
     @property
     def robot(self) -> RobotGeometry:
-        """Its geometry."""
+        """Geometry of the robot."""
         return self._drive.robot
 
     @property
     def speed(self) -> float:
-        """Of the belts [m/s]."""
+        """Speed of the belts [m/s]."""
         return self._drive.robot.track_speed
 
     @property
     def finish(self) -> float:
-        """X that the chassis centre must pass [m]."""
+        """World x that the chassis centre must pass [m]."""
         return self._drive.ends.finish
 
     def step(self, action: int) -> Outcome | None:
-        """One decision."""
+        """Simulate one decision; return the outcome, or None while the episode runs."""
         return self._drive.decide(action)
 
     def save(self) -> Any:
-        """For ``load``."""
+        """Return a snapshot of the scene for ``load``."""
         return self._drive.save()
 
     def load(self, saved: Any) -> None:
-        """Go back to what ``save`` gave."""
+        """Return to a snapshot."""
         self._drive.load(saved)
 
     def restart(self) -> None:
-        """Back to the start in a new world: what follows is the episode's own, bit for bit."""
+        """Return to the start in a new world, which reproduces the episode bit for bit."""
         self._made = None
 
+    def report_progress(self, fraction: float) -> None:
+        """Report the completed fraction of a long search, in [0, 1]."""
+        self._report_progress(fraction)
+
     def tell(self, share: float) -> None:
-        """How much of a long search is done, in [0, 1]."""
-        self._tell(share)
+        """Report progress; deprecated in favour of ``report_progress``."""
+        warnings.warn(
+            "Simulator.tell is deprecated since flipperctl 0.2; use report_progress",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        self.report_progress(share)

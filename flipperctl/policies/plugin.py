@@ -5,7 +5,7 @@ from __future__ import annotations
 from flipperctl.api import Controller, Perception, Policy, Simulator
 from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
-from flipperctl.guard import fault, refusal, shown
+from flipperctl.guard import fault, refusal, short_repr
 
 
 class PluginPolicy:
@@ -24,7 +24,7 @@ class PluginPolicy:
         except BaseException as error:
             raise fault(error, controller, "build") from error
         if not all(callable(getattr(self._policy, name, None)) for name in ("reset", "act")):
-            text = f"returned {shown(self._policy)}; an object with reset and act is allowed"
+            text = f"returned {short_repr(self._policy)}; an object with reset and act is allowed"
             raise refusal(controller, "build", text)
 
     def reset(self, simulator: Simulator) -> None:
@@ -51,6 +51,6 @@ class PluginPolicy:
             raise fault(error, self._controller, "act") from error
         if index is None:
             owner = None if isinstance(self._policy, Rule) else type(self._policy)
-            text = f"returned {shown(answer)}; {ALLOWED}"
+            text = f"returned {short_repr(answer)}; {ALLOWED}"
             raise refusal(self._controller, "act", text, owner=owner)
         return index

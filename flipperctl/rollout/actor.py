@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.building import blamed, build_network
+from flipperctl.agent.building import build_network, module_fault
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
@@ -68,7 +68,7 @@ class Actor:
         try:
             self._module.load_state_dict(state)
         except BaseException as error:  # for example, the module has changed its shapes
-            raise blamed(error, self._module, "load_state_dict") from error
+            raise module_fault(error, self._module, "load_state_dict") from error
 
 
 class StartedActor:

@@ -1,1 +1,1 @@
-"""Engines and sensors; knows no reward."""
+"""Engines and sensors, which know no reward; each engine is a folder of its own."""

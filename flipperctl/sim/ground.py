@@ -1,6 +1,6 @@
-"""Ground as the tracks feel it: fine recordings thinned, and bounds on what is simulated.
+"""Thins fine recordings to what the tracks can feel, and bounds the simulated ground.
 
-In: a profile as a terrain gave it. Out: a profile that feels the same and is cheap to drive on.
+In: a generated profile. Out: a profile that the tracks feel alike and that is cheap to simulate.
 """
 
 from __future__ import annotations
@@ -13,35 +13,35 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray, Profile
 
 TOLERANCE = 1e-4
-"""How far thinning may move the ground that a track feels [m].
+"""Largest distance by which thinning may move the ground that a track feels [m].
 
-As much as the engine lets bodies in contact overlap (``collision_slop``): less cannot be felt.
+The engine lets bodies in contact overlap as much (``collision_slop``), so less cannot be felt.
 """
 
 FINE = 0.01
-"""Only a point whose two neighbours are less than this apart in x may be left out [m].
+"""Only a point whose two neighbours are less than this apart in x may be omitted [m].
 
-A vertical face at least this high keeps both its ends.
+A vertical face of at least this height keeps both ends.
 """
 
 FEW = 1000
-"""A profile with at most this many points is driven on as it is."""
+"""A profile with at most this number of points is not thinned."""
 
 MOST = 50_000
-"""Points that may be left: 250 m of ground at 5 mm, for which a reset takes a second."""
+"""Largest number of points after thinning: 250 m of ground at 5 mm, whose reset takes 1 s."""
 
 LONGEST = 2000.0
-"""Of an outline [m]: almost three hours of driving at 0.2 m/s."""
+"""Largest length of an outline [m], almost three hours of driving at 0.2 m/s."""
 
 
 def thinned(profile: Profile, track_radius: float) -> Profile:
     """Return the profile without points that a track of this radius [m] cannot feel.
 
-    A point is left out if it lies within ``TOLERANCE`` of the line that takes its place, or in a
-    hollow so narrow that the round end sinks into it by less than ``TOLERANCE``: on two edges d
-    apart it sinks by d²/8r, which gives d = 9 mm at a radius of 0.1 m. First and last point and
-    all ground that is not fine stay as they are; without anything to leave out the profile
-    itself is returned.
+    A point is omitted if it lies within ``TOLERANCE`` of the line that replaces it, or in a hollow
+    so narrow that a round end of radius r sinks into it by less than ``TOLERANCE``: between two
+    edges at distance d it sinks by d²/8r, so that d = 9 mm at a radius of 0.1 m. The first and the
+    last point and all ground that is not fine are kept. If no point is omitted, the profile itself
+    is returned.
     """
     if len(profile.points) <= FEW:
         return profile
@@ -53,7 +53,7 @@ def thinned(profile: Profile, track_radius: float) -> Profile:
 
 
 def check_extent(profile: Profile) -> None:
-    """Refuse ground that would take more time and memory than any drive is worth.
+    """Check that the ground needs an acceptable amount of time and memory.
 
     Raises:
         ValueError: the profile has too many points or is too long.
@@ -63,7 +63,7 @@ def check_extent(profile: Profile) -> None:
             f"the profile has {count} points after thinning to {TOLERANCE * 1000:g} mm; at most "
             f"{MOST} are allowed: cut it or sample it more coarsely"
         )
-    with np.errstate(over="ignore"):  # what overflows is too long
+    with np.errstate(over="ignore"):  # an overflowing length is too long
         length = float(np.hypot(*np.diff(profile.points, axis=0).T).sum())
     if length > LONGEST:
         raise ValueError(
@@ -73,7 +73,7 @@ def check_extent(profile: Profile) -> None:
 
 
 def _fixed(points: FloatArray) -> NDArray[np.bool_]:
-    """Points that thinning must not leave out, (V,)."""
+    """Return which points thinning must keep, (V,)."""
     x, z = points.T
     fixed = np.ones(len(points), dtype=np.bool_)
     fixed[1:-1] = x[2:] - x[:-2] >= FINE

@@ -1,8 +1,8 @@
-"""Numba's decorators with a cache on disk wherever one can be written.
+"""Numba's decorators with a cache on disk wherever a folder is writable.
 
-In a container or a service neither the package's folder nor the home's cache need be writable;
-numba then refuses to decorate at all. Such functions are cached in the temporary folder, and
-without one they are compiled anew by every process.
+In a container or a service, neither the package's folder nor the home folder's cache may be
+writable; numba then refuses to decorate. Such functions are cached in the temporary folder, and
+without one every process compiles them again.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ _LOG = logging.getLogger(__name__)
 
 
 def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return numba's ``njit`` or ``cfunc`` with a cache if there is a folder for one."""
+    """Return numba's ``njit`` or ``cfunc``, with a cache if there is a folder for it."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         try:
             return decorator(*arguments, cache=True)(function)
-        except RuntimeError as error:  # numba found no folder that it can write
+        except RuntimeError as error:  # numba found no writable folder
             folder = private_folder()
             _LOG.debug("%s; using %s", error, folder or "no cache: each process compiles anew")
             if folder is None:
                 return decorator(*arguments)(function)
-        vars(numba.config)["CACHE_DIR"] = str(folder)  # for the functions that follow too
+        vars(numba.config)["CACHE_DIR"] = str(
+            folder
+        )  # also for the functions that are decorated later
         try:
             return decorator(*arguments, cache=True)(function)
-        except RuntimeError:  # the folder went away, or its file system is full
+        except RuntimeError:  # the folder was deleted, or its file system is full
             return decorator(*arguments)(function)
 
     return decorate
@@ -43,14 +45,14 @@ def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable
 def private_folder() -> Path | None:
     """Return this user's own folder for numba among the temporary files, or None without one.
 
-    Numba unpickles what it finds in its cache, so nobody else may be able to write there.
+    Numba unpickles the files in its cache, so no other user may be able to write there.
     """
     user = os.getuid() if hasattr(os, "getuid") else "user"
     try:
         folder = Path(tempfile.gettempdir()) / f"flipperctl-numba-{user}"
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
-    except OSError:  # no temporary folder that can be written, or a file in its place
+    except OSError:  # the temporary folder is not writable, or a file is in its place
         return None
     if not stat.S_ISDIR(found.st_mode):
         return None

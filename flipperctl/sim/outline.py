@@ -1,9 +1,9 @@
-"""What the robot looks like from the side: capsules and belts as plain arrays.
+"""The robot's outlines from the side: capsules and belts as plain arrays.
 
-In: a state and the geometry. Out: points in the world frame (x forward, z up) [m], ready for any
-drawing library. A capsule is given by the centres of its rear and its front round end, so that
-its axis points forward for all three parts and a belt that drives forward runs over its top
-from the first centre to the second.
+In: a state and the geometry. Out: points in the world frame (x forward, z up) [m], for any drawing
+library. A capsule is given by the centres of its rear and its front round end, so that its axis
+points forward for all three parts and a belt that drives forward runs over its top from the first
+centre to the second.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from flipperctl.api import FloatArray, RobotGeometry, RobotState
 
 PARTS = ("chassis", "front", "rear")
-"""The parts in the order of the arrays' first axis."""
+"""Parts of the robot in the order of the arrays' first axis."""
 
 
 def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:
-    """Centres of the round ends, (3, 2, 2) in world [m].
+    """Return the centres of the round ends, (3, 2, 2) in world [m].
 
     Axes: part as in ``PARTS``, end (rear, front), coordinate (x, z). The hinges of the front and
     the rear flippers are ``[0, 1]`` and ``[0, 0]``; the flippers' tips ``[1, 1]`` and ``[2, 0]``.
@@ -35,38 +35,40 @@ def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:
 def outlines(
     state: RobotState, robot: RobotGeometry, inset: float = 0.0, arc: int = 13
 ) -> FloatArray:
-    """The three parts' outlines as closed polygons, (3, 2·arc, 2) in world [m].
+    """Return the outlines of the three parts as closed polygons, (3, 2·arc, 2) in world [m].
 
-    ``inset`` [m] draws them that much smaller all round: the inner side of a belt so thick.
+    The outlines are moved inward by ``inset`` [m], as for the inner side of a belt of that
+    thickness; ``arc`` is the number of points on each round end.
     """
     radius = robot.track_radius - inset
     return np.stack([capsule(a, b, radius, arc) for a, b in axles(state, robot)])
 
 
 def capsule(rear: ArrayLike, front: ArrayLike, radius: float, arc: int = 13) -> FloatArray:
-    """Outline of a capsule with ``arc`` points on each round end, (2·arc, 2) in world [m].
+    """Return the outline of a capsule, (2·arc, 2) in world [m].
 
-    Clockwise from the top of the rear end; a polygon that closes itself.
+    It is a closed polygon with ``arc`` points on each round end, clockwise from the top of the
+    rear end.
     """
     length = math.dist(np.asarray(rear), np.asarray(front))
     bend = np.linspace(0.0, math.pi * radius, arc)
     along = np.concatenate([length + bend, 2 * length + math.pi * radius + bend])
-    along[-1] = 0.0  # the end of the round is its beginning
+    along[-1] = 0.0  # the last point is where the outline begins
     return belt_points(rear, front, radius, np.roll(along, 1))[0]
 
 
 def belt_length(rear: ArrayLike, front: ArrayLike, radius: float) -> float:
-    """Once around a capsule [m]."""
+    """Return the circumference of a capsule [m]."""
     return 2 * math.dist(np.asarray(rear), np.asarray(front)) + 2 * math.pi * radius
 
 
 def belt_points(
     rear: ArrayLike, front: ArrayLike, radius: float, along: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points of a belt and the unit vectors along which it runs there, each (S, 2) in world.
+    """Return points of a belt and its unit tangents in the direction of travel, each (S, 2).
 
-    ``along`` is (S,) [m] of belt, clockwise from the top of the rear end, modulo the belt's
-    length. The frame and the unit of the points are those of the ends [m].
+    ``along``, (S,) [m], is the distance along the belt, clockwise from the top of the rear end,
+    modulo the belt's length. The points have the frame and the unit of ``rear`` and ``front``.
     """
     start, end = np.asarray(rear, dtype=np.float64), np.asarray(front, dtype=np.float64)
     length = math.dist(start, end)
@@ -74,7 +76,7 @@ def belt_points(
     up = np.array([-forward[1], forward[0]])
     half = length + math.pi * radius
     s = np.mod(along, 2 * half)
-    lower = s >= half  # the way back is the way there, turned by half a turn
+    lower = s >= half  # the lower half is the upper half rotated by 180°
     s = np.where(lower, s - half, s)
     straight = np.minimum(s, length)[:, None]  # (S, 1) [m]
     turned = ((s - straight[:, 0]) / radius)[:, None]  # (S, 1) [rad]
@@ -93,11 +95,11 @@ def belt_marks(
     spacing: float = 0.08,
     depth: float = 0.03,
 ) -> FloatArray:
-    """Chevrons on a belt that point where it drives and ride with it, (M, 3, 2) in world [m].
+    """Return chevrons on a belt that point in its direction and move with it, (M, 3, 2) [m].
 
-    ``travel`` is how far the belt has run since time 0 [m]; the marks are the next fitting
-    distance to ``spacing`` [m] apart. Each is a tip half ``depth`` [m] inside the outline
-    between two ends behind it, one on the outline and one ``depth`` inside.
+    ``travel`` is the distance that the belt has run since time 0 [m]. The marks are spaced evenly,
+    about ``spacing`` [m] apart. Each has a tip half ``depth`` [m] inside the outline, between two
+    ends behind it, one on the outline and one ``depth`` inside.
     """
     length = belt_length(rear, front, radius)
     count = max(3, round(length / spacing))

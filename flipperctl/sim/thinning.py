@@ -1,4 +1,4 @@
-"""Choosing the points of a fine polyline that a rolling track can feel, as machine code.
+"""Chooses the points of a fine polyline that a rolling track can feel, as machine code.
 
 In: a polyline whose x never decreases, tolerances [m]. Out: which of its points to keep.
 """
@@ -19,11 +19,12 @@ from flipperctl.sim.jit import cached
 def kept_points(
     points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float
 ) -> NDArray[np.bool_]:
-    """Return which of the (V, 2) points [m] to keep, (V,); those that are ``fixed`` always are.
+    """Return which of the (V, 2) points [m] to keep, (V,); ``fixed`` points are always kept.
 
-    From each kept point the next one is the farthest such that the points left out between
-    both either lie within ``tolerance`` [m] of the straight line between them (the cone test of
-    Imai and Iri 1988), or all lie below that line, which is then at most ``span`` [m] long.
+    After each kept point, the next kept point is the farthest for which the omitted points
+    between both either lie within ``tolerance`` [m] of the straight line between them (the cone
+    test of Imai and Iri 1988), or all lie below that line, which is then at most ``span`` [m]
+    long.
     """
     count = len(points)
     keep = np.zeros(count, dtype=np.bool_)
@@ -39,7 +40,7 @@ def kept_points(
 def _farthest(
     points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float, start: int
 ) -> int:
-    """Return the index of the point that follows ``start`` in the thinned polyline."""
+    """Return the index of the point after ``start`` in the thinned polyline."""
     best = start + 1
     low, high, longest = -math.inf, math.inf, 0.0  # directions of lines within the tolerance
     steepest, height = -math.inf, 0.0  # direction and distance of the upper hull's last point

@@ -9,7 +9,7 @@ from unittest import SkipTest
 
 from flipperctl.api import Plugin
 from flipperctl.errors import ConformanceError, FlipperctlError
-from flipperctl.guard import called, place, words
+from flipperctl.guard import error_line, error_place, plugin_label
 from flipperctl.testing.variants import Variant
 
 
@@ -35,12 +35,12 @@ class Check:
         try:
             self.run()
         except ConformanceError as error:
-            raise ConformanceError(f"{called(self.plugin)} {error}") from error.__cause__
+            raise ConformanceError(f"{plugin_label(self.plugin)} {error}") from error.__cause__
         except (SkipTest, KeyboardInterrupt):
             raise
         except BaseException as error:  # the plugin's own code may raise anything
             told = _told(error, self.plugin)
-            raise ConformanceError(f"{called(self.plugin)} raises {told}") from error
+            raise ConformanceError(f"{plugin_label(self.plugin)} raises {told}") from error
 
     def __str__(self) -> str:
         """Kind, plugin and check, as a test's id."""
@@ -85,5 +85,5 @@ def require(holds: bool, text: str) -> None:
 
 def _told(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
     """What the plugin's own code raised, and where; the core's own errors say it already."""
-    where = "" if isinstance(error, FlipperctlError) else f" ({place(error, plugin, '')})"
-    return f"{words(error)}{where}"
+    where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
+    return f"{error_line(error)}{where}"

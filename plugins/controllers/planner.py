@@ -164,7 +164,7 @@ class Plan:
                     if key not in others or child.cost < others[key].cost:
                         others[key] = child
             gone = float(farthest.state.position[0]) - origin
-            simulator.tell(min(1.0, gone / max(1e-6, simulator.finish - origin)))
+            simulator.report_progress(min(1.0, gone / max(1e-6, simulator.finish - origin)))
         return sorted(done, key=_cost)[:_TRIES] or [farthest], spent
 
     def _followed(self, simulator: Simulator, goal: _Moment) -> _Tried:

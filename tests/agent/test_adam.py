@@ -1,4 +1,4 @@
-"""Adam against torch's, and by hand."""
+"""Adam against torch's optimiser and against numbers worked by hand."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""The learner: acts greedily, learns a fixed batch, repeats itself, names broken networks."""
+"""The learner: it acts greedily, learns a fixed batch and names broken networks."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ ACTIONS = 9
 
 
 class Ramp(Network):
-    """Q rises from action to action, whatever is observed."""
+    """Its Q-values rise from action to action for every observation."""
 
     plugin_name: ClassVar[str] = "ramp"
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """(B, N + 3) → (B, n_actions)."""
+        """Return a layer whose biases are the Q-values."""
         layer = torch.nn.Linear(layout.size, n_actions)
         torch.nn.init.zeros_(layer.weight)
         layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
@@ -34,7 +34,7 @@ class Ramp(Network):
 
 
 class Foreign(Network):
-    """Builds whatever it is told to."""
+    """Builds the module of its settings."""
 
     plugin_name: ClassVar[str] = "foreign"
     module: Any
@@ -45,13 +45,13 @@ class Foreign(Network):
         return self.window
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Anything."""
+        """Return the module of the settings."""
         return self.module
 
 
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
-    """Networks of this size lose more than they gain by threads."""
+    """Use one thread, since networks of this size are slower with several."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -65,7 +65,7 @@ def not_a_number() -> torch.nn.Module:
 
 
 class Odd(torch.nn.Linear):
-    """One quantile an action, but flat."""
+    """Returns one quantile for each action, without the dimension of the quantiles."""
 
     def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
         return self(observation)
@@ -79,12 +79,12 @@ def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
 
 def fixed_batch(size: int = 64, frames: int = 1) -> Batch:
     generator = torch.Generator().manual_seed(0)
-    draw = {"generator": generator}
+    seeded = {"generator": generator}
     return Batch(
-        observation=torch.randn(size, frames * LAYOUT.size, **draw),
+        observation=torch.randn(size, frames * LAYOUT.size, **seeded),
         action=torch.arange(size) % ACTIONS,
-        reward=torch.randn(size, **draw),
-        next_observation=torch.randn(size, frames * LAYOUT.size, **draw),
+        reward=torch.randn(size, **seeded),
+        next_observation=torch.randn(size, frames * LAYOUT.size, **seeded),
         discount=torch.full((size,), 0.5),
     )
 
@@ -94,7 +94,7 @@ def weights(agent: D3qn) -> dict[str, torch.Tensor]:
 
 
 def explored(agent: D3qn, epsilon: float, count: int) -> list[int]:
-    """Actions of the policy that trains, all on the same observation."""
+    """Return actions of the exploring policy, all for the same observation."""
     rng = np.random.default_rng(0)
     policy = ExploringPolicy(agent.online, 1, lambda: epsilon, rng, agent.noise_rng)
     zeros = np.zeros(LAYOUT.size, np.float32)
@@ -127,10 +127,10 @@ def test_the_loss_of_one_decision_by_hand() -> None:
         assert isinstance(network, torch.nn.Linear)
         network.bias.data.zero_()
         network.weight.data[:, 0] = slopes  # Q_a = slope_a · (first number of the observation)
-    observation, following = torch.zeros(1, LAYOUT.size), torch.zeros(1, LAYOUT.size)
-    observation[0, 0], following[0, 0] = 2.0, 0.5
+    observation, next_observation = torch.zeros(1, LAYOUT.size), torch.zeros(1, LAYOUT.size)
+    observation[0, 0], next_observation[0, 0] = 2.0, 0.5
     one, half = torch.tensor([1.0]), torch.tensor([0.5])
-    batch = Batch(observation, torch.tensor([2]), one, following, half)
+    batch = Batch(observation, torch.tensor([2]), one, next_observation, half)
     # Q = 2 · 2 = 4; next, the online network prefers action 8, which the target network values
     # at (10 - 8) · 0.5 = 1; so the target is 1 + 0.5 · 1 = 1.5, and 2.5 off costs 2.5 - 0.5.
     assert agent.update(batch, 0.0) == pytest.approx(2.0)
@@ -159,7 +159,7 @@ def test_equal_seeds_give_equal_weights_and_leave_torch_s_generator_alone() -> N
     assert not all(torch.equal(w, other[name]) for name, w in weights(first).items())
 
 
-def test_the_target_follows_by_its_share() -> None:
+def test_the_target_follows_at_its_rate() -> None:
     agent = learner(target_rate=0.25)
     before = weights(agent)
     agent.update(fixed_batch(), 0.0)
@@ -178,12 +178,12 @@ def test_rewards_are_scaled_inside_the_learner() -> None:
     )
 
 
-def test_the_learning_rate_falls_with_the_share_of_the_run() -> None:
+def test_the_learning_rate_falls_with_the_fraction_of_the_run() -> None:
     # Adam's first step moves every weight with a gradient by the rate.
-    for share, rate in [(0.0, 1e-3), (0.5, 6e-4), (1.0, 2e-4)]:
+    for fraction, rate in [(0.0, 1e-3), (0.5, 6e-4), (1.0, 2e-4)]:
         agent = learner(learning_rate=1e-3, learning_rate_end=2e-4)
         before = weights(agent)
-        agent.update(fixed_batch(), share)
+        agent.update(fixed_batch(), fraction)
         moved = max(float((w - before[n]).abs().max()) for n, w in weights(agent).items())
         assert moved == pytest.approx(rate, rel=1e-3)
 
@@ -207,7 +207,7 @@ def test_the_policy_is_the_network_that_the_settings_name(act_with: str) -> None
     assert agent.policy is getattr(agent, act_with)
 
 
-def test_a_restored_learner_goes_on_as_the_saved_one() -> None:
+def test_a_restored_learner_continues_as_the_saved_one() -> None:
     saved, other = learner(seed=1), learner(seed=2)
     saved.update(fixed_batch(), 0.0)
     other.restore({name: tensor.clone() for name, tensor in saved.tensors().items()}, 1)
@@ -242,12 +242,12 @@ def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
 
 
 def normalised() -> torch.nn.Module:
-    """A network with running statistics, which asks for a batch in ``train()`` mode."""
+    """Return a network with running statistics, which needs a batch in ``train()`` mode."""
     return torch.nn.Sequential(torch.nn.BatchNorm1d(18), torch.nn.Linear(18, 9))
 
 
 class Counted(torch.nn.Module):
-    """Keeps a mean of what it saw, as it was trained, and how often."""
+    """Holds statistics and a counter that change in training."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -264,7 +264,7 @@ class Counted(torch.nn.Module):
         return self.layer(x - 0.01 * self.mean)
 
 
-def test_a_network_that_needs_a_batch_is_told_so_before_it_acts() -> None:
+def test_a_network_that_needs_a_batch_is_refused_before_it_acts() -> None:
     expected = (
         r"network 'foreign' fails on one observation in train\(\) mode, in which a training acts: "
         r"forward raised ValueError: Expected more than 1 value per channel .*test_d3qn\.py:\d+\)"
@@ -277,14 +277,16 @@ def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
     module = Counted()
     settings = Agent(target_rate=0.25, updates_together=1)
     agent = D3qn(Foreign(module=module), LAYOUT, ACTIONS, settings, seed=0)
-    assert float(agent.target.get_buffer("mean")[0]) == 0.0  # building it left no trace
+    assert float(agent.target.get_buffer("mean")[0]) == 0.0  # building it changed nothing
     for _ in range(2):
         agent.update(fixed_batch(), 0.0)
     # Online 1, then 2: the target has 0.25 · 1, then 0.25 + 0.25 · (2 − 0.25).
     assert float(agent.online.get_buffer("mean")[0]) == 2.0
     assert float(agent.target.get_buffer("mean")[0]) == 0.6875
     assert int(agent.target.get_buffer("count")) == 2
-    assert float(agent.target.get_buffer("scratch")[0]) == 0.0  # as noise, each has its own
+    assert (
+        float(agent.target.get_buffer("scratch")[0]) == 0.0
+    )  # buffers that are not persistent are not copied
 
 
 def test_a_network_without_anything_to_learn_is_refused() -> None:
@@ -293,7 +295,7 @@ def test_a_network_without_anything_to_learn_is_refused() -> None:
         D3qn(Foreign(module=frozen), LAYOUT, ACTIONS, Agent(), seed=0)
 
 
-def test_a_network_that_sees_too_much_at_once_is_named() -> None:
+def test_a_network_with_a_wrong_number_of_frames_is_named() -> None:
     for frames in (0, 33):
         with pytest.raises(ConfigError, match=f"frames is {frames}; 1 to 32 is allowed"):
             D3qn(Foreign(module=None, window=frames), LAYOUT, ACTIONS, Agent(), seed=0)
@@ -313,7 +315,7 @@ def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
     assert off(after) < off(before) / 5
 
 
-def test_noise_explores_without_epsilon_and_rests_while_the_policy_is_judged() -> None:
+def test_noise_explores_without_epsilon_and_is_off_in_evaluation_mode() -> None:
     agent = learner("noisy", act_with="online")
     assert len(set(explored(agent, 0.0, 50))) > 1
     row = torch.zeros(1, LAYOUT.size)

@@ -64,7 +64,7 @@ def test_the_quantile_loss_is_least_at_the_quantiles() -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "value"), [(-1.0, 4.0), (0.0, 4.0), (0.25, 3.5), (1.0, 2.0), (3.0, 2.0)]
+    ("fraction", "value"), [(-1.0, 4.0), (0.0, 4.0), (0.25, 3.5), (1.0, 2.0), (3.0, 2.0)]
 )
-def test_a_schedule_is_linear_and_stays_at_its_ends(share: float, value: float) -> None:
-    assert linear(4.0, 2.0, share) == value
+def test_a_schedule_is_linear_and_stays_at_its_ends(fraction: float, value: float) -> None:
+    assert linear(4.0, 2.0, fraction) == value

@@ -13,7 +13,7 @@ def observation(number: float) -> np.ndarray:
 def feed(
     replay: Replay, rewards: list[float], *, over: bool = True, bootstrap: bool = False
 ) -> None:
-    """An episode whose decision i leads from observation i to i + 1 by action i."""
+    """Add an episode whose decision i leads from observation i to i + 1 by action i."""
     for i, reward in enumerate(rewards):
         last = over and i == len(rewards) - 1
         replay.add(
@@ -22,7 +22,7 @@ def feed(
 
 
 def rows(replay: Replay) -> list[tuple[float, int, float, float, float]]:
-    """(observation, action, reward, next observation, discount) of every transition, in order."""
+    """Return (observation, action, reward, next observation, discount) of each transition."""
     a = replay.arrays
     columns = (
         a["observation"][:, 0],
@@ -51,7 +51,7 @@ def test_n_steps_are_summed_and_the_rest_is_flushed_at_the_end() -> None:
     ]
 
 
-def test_the_value_goes_on_behind_an_end_that_is_bootstrapped_through() -> None:
+def test_the_target_bootstraps_after_an_end_that_is_bootstrapped() -> None:
     replay = Replay(10, size=2, n_step=3, gamma=0.5)
     feed(replay, [1.0, 2.0], bootstrap=True)  # shorter than n
     assert rows(replay) == [
@@ -96,11 +96,11 @@ def test_samples_are_drawn_from_what_is_filled_by_the_generator_handed_in() -> N
     assert (batch.action == again.action).all()
 
 
-def test_a_restored_ring_goes_on_where_the_saved_one_stood() -> None:
+def test_a_restored_ring_continues_as_the_saved_one() -> None:
     saved = Replay(4, size=2, n_step=2, gamma=0.5)
     feed(saved, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     other = Replay(4, size=2, n_step=2, gamma=0.5)
-    feed(other, [7.0], over=False)  # what waits in it is forgotten
+    feed(other, [7.0], over=False)  # its pending decision is discarded
     other.restore({name: array.copy() for name, array in saved.filled().items()}, saved.added)
     assert rows(other) == rows(saved)
     for replay in (saved, other):

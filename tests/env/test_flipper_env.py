@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 from flipperctl.api import (
     ACTIONS,
-    MEMORY,
+    MAX_HISTORY,
     Outcome,
     Profile,
     RewardTerm,
@@ -28,7 +28,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError, TerrainError
 
 HOLD = action_index(0, 0)
-FRONT, REAR, PITCH = 15, 16, 17  # behind the 15 heights of an observation
+FRONT, REAR, PITCH = 15, 16, 17  # after the 15 heights of an observation
 EXACT = {"start_noise": 0.0}
 
 
@@ -37,7 +37,7 @@ def step_of(height: float) -> dict[str, Any]:
 
 
 def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, ...]]:
-    """What ``step`` returned, decision for decision, to the end of one episode."""
+    """Play one episode and return the results of each ``step``."""
     chosen = resolver.create("controller", controller, "controller").build()
     env.reset(seed=seed)
     steps = []
@@ -50,11 +50,11 @@ def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, 
 def test_a_perception_remembers_its_episode_and_no_other() -> None:
     env = FlipperEnv("flat")
     for seed in (0, 1):
-        seen = [env.reset(seed=seed)[0]]
+        observations = [env.reset(seed=seed)[0]]
         assert len(env.perception.recent) == 1
-        seen += [env.step(HOLD)[0] for _ in range(MEMORY + 1 if seed else 5)]
+        observations += [env.step(HOLD)[0] for _ in range(MAX_HISTORY + 1 if seed else 5)]
         recent = env.perception.recent
-        assert np.array_equal(recent, seen[-MEMORY:])
+        assert np.array_equal(recent, observations[-MAX_HISTORY:])
         assert recent[-1] is env.perception.observation
 
 
@@ -95,16 +95,16 @@ def test_each_action_turns_its_pairs_by_one_angle_step(front: int, rear: int) ->
     assert observation[[FRONT, REAR]] == pytest.approx(turned, abs=0.01)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_flippers_stop_at_their_limit(way: int) -> None:
+@pytest.mark.parametrize("sign", [1, -1])
+def test_flippers_stop_at_their_limit(sign: int) -> None:
     env = FlipperEnv("flat")
     env.reset(seed=0)
     for _ in range(6):  # 4 · 15° = 60°, and two more that must not matter
-        observation, *_ = env.step(action_index(way, way))
-    limit = way * math.pi / 3
+        observation, *_ = env.step(action_index(sign, sign))
+    limit = sign * math.pi / 3
     assert observation[[FRONT, REAR]] == pytest.approx([limit, limit], abs=0.02)
     for _ in range(2):
-        observation, *_ = env.step(action_index(-way, -way))
+        observation, *_ = env.step(action_index(-sign, -sign))
     assert observation[FRONT] == pytest.approx(limit / 2, abs=0.02)
 
 
@@ -133,7 +133,7 @@ def test_the_pitch_is_positive_uphill(slope: float, registry: dict) -> None:
 
     env = FlipperEnv("slope", episode=EXACT)
     env.reset(seed=0)
-    for _ in range(20):  # 20 · 0.12 m = 2.4 m: half way along the ramp
+    for _ in range(20):  # 20 · 0.12 m = 2.4 m: in the middle of the ramp
         observation, *_ = env.step(HOLD)
     assert observation[PITCH] == pytest.approx(slope, abs=0.01)
     # Ahead on the slope, 1.05 m from the centre: 1.05 tan(0.25) - 0.1 / cos(0.25)

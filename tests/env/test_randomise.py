@@ -1,4 +1,4 @@
-"""Randomisation: what is drawn, what it does, and that it is written down."""
+"""Randomisation: the drawn values, their effect, and their entry in the episode's row."""
 
 import math
 
@@ -58,7 +58,7 @@ def test_every_range_names_a_setting_and_is_drawn_within() -> None:
     assert episode(0, randomise=RANGES)["friction"] != episode(1, randomise=RANGES)["friction"]
 
 
-def test_a_draw_acts_as_the_setting_itself() -> None:
+def test_a_drawn_value_acts_as_the_setting_itself() -> None:
     fixed = {
         "sim.friction": 0.7,
         "robot.chassis_mass": 50.0,

@@ -29,7 +29,7 @@ def at(x: float, z: float, pitch: float = 0.0, front: float = 0.0, rear: float =
 
 
 def coloured(picture: Picture, colour: str) -> FloatArray:
-    """Right of and above the chassis centre, (P, 2) [px]."""
+    """Return pixels relative to the chassis centre, right and up positive, (P, 2) [px]."""
     rows, columns = np.nonzero((picture == np.rint(255 * np.array(to_rgb(colour)))).all(axis=2))
     return np.column_stack([columns - MIDDLE[1], MIDDLE[0] - rows]).astype(np.float64)
 
@@ -93,7 +93,7 @@ def test_the_ground_is_to_scale(env: FlipperEnv, renderer: Renderer) -> None:
         assert above_level[:, 1].max() == pytest.approx(0.3 * SCALE, abs=4)
 
 
-def test_the_caption_tells_action_and_outcome(env: FlipperEnv, renderer: Renderer) -> None:
+def test_the_caption_shows_action_and_outcome(env: FlipperEnv, renderer: Renderer) -> None:
     plain = renderer(env.scene)
     told = renderer(replace(env.scene, action=(1, 0), outcome=Outcome.REACHED))
     changed = np.nonzero((plain != told).any(axis=2))[0]

@@ -40,7 +40,7 @@ def transition(
     profile: Profile = FLAT,
     outcome: Outcome | None = None,
 ) -> Transition:
-    """One decision whose pitches are the last two of ``pitches``."""
+    """Return a transition whose pitches are the last two of ``pitches``."""
     before, now = state(pitch=pitches[-2]), replace(after or state(), pitch=pitches[-1])
     return Transition(before, now, np.array(pitches), (0, 0), profile, ROBOT, outcome)
 

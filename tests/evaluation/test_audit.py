@@ -56,7 +56,7 @@ def test_every_episode_is_begun_and_a_search_moves_the_progress() -> None:
     class Found:
         def reset(self, simulator: Simulator) -> None:
             begun.append(simulator.finish)
-            simulator.tell(0.5)
+            simulator.report_progress(0.5)
             self._action = 4
 
         def act(self, p: Perception) -> int:

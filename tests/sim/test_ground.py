@@ -14,7 +14,7 @@ RADIUS = 0.1  # [m]
 
 
 def fine(height: object, length: float = 2.0, count: int = 20_001) -> Profile:
-    """Ground of this height(x) every 0.1 mm."""
+    """Return ground of this height(x) with a point every 0.1 mm."""
     x = np.linspace(0.0, length, count)
     return Profile(np.column_stack([x, height(x)]))  # type: ignore[operator]
 
@@ -24,7 +24,7 @@ def drive_on(terrain: Terrain) -> FlipperEnv:
 
 
 def felt(profile: Profile, at: np.ndarray, radius: float) -> np.ndarray:
-    """Height of the lowest point of a disc that rests on the ground, its centre at ``at`` [m]."""
+    """Return the lowest height of a disc that rests on the ground with its centre at ``at`` [m]."""
     x = np.arange(profile.start, profile.end, 1e-4)
     z = np.interp(x, *profile.points.T)
     heights = []
@@ -78,7 +78,7 @@ def test_a_track_feels_the_same_ground(grain: float) -> None:
     assert np.abs(felt(whole, at, RADIUS) - felt(thin, at, RADIUS)).max() < 1.16 * TOLERANCE
 
 
-def test_coarse_ground_and_short_profiles_are_driven_on_as_they_are() -> None:
+def test_coarse_ground_and_short_profiles_are_not_thinned() -> None:
     few = fine(lambda x: 0 * x, count=FEW)
     coarse = fine(lambda x: 0 * x, length=20.0, count=2001)
     assert thinned(few, RADIUS) is few
@@ -135,7 +135,7 @@ def test_an_episode_drives_on_thinned_ground() -> None:
     assert env.state.position[0] - state.position[0] == pytest.approx(0.12, abs=0.03)
 
 
-def test_ground_without_bounds_is_the_request_s_fault() -> None:
+def test_ground_beyond_its_bounds_is_a_wrong_request() -> None:
     class Endless(Terrain):
         plugin_name = "endless"
 

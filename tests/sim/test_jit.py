@@ -18,7 +18,7 @@ def add(a: int, b: int) -> int:
 
 @pytest.fixture
 def sealed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Only numba's own setting names a folder that can be written, and it names none."""
+    """Leave numba without a writable folder other than the temporary one."""
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

@@ -1,4 +1,4 @@
-"""An engine and a sensor from a file of one's own run through everything that knows no engine."""
+"""An engine and a sensor of a user's file work in evaluation and training."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ def test_eval_drives_in_another_engine(tmp_path: Path) -> None:
     assert okada["scenes"][0]["pitch_variation_100hz"] == scene["pitch_variation_100hz"]
 
 
-def test_a_policy_is_trained_in_another_engine_and_goes_on_there(tmp_path: Path) -> None:
+def test_a_policy_is_trained_and_resumed_in_another_engine(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in RUN.items()]
     done = call("train", "terrain=step", "hydra.run.dir=run", *settings, *CHOSEN, cwd=tmp_path)
     assert done.code == 0, done.err
@@ -44,7 +44,7 @@ def test_a_setting_that_the_engine_lacks_cannot_be_drawn(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("registry")
-def test_both_keep_the_contract() -> None:
+def test_engine_and_sensor_keep_the_contract() -> None:
     plugins.load([KINEMATIC])
     for check in checks(registry["sim", "kinematic"], registry["perception", "ruler"]):
         check()

@@ -1,6 +1,6 @@
-"""The measures of an episode: a class in a file of its own, and its name in ``MEASURES``.
+"""The measures of an episode; each is a class in this package and an entry of ``MEASURES``.
 
-Rows, files, summaries and tables take them from there, in this order.
+Rows, files, summaries and tables show the measures of ``MEASURES`` in this order.
 """
 
 from flipperctl.env.measures.duration import Decisions, Time

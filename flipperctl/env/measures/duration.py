@@ -1,4 +1,4 @@
-"""How long an episode took."""
+"""Measures of an episode's duration."""
 
 from typing import ClassVar
 
@@ -6,7 +6,7 @@ from flipperctl.api import Transition
 
 
 class Decisions:
-    """Number of decisions [-]."""
+    """Number of decisions in the episode [-]."""
 
     name: ClassVar[str] = "decisions"
     heading: ClassVar[str] = ""
@@ -17,12 +17,12 @@ class Decisions:
         self.value = 0
 
     def add(self, t: Transition) -> None:
-        """Count one more."""
+        """Count one decision."""
         self.value += 1
 
 
 class Time:
-    """From the start to the end of the episode [s]."""
+    """Simulated time from the start to the end of the episode [s]."""
 
     name: ClassVar[str] = "t_cost"
     heading: ClassVar[str] = "t_cost [s]"
@@ -33,5 +33,5 @@ class Time:
         self.value = 0.0
 
     def add(self, t: Transition) -> None:
-        """Take the time after the decision."""
+        """Store the time after the decision."""
         self.value = t.after.time

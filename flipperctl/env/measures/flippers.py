@@ -1,4 +1,4 @@
-"""How much the flippers turned."""
+"""Measures of the flippers' motion."""
 
 from typing import ClassVar
 
@@ -6,7 +6,7 @@ from flipperctl.api import Transition
 
 
 class FlipperTravel:
-    """The angle that both pairs turned, from decision to decision [rad]."""
+    """Sum of the absolute turns of both flipper pairs from decision to decision [rad]."""
 
     name: ClassVar[str] = "flipper_travel"
     heading: ClassVar[str] = "flipper travel [rad]"
@@ -17,6 +17,6 @@ class FlipperTravel:
         self.value = 0.0
 
     def add(self, t: Transition) -> None:
-        """Add the turns of one decision."""
+        """Add the absolute turns over one decision."""
         before, after = t.before, t.after
         self.value += abs(after.front - before.front) + abs(after.rear - before.rear)

@@ -1,4 +1,4 @@
-"""What a measure of an episode is."""
+"""The protocol of a measure of an episode."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from flipperctl.api import Transition
 
 
 class Measure(Protocol):
-    """One number of one episode, gathered decision by decision."""
+    """One number of one episode, updated at each decision."""
 
     name: ClassVar[str]
-    """Its column in every file, and its key in JSON."""
+    """Name of the column in files and of the key in JSON."""
     heading: ClassVar[str]
-    """In tables, with its unit; empty where tables leave it out."""
+    """Heading in tables, with its unit; empty if tables omit the measure."""
     digits: ClassVar[int]
-    """Decimals in tables."""
+    """Number of decimals in tables."""
     reached_only: ClassVar[bool]
-    """Whether it is compared among episodes that reached the finish only."""
+    """Whether only episodes that reached the finish are compared by it."""
 
     def add(self, t: Transition) -> None:
-        """Take in one decision."""
+        """Update the measure with one decision."""
 
     @property
     def value(self) -> float:
-        """The number so far."""
+        """Value so far, in the unit of the heading."""

@@ -1,4 +1,4 @@
-"""How much the chassis pitched."""
+"""Measures of the chassis' pitch."""
 
 from typing import ClassVar
 
@@ -19,12 +19,12 @@ class PitchVariation:
         self.value = 0.0
 
     def add(self, t: Transition) -> None:
-        """Add the change within one decision."""
+        """Add the absolute change of the pitch over one decision."""
         self.value += abs(t.after.pitch - t.before.pitch)
 
 
 class PitchVariation100Hz:
-    """The same from pose to pose, 10 ms apart: the swing that the robot feels [rad]."""
+    """θ̂_R from pose to pose, 10 ms apart, which includes motion within decisions [rad]."""
 
     name: ClassVar[str] = "pitch_variation_100hz"
     heading: ClassVar[str] = "θ̂_R 100 Hz [rad]"
@@ -35,12 +35,12 @@ class PitchVariation100Hz:
         self.value = 0.0
 
     def add(self, t: Transition) -> None:
-        """Add the changes within one decision."""
+        """Add the absolute changes of the pitch within one decision."""
         self.value += float(np.abs(np.diff(t.path[:, 2])).sum())
 
 
 class MaxPitch:
-    """The largest absolute pitch, 10 ms apart [rad]."""
+    """Largest absolute pitch of the poses, 10 ms apart [rad]."""
 
     name: ClassVar[str] = "max_pitch"
     heading: ClassVar[str] = "largest pitch [rad]"
@@ -51,5 +51,5 @@ class MaxPitch:
         self.value = 0.0
 
     def add(self, t: Transition) -> None:
-        """Look at the poses of one decision, the one before it included."""
+        """Update the maximum with the poses of one decision, including the pose before it."""
         self.value = max(self.value, float(np.abs(t.path[:, 2]).max()))

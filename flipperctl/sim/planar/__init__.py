@@ -1,6 +1,6 @@
 """The planar engine and sensor; importing this package registers both as ``planar``.
 
-``engine`` and ``sensing`` hold settings; pymunk and numba are imported when a robot is placed.
+The settings are in ``engine`` and ``sensing``; placing a robot imports pymunk and numba.
 """
 
 from flipperctl.sim.planar.engine import Planar, planar

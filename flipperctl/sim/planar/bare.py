@@ -1,8 +1,8 @@
 """Chipmunk alone, for the benchmark: a world's space stepped by the C function and nothing else.
 
-Without its callback a belt stands still, so the tracks get Chipmunk's own constant surface
-velocity instead. That one fails at risers; therefore a bare world never runs on by itself: it is
-put back, decision by decision, where a world with real belts has been.
+Without the callback the belts would stand still, so the tracks get Chipmunk's own constant surface
+velocity instead. It fails at risers; therefore each decision of a bare world begins from the
+snapshot of a world with real belts.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from flipperctl.sim.planar.plain import TRACK
 from flipperctl.sim.planar.world import PlanarWorld
 
 _NO_HANDLER = 0
-"""A collision type for which nobody has set a callback."""
+"""A collision type without a callback."""
 
 
 @dataclass(frozen=True)
-class Moment:
-    """Where each body is and what the servos hold, in the engine's terms and order."""
+class Snapshot:
+    """State of each body and target of each servo, in the engine's units and order."""
 
     bodies: tuple[tuple[Vec2d, float, Vec2d, float], ...]
-    """Position [m], angle [rad], velocity [m/s], angular velocity [rad/s]."""
+    """Position [m], angle [rad], velocity [m/s] and angular velocity [rad/s] of each body."""
     phases: tuple[float, ...]
-    """Targets of the flippers' servos [rad]."""
+    """Target angles of the flippers' servos [rad]."""
 
 
-def moment(world: PlanarWorld) -> Moment:
-    """What the world is at now."""
-    return Moment(
+def snapshot(world: PlanarWorld) -> Snapshot:
+    """Return the current state of the world."""
+    return Snapshot(
         tuple((b.position, b.angle, b.velocity, b.angular_velocity) for b in world.space.bodies),
         tuple(c.phase for c in world.space.constraints if isinstance(c, GearJoint)),
     )
 
 
 def strip(world: PlanarWorld) -> None:
-    """Take the belts' callback away and let Chipmunk move the tracks' surfaces by itself."""
+    """Remove the belts' callback and give the tracks Chipmunk's own surface velocity."""
     for body in world.space.bodies:
         for shape in body.shapes:
             if shape.collision_type == TRACK:
@@ -46,8 +46,8 @@ def strip(world: PlanarWorld) -> None:
                 shape.surface_velocity = (-world.robot.track_speed, 0.0)
 
 
-def put(world: PlanarWorld, begin: Moment, phases: tuple[float, ...]) -> None:
-    """Bodies as they were at the beginning of a decision, servos as that decision set them."""
+def put(world: PlanarWorld, begin: Snapshot, phases: tuple[float, ...]) -> None:
+    """Restore the bodies at the beginning of a decision, and the servo targets that it set."""
     for body, state in zip(world.space.bodies, begin.bodies, strict=True):
         body.position, body.angle, body.velocity, body.angular_velocity = state
     gears = [c for c in world.space.constraints if isinstance(c, GearJoint)]
@@ -56,12 +56,12 @@ def put(world: PlanarWorld, begin: Moment, phases: tuple[float, ...]) -> None:
 
 
 def step(world: PlanarWorld, substeps: int) -> None:
-    """Nothing but the engine's own step."""
+    """Take ``substeps`` steps of the engine and do nothing else."""
     step_alone(world.space, world.sim.substep, substeps)
 
 
 def contacts(world: PlanarWorld) -> int:
-    """Points at which the robot touches the ground."""
+    """Return the number of points at which the robot touches the ground."""
     found: list[int] = []
     for body in world.space.bodies:
         body.each_arbiter(lambda arbiter: found.append(len(arbiter.contact_point_set.points)))

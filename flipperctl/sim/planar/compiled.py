@@ -1,7 +1,7 @@
-"""The engine's inner loop as machine code: no Python between the decisions of a robot.
+"""The engine's inner loop as machine code, without Python between the decisions of a robot.
 
-Chipmunk is stepped through its C function, and a compiled callback gives every contact its belt
-velocity. ``plain`` does the same through pymunk's public interface, number for number.
+Chipmunk is stepped through its C function, and a compiled callback sets the belt velocity of every
+contact. ``plain`` computes the same numbers through pymunk's public interface.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _DOUBLE = 8  # bytes
 
 
 def _double(struct: str, *path: str) -> int:
-    """Where a number lies in one of Chipmunk's structs, counted in doubles."""
+    """Return the offset of a number in one of Chipmunk's structs, in doubles."""
     return int(ffi.offsetof(struct, *path)) // _DOUBLE
 
 
@@ -37,7 +37,7 @@ def _address(pointer: Any) -> int:
 
 
 def _c_function(name: str, signature: Any) -> Any:
-    """A function of pymunk's C library, to be called from compiled code."""
+    """Return a function of pymunk's C library for calls from compiled code."""
     llvmlite.binding.add_symbol(name, _address(ffi.addressof(lib, name)))
     return types.ExternalFunction(name, signature)
 
@@ -48,10 +48,10 @@ _read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp,
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _belt(arbiter: Any, space: Any, speed: Any) -> None:
-    """Chipmunk's pre-solve callback; ``speed`` points to the belts' speed [m/s]."""
+    """Set a contact's belt velocity, as Chipmunk's pre-solve callback; ``speed`` [m/s]."""
     numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
     v = carray(speed, (1,), dtype=np.float64)[0]
-    # Where the ground is the first shape, normal and surface velocity both change their sign.
+    # If the ground is the first shape, normal and surface velocity both change sign.
     numbers[_SURFACE] = -v * numbers[_NORMAL + 1]
     numbers[_SURFACE + 1] = v * numbers[_NORMAL]
 
@@ -91,7 +91,7 @@ def _run(
 
 
 class CompiledLoop:
-    """As ``PlainLoop``."""
+    """Steps a space and samples the pose of its robot, equal to ``PlainLoop`` bit for bit."""
 
     def __init__(
         self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
@@ -101,11 +101,18 @@ class CompiledLoop:
         handler.userData = belt_speed
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
         # pymunk's batch reader puts position and angle into an array: x, y, angle of each body.
-        pose = ffi.new("double[16]")  # with room to spare, so that it is never moved
+        pose = ffi.new("double[16]")  # larger than needed, so that it is never reallocated
         array = ffi.new("pmFloatArray *", {"num": 0, "max": 16, "arr": pose})
         fields = lib.POSITION | lib.ANGLE
         request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
-        self._memory = (space, bodies, belt_speed, pose, array, request)  # in use as long as this
+        self._memory = (
+            space,
+            bodies,
+            belt_speed,
+            pose,
+            array,
+            request,
+        )  # must live as long as the loop
         filled = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
         chassis, front, rear = (_address(body._body) for body in bodies)
         self._arguments = (
@@ -114,7 +121,7 @@ class CompiledLoop:
         )
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
-        """As ``PlainLoop.run``."""
+        """Fill the rows of ``poses``; see ``PlainLoop.run``."""
         return int(_run(*self._arguments, poses, *limits))
 
 
@@ -125,5 +132,5 @@ def _steps(space: int, substep: float, count: int) -> None:
 
 
 def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
-    """Step a space with nothing else in between: the limit of what ``run`` can reach."""
+    """Step a space ``count`` times and do nothing else, the upper bound of the speed of ``run``."""
     _steps(_address(space._space), substep, count)

@@ -1,4 +1,4 @@
-"""``sim=planar``: settings of the pymunk engine, from which it places a robot on a profile."""
+"""``sim=planar``: settings of the pymunk engine, which places a robot on a profile."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from flipperctl.errors import ConfigError
 
 @engine("planar")
 class Planar(Engine):
-    """Rigid bodies in the robot's side plane, by pymunk (Chipmunk)."""
+    """Simulates rigid bodies in the robot's side plane with pymunk (Chipmunk)."""
 
     without_effect: ClassVar[frozenset[str]] = frozenset({"engine"})
     substep: float = Field(
         0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
     )
-    iterations: int = Field(20, ge=1, le=200, description="solver iterations a substep [-]")
+    iterations: int = Field(20, ge=1, le=200, description="solver iterations per substep [-]")
     engine: Literal["compiled", "plain"] = Field(
         "compiled",
-        description="the substeps' loop: machine code, or the plain Python that it equals number "
-        "for number [-]",
+        description="loop over the substeps: machine code, or plain Python with equal results [-]",
     )
     gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
     friction: float = Field(
@@ -37,20 +36,20 @@ class Planar(Engine):
         return self
 
     def place(self, profile: Profile, robot: Robot, start: Start) -> World:
-        """Build a world of its own for the episode, so that replays are bit-identical."""
+        """Return a new world for the episode, so that replays are equal bit for bit."""
         from flipperctl.sim.planar.world import PlanarWorld
 
         return PlanarWorld(profile, robot, self, *start)
 
     def versions(self) -> dict[str, str]:
-        """Return the version of pymunk."""
+        """Return the version of pymunk, which decides the results."""
         import pymunk
 
         return {"pymunk": pymunk.version}
 
 
 def planar(chosen: Engine) -> Planar:
-    """Return the settings as those of the planar engine, for what measures only this one.
+    """Return the settings as those of the planar engine, for benchmarks of this engine alone.
 
     Raises:
         ConfigError: another engine was chosen.

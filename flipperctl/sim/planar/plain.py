@@ -1,9 +1,9 @@
-"""The engine's inner loop through pymunk's public interface: the reference for ``compiled``.
+"""The engine's inner loop through pymunk's public interface, the reference for ``compiled``.
 
-Belts: every contact of a track gets the belt's own tangential velocity. A belt's surface runs
-along the outline, so with n the contact normal from track to ground its velocity is
-v·(-n_y, n_x). A shape's ``surface_velocity`` cannot express this: it is one world vector projected
-on the tangent and vanishes at a vertical face.
+Every contact of a track gets the tangential velocity of its belt. A belt's surface moves along the
+outline, so that its velocity is v·(-n_y, n_x) for the contact normal n from track to ground. A
+shape's ``surface_velocity`` cannot express this: it is one world vector that is projected on the
+tangent, and it vanishes at a vertical face.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import pymunk
 from flipperctl.api import FloatArray, Limits
 
 TRACK, GROUND = 1, 2
-"""Collision types."""
+"""Collision types of the tracks and of the ground."""
 
 
 Bodies = tuple[pymunk.Body, pymunk.Body, pymunk.Body]
-"""Chassis, front and rear flippers."""
+"""Bodies of the chassis, the front and the rear flippers."""
 
 
 class PlainLoop:
@@ -29,7 +29,7 @@ class PlainLoop:
     def __init__(
         self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
     ) -> None:
-        """``speed`` of the belts [m/s], ``substep`` [s], ``substeps`` from sample to sample."""
+        """Drive the belts at ``speed`` [m/s], with ``substeps`` of ``substep`` [s] per sample."""
         self._space, self._bodies = space, bodies
         self._substep, self._substeps = substep, substeps
         self.drive(speed)
@@ -37,8 +37,8 @@ class PlainLoop:
     def drive(self, speed: float) -> None:
         """Let every contact between a track and the ground move at ``speed`` [m/s]."""
 
-        # Chipmunk computes the surface velocity of an arbiter anew each substep, after the
-        # collision and before `pre_solve`; so it is set there, each time.
+        # Chipmunk recomputes the surface velocity of an arbiter in each substep, after the
+        # collision and before `pre_solve`, which therefore sets it every time.
         def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
             normal = arbiter.normal
             arbiter.surface_velocity = (-speed * normal.y, speed * normal.x)
@@ -46,10 +46,10 @@ class PlainLoop:
         self._space.on_collision(TRACK, GROUND, pre_solve=belt)
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
-        """Run for one sample after the other, at most as many as ``poses`` has rows for.
+        """Fill the rows of ``poses``, one per sample; return the number of filled rows.
 
-        The run stops after the sample at which a limit is reached; returns how many samples there
-        were. ``poses`` (S, 5) holds them: x [m], z [m], pitch, front and rear flipper angle [rad].
+        The run stops after the sample at which a limit is reached. ``poses`` is (S, 5): x [m],
+        z [m], pitch, front and rear flipper angle [rad].
         """
         step, dt, (body, front, rear) = self._space.step, self._substep, self._bodies
         for sample in range(len(poses)):

@@ -1,7 +1,7 @@
 """``perception=planar``: terrain points in the side plane, with noise and a horizon.
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
-Nothing is occluded: points behind an edge or down in a trench are sensed from everywhere within
+Nothing is occluded: points hidden by an edge or inside a trench are sensed from everywhere within
 the horizon.
 """
 
@@ -23,7 +23,7 @@ from flipperctl.api import (
 
 @sensor("planar")
 class PlanarSensor(Sensor):
-    """Points sampled along the outline of the ground, and the observation made of them."""
+    """Senses points along the outline of the ground and averages their heights in bins."""
 
     density: float = Field(
         50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
@@ -31,7 +31,7 @@ class PlanarSensor(Sensor):
     noise: float = Field(
         0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
     )
-    dropout: float = Field(0.0, ge=0, lt=1, description="share of points missing [-]")
+    dropout: float = Field(0.0, ge=0, lt=1, description="fraction of points missing [-]")
     bias: float = Field(
         0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
     )
@@ -49,15 +49,15 @@ class PlanarSensor(Sensor):
     )
 
     def over(self, profile: Profile, margin: float) -> TerrainSensor:
-        """Sample the profile once for the whole episode."""
+        """Return a sensor that samples the profile once for the whole episode."""
         return TerrainSensor(profile, self, margin)
 
 
 class TerrainSensor:
-    """Samples the profile once, then looks up what lies around the robot."""
+    """Samples the profile once, then returns the points around the robot."""
 
     def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
-        """``margin``: level ground that may come into view on either side [m]."""
+        """Sample ``profile`` with ``margin`` [m] of level ground on either side."""
         self.settings = settings
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
@@ -95,8 +95,8 @@ class TerrainSensor:
     def heights(self, points: FloatArray) -> FloatArray:
         """Return the mean height of the points of each bin, (N,) in frame L [m] (paper Eq. 1).
 
-        A bin without points takes its height from its neighbours, linearly; without any point
-        at all, every height is 0.
+        The height of a bin without points is interpolated linearly between its neighbours; without
+        any points, every height is 0.
         """
         s = self.settings
         index = ((points[:, 0] + s.reach) / s.bin_width).astype(np.intp)

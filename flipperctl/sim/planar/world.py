@@ -1,8 +1,8 @@
 """The pymunk world: a three-part robot on a profile.
 
-In: a profile, the robot, the engine's settings, a start. Out: the chassis' pose every 10 ms, and
-the whole ``RobotState`` when it is asked for. The engine's y is the world's z; its angles are
-positive nose up.
+In: a profile, the robot, the engine's settings and a start. Out: the robot's pose every 10 ms, and
+its whole ``RobotState`` on request. The engine's y is the world's z; its angles are positive nose
+up.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from flipperctl.sim.planar.compiled import CompiledLoop
     from flipperctl.sim.planar.engine import Planar
 
-_LEVEL_GROUND = 20.0  # [m] of level ground before and behind the profile
+_LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
 
 
 def _loop(engine: str) -> type[PlainLoop | CompiledLoop]:
@@ -54,10 +54,10 @@ class PlanarWorld:
         front: float = 0.0,
         rear: float = 0.0,
     ) -> None:
-        """``start``: x of the chassis centre [m]; ``front``, ``rear``: flipper angles [rad].
+        """Place the robot level at ``start``, world x of the chassis centre [m].
 
-        The robot rests on the ground: the chassis if the flippers are not below it, else the
-        flippers, level in either case.
+        ``front`` and ``rear`` are the flipper angles [rad]. If a flipper is below the chassis, the
+        robot rests on the lower flippers, else on the chassis.
         """
         self.robot = robot
         self.sim = sim
@@ -115,15 +115,15 @@ class PlanarWorld:
     def _add_flipper(self, hinge_x: float, angle: float) -> tuple[pymunk.Body, pymunk.GearJoint]:
         robot = self.robot
         side = math.copysign(1.0, hinge_x)
-        turned = side * angle  # the engine's angle of the flipper against the chassis
+        turned = side * angle  # the engine's angle of the flipper relative to the chassis
         hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0)
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)
         pivot = pymunk.PivotJoint(self._chassis, body, (hinge_x, 0.0), (-reach, 0.0))
         pivot.error_bias = 0.0
-        # A gear joint of ratio 1 holds the angle `phase`: at most `max_bias` fast, at most
-        # `max_force` strong. That is a rate- and torque-limited servo without a callback.
+        # A gear joint of ratio 1 holds the angle `phase` with at most the rate `max_bias` and the
+        # torque `max_force`: a rate- and torque-limited servo without a callback.
         gear = pymunk.GearJoint(self._chassis, body, turned, 1.0)
         gear.max_bias = robot.flipper_speed
         gear.max_force = robot.flipper_torque
@@ -132,15 +132,15 @@ class PlanarWorld:
         return body, gear
 
     def command(self, front: float, rear: float) -> None:
-        """Set the angles that the flippers turn to [rad]."""
+        """Set the target angles of the flippers in frame R [rad]."""
         self._front_gear.phase = front
         self._rear_gear.phase = -rear
 
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Run for up to ``samples`` sample periods; return the pose at the end of each.
+        """Simulate up to ``samples`` sample periods; return the pose at the end of each.
 
-        (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run stops after the
-        sample at which the chassis reaches a limit.
+        The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
+        stops after the sample at which the chassis reaches a limit.
         """
         poses = np.empty((samples, 5))
         done = self._loop.run(poses, limits)
@@ -149,11 +149,11 @@ class PlanarWorld:
 
     @property
     def position(self) -> tuple[float, float]:
-        """Chassis centre (x, z) in world [m]."""
+        """World coordinates (x, z) of the chassis centre [m]."""
         return self._chassis.position
 
     def penetration(self) -> float:
-        """How deep the robot is in the ground [m]."""
+        """Return the largest depth by which the robot overlaps the ground [m]."""
         depth = 0.0
         for body in (self._chassis, self._front, self._rear):
             for shape in body.shapes:
@@ -165,16 +165,16 @@ class PlanarWorld:
 
     @property
     def pitch(self) -> float:
-        """Pitch of the chassis [rad]."""
+        """Pitch of the chassis, nose up positive [rad]."""
         return float(self._chassis.angle)
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """Time since the start of the episode [s]."""
         return self._time
 
     def state(self) -> RobotState:
-        """The state now."""
+        """Return the current state."""
         chassis = self._chassis
         return RobotState(
             position=np.array(chassis.position),
@@ -187,10 +187,10 @@ class PlanarWorld:
         )
 
     def save(self) -> tuple[Any, ...]:
-        """Poses, speeds and flipper targets, for ``load``.
+        """Return a snapshot of poses, velocities and flipper targets for ``load``.
 
-        The engine's contact impulses are not in it: what follows differs a little from an
-        uninterrupted run, by 5e-5 m a decision at the median and up to 0.02 m at hard contacts.
+        It lacks the engine's contact impulses, so a loaded run differs from an uninterrupted one,
+        by 5e-5 m per decision at the median and by up to 0.02 m at hard contacts.
         """
         bodies = [
             (b.position, b.angle, b.velocity, b.angular_velocity)
@@ -199,7 +199,7 @@ class PlanarWorld:
         return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Go back to what ``save`` gave."""
+        """Return to a snapshot."""
         bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
         for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
             body.position, body.angle, body.velocity, body.angular_velocity = pose

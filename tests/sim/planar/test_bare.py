@@ -22,16 +22,16 @@ def test_a_stripped_world_drives_forward_on_level_ground() -> None:
     assert bare.contacts(stripped) == 6
 
 
-def test_a_world_is_put_where_another_was() -> None:
+def test_a_world_is_put_into_the_state_of_another() -> None:
     driven, stripped = world(), world()
     driven.command(0.3, -0.2)
     for _ in range(50):
         driven.advance()
-    begin = bare.moment(driven)
-    assert begin.phases == (0.3, 0.2)
+    snapshot = bare.snapshot(driven)
+    assert snapshot.phases == (0.3, 0.2)
     bare.strip(stripped)
-    bare.put(stripped, begin, begin.phases)
-    assert bare.moment(stripped) == begin
+    bare.put(stripped, snapshot, snapshot.phases)
+    assert bare.snapshot(stripped) == snapshot
     for _ in range(60):
         driven.advance()
     bare.step(stripped, 120)

@@ -12,9 +12,9 @@ CENTRE = np.array([0.05, 0.3])  # [m]; the 0.05 keeps every point off the bins' 
 
 
 def sensor(profile: Profile, **settings: float) -> TerrainSensor:
-    """Three bins of 1 m and a point every 0.1 m, unless told otherwise."""
-    told = {"bins": 3, "bin_width": 1.0, "density": 10.0, **settings}
-    return TerrainSensor(profile, PlanarSensor(**told), margin=3.0)
+    """Return a sensor with three bins of 1 m and a point every 0.1 m by default."""
+    chosen = {"bins": 3, "bin_width": 1.0, "density": 10.0, **settings}
+    return TerrainSensor(profile, PlanarSensor(**chosen), margin=3.0)
 
 
 def look(of: TerrainSensor, position: np.ndarray = CENTRE, seed: int = 0) -> np.ndarray:
@@ -74,7 +74,9 @@ def test_terrain_beyond_the_horizon_is_not_seen_yet() -> None:
     wall = Profile([(1.0, 0.0), (1.0, 1.0)])
     near, far = sensor(wall, horizon=0.6), sensor(wall)
     assert look(near)[:, 0].max() < 0.6
-    assert look(near)[:, 0].min() == look(far)[:, 0].min()  # behind, all stays in view
+    assert (
+        look(near)[:, 0].min() == look(far)[:, 0].min()
+    )  # behind the robot, every point stays in view
     assert look(near)[:, 1].max() == pytest.approx(-0.3)
     assert look(far)[:, 1].max() == pytest.approx(0.7)
     assert near.heights(look(near)) == pytest.approx([-0.3, -0.3, -0.3])
@@ -85,12 +87,12 @@ def test_noise_is_normal_in_height_alone() -> None:
     error = look(noisy) - look(clean)
     assert len(error) == pytest.approx(3000, abs=1)
     assert not error[:, 0].any()
-    # 3000 draws: the mean scatters by 0.02 / √3000 = 0.0004, the deviation by 0.02 / √6000 = 0.0003
+    # 3000 draws: the mean varies by 0.02 / √3000 = 0.0004, the deviation 0.02 / √6000 = 0.0003
     assert error[:, 1].mean() == pytest.approx(0.0, abs=0.0016)
     assert error[:, 1].std() == pytest.approx(0.02, abs=0.0012)
 
 
-def test_dropout_takes_that_share_of_the_points() -> None:
+def test_dropout_removes_that_fraction_of_the_points() -> None:
     points = look(sensor(FLAT, density=1000.0, dropout=0.3))
     # 3000 · 0.7 = 2100 remain, ± √(3000 · 0.3 · 0.7) = 25
     assert len(points) == pytest.approx(2100, abs=100)
@@ -103,7 +105,7 @@ def test_equal_generators_give_equal_points() -> None:
     assert not np.array_equal(look(of, seed=3)[:5], look(of, seed=4)[:5])
 
 
-def test_sensing_does_not_wear_the_terrain_out() -> None:
+def test_sensing_does_not_change_the_terrain() -> None:
     of = sensor(STEP, noise=0.05)
     before = look(of)
     for seed in range(5):

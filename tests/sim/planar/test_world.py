@@ -34,7 +34,7 @@ def turn(world: PlanarWorld, angle: float, lift: float) -> None:
 
 
 def on_slope(degrees: float, friction: float) -> PlanarWorld:
-    """A braking robot that stands on a slope 120 m long."""
+    """Return a braking robot that stands on a slope of 120 m length."""
     slope = math.radians(degrees)
     rise = 60.0 * math.tan(slope)
     ground = Profile([(-60.0, -rise), (60.0, rise)])
@@ -45,7 +45,7 @@ def on_slope(degrees: float, friction: float) -> PlanarWorld:
 
 
 def crossing(height: float, friction: float) -> str:
-    """How the rule controller fares at one riser."""
+    """Return the outcome of the rule controller at one riser."""
     env = FlipperEnv(
         terrain={"name": "step", "low": height, "high": height},
         sim={"friction": friction},
@@ -55,7 +55,7 @@ def crossing(height: float, friction: float) -> str:
 
 
 def episode(env: FlipperEnv) -> dict:
-    """The last info of an episode under the rule controller."""
+    """Return the last info of an episode under the rule controller."""
     rule = resolver.create("controller", "okada", "controller").build()
     env.reset(seed=0)
     while True:
@@ -179,7 +179,7 @@ def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limit
 
 
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
-def test_both_engines_go_on_behind_the_finish_while_an_end_is_too_high(engine: str) -> None:
+def test_both_engines_continue_past_the_finish_while_an_end_is_too_high(engine: str) -> None:
     world = PlanarWorld(FLAT, Robot(), Planar(engine=engine), 0.0)
     low = Limits(x=-1.0, top=0.09, half=0.28)  # the chassis rests at 0.1 m
     assert len(world.advance(30, low)) == 30
@@ -233,10 +233,10 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_flippers_turn_one_angle_step_in_one_decision(way: int) -> None:
+@pytest.mark.parametrize("sign", [1, -1])
+def test_flippers_turn_one_angle_step_in_one_decision(sign: int) -> None:
     world = PlanarWorld(FLAT, Robot(), Planar(), 0.0)
-    target = way * math.pi / 12
+    target = sign * math.pi / 12
     world.command(target, target)
     run(world, 0.3)  # half of 15° / (25 °/s) = 0.6 s: they turn, they do not jump
     assert world.state().front == pytest.approx(target / 2, rel=0.03)
