@@ -1,4 +1,4 @@
-"""The built-in plugins; they import only ``flipperctl.api`` and libraries, as yours will."""
+"""The built-in plugins; like third-party plugins, they import ``flipperctl.api`` and libraries."""
 
 from . import controllers, networks, rewards, terrains
 

@@ -1,1 +1,1 @@
-"""Figures for people: drawn terrain, learning curves, one episode. Imports matplotlib."""
+"""Figures of terrains, learning curves and episodes. Imports matplotlib."""

@@ -1,4 +1,4 @@
-"""One episode on a page: where the robot was and how it held its chassis and flippers.
+"""A figure of one episode: the robot's poses on the terrain, its pitch and flipper angles.
 
 In: the states of an episode in order, the profile and the robot's geometry. Out: a figure.
 """
@@ -16,11 +16,19 @@ from matplotlib.ticker import MultipleLocator
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
-from flipperctl.report.figure import WIDTH, draw_ground, frame, legend_above, stretch, tidy, z_label
+from flipperctl.report.figure import (
+    WIDTH,
+    draw_ground,
+    frame,
+    legend_above,
+    style_axes,
+    z_label,
+    z_scale,
+)
 from flipperctl.sim.outline import outlines
 
 _POSES = 12
-"""Poses between the first and the last, at most, where their spacing is not given."""
+"""Largest number of intervals between poses at the default spacing [-]."""
 
 
 def episode_figure(
@@ -31,12 +39,12 @@ def episode_figure(
     *,
     spacing: float | None = None,
 ) -> Figure:
-    """Poses over the terrain, with their times, above pitch and flipper angles against time.
+    """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
-    Poses are drawn at the start, at the end and evenly between, at least ``spacing`` [m] of the
-    chassis centre's path apart; by default that is a little less than the robot is long, and more
-    on a path on which that would be more than a dozen poses. Very long ground is drawn higher than
-    it is, and the axis says so.
+    Poses are drawn at the start, at the end and evenly between, at least ``spacing`` [m] apart
+    along the path of the chassis' centre. The default spacing is a little less than the robot's
+    length, or a twelfth of the path if that is longer. The heights of very long ground are scaled
+    up, which the axis label says.
 
     Raises:
         ValueError: the trace is empty or the spacing is not above 0.
@@ -53,8 +61,8 @@ def episode_figure(
     shown = [trace[i] for i in pose_indices(path, spacing)]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = _window(path, profile, reach, max(tops))
-    stretched = stretch(high - low, WIDTH - 1.0)
-    natural = stretched * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
+    scale = z_scale(high - low, WIDTH - 1.0)
+    natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
     height = float(np.clip(natural, 1.0, 6.0))
     figure = Figure(figsize=(WIDTH, height + 3.9), layout="constrained")
     above, below = figure.subplots(2, 1, height_ratios=[height, 2.6])
@@ -66,15 +74,15 @@ def episode_figure(
             f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
             textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
         )  # fmt: skip
-    frame(above, low, high, stretched)
-    tidy(above, title, "x [m]", z_label(stretched))
+    frame(above, low, high, scale)
+    style_axes(above, title, "x [m]", z_label(scale))
     legend_above(above, centre)
     _draw_angles(below, trace, shown, robot)
     return figure
 
 
 def pose_indices(path: FloatArray, spacing: float) -> list[int]:
-    """Indices into a path (T, 2) [m]: first, last, evenly between, ``spacing`` apart."""
+    """Return indices into a path (T, 2) [m]: first, last and evenly between, ``spacing`` apart."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)
@@ -85,7 +93,7 @@ def pose_indices(path: FloatArray, spacing: float) -> list[int]:
 def _window(
     path: FloatArray, profile: Profile, reach: float, top: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right of what is shown, (x, z) in world [m]."""
+    """Return the lower left and upper right corner of the picture, (x, z) in world [m]."""
     margin = reach + 0.1
     (left, _), (right, _) = path.min(axis=0) - margin, path.max(axis=0) + margin
     inside = (profile.points[:, 0] >= left) & (profile.points[:, 0] <= right)
@@ -113,4 +121,4 @@ def _draw_angles(
     axes.margins(x=0.02)
     axes.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
     legend_above(axes, lines)
-    tidy(axes, "", "time [s]; dotted: the poses above", "angle [°]")
+    style_axes(axes, "", "time [s]; dotted: the poses above", "angle [°]")

@@ -1,4 +1,4 @@
-"""What all figures share: the ground, axes, legends, and how a figure is written.
+"""Parts of all figures: the ground, axes, legends, and writing a figure to a file.
 
 Figures are made without pyplot and its global state.
 """
@@ -22,41 +22,42 @@ from flipperctl.files import check_writable, write_bytes
 from flipperctl.messages import close_match
 
 SUFFIXES = (".pdf", ".png", ".svg")
-"""File types that ``save`` writes."""
+"""Suffixes of the file types that ``save`` writes."""
 
 WIDTH = 9.6
 """Width of every figure [in]."""
 
 
 def draw_ground(axes: Axes, profile: Profile, level: float = 60.0) -> None:
-    """Fill the ground, with ``level`` metres of level ground before and behind the profile."""
+    """Fill the ground, with ``level`` [m] of level ground before and past the profile."""
     line = profile.extended(level, level)
     axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - level, color=EARTH, linewidth=0)
     axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
 
 
-def stretch(extent: FloatArray, width: float, least: float = 0.9) -> int:
-    """How much larger than x to draw z, so that this extent [m] is ``least`` high [in].
+def z_scale(extent: FloatArray, width: float, least: float = 0.9) -> int:
+    """Return the scale of z over that of x at which the picture is at least ``least`` [in] high.
 
-    1 are equal scales; ``width`` is that of the picture [in].
+    The picture shows ``extent`` (x, z) [m] and is ``width`` [in] wide. A result of 1 means equal
+    scales.
     """
     return max(1, math.ceil(least * float(extent[0]) / (width * float(extent[1]))))
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray, stretched: int = 1) -> None:
-    """Show the box from ``low`` to ``high``, (x, z) in world [m], z ``stretched`` times."""
+def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int = 1) -> None:
+    """Show the box from ``low`` to ``high``, (x, z) in world [m], with the given scale of z."""
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    axes.set_aspect(stretched, adjustable="box")
+    axes.set_aspect(scale, adjustable="box")
 
 
-def z_label(stretched: int) -> str:
-    """Label of the heights' axis."""
-    return "z [m]" if stretched == 1 else f"z [m], × {stretched}"
+def z_label(scale: int) -> str:
+    """Return the label of the z axis."""
+    return "z [m]" if scale == 1 else f"z [m], × {scale}"
 
 
-def tidy(axes: Axes, title: str, x_label: str, y_label: str) -> None:
-    """Labels, a quiet grid and no frame on the upper and the right side."""
+def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    """Set title and labels, draw a light grid and remove the upper and the right spine."""
     axes.set_title(title, loc="left", fontsize=11, color=INK)
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
@@ -67,7 +68,7 @@ def tidy(axes: Axes, title: str, x_label: str, y_label: str) -> None:
 
 
 def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
-    """A legend over the right end of the axes, where it hides nothing."""
+    """Place the legend above the right end of the axes, where it covers no curve."""
     axes.legend(
         handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
         fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
@@ -75,11 +76,11 @@ def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the figure whole or not at all; equal figures give equal files.
+    """Write the figure completely or not at all; equal figures give equal files.
 
     Raises:
         OutputError: the suffix is unknown or the path cannot be written.
-        WriteError: writing failed half way; a file that was there before is untouched.
+        WriteError: writing failed half way; an existing file is left unchanged.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -90,6 +91,6 @@ def save(figure: Figure, path: Path) -> None:
     check_writable(path)
     buffer = io.BytesIO()
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})
-    with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # else its ids are random
+    with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # otherwise SVG ids are random
         figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=undated)
     write_bytes(path, buffer.getvalue())

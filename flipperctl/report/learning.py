@@ -14,27 +14,27 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR
-from flipperctl.report.figure import WIDTH, legend_above, tidy
+from flipperctl.report.figure import WIDTH, legend_above, style_axes
 
 WINDOW = 100
-"""Episodes that a curve averages over."""
+"""Number of episodes that a curve averages over [-]."""
 
 DOTS = "#9DB4C0"
-"""Colour of one episode: seen on white, behind curves."""
+"""Colour of an episode's dot, visible on white and under the curves."""
 
 Rows = Sequence[Mapping[str, str]]
 
 
 def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Figure:
-    """Success, θ̂_R, return and loss with ε against decisions, one above the other.
+    """Draw success, θ̂_R, return, and loss with ε over decisions, one panel above the other.
 
-    Episode rows have the keys decision, outcome, return, pitch_variation, epsilon and loss,
-    validation rows decision, success_rate and pitch_variation; an empty or a missing cell is a
+    Episode rows have the keys decision, outcome, return, pitch_variation, epsilon and loss;
+    validation rows have decision, success_rate and pitch_variation. An empty or missing cell is a
     gap, and so is the loss before the first update. Curves are means over the last 100 episodes,
-    thin where there are fewer yet; dots are one episode.
+    drawn thin where there are fewer; each dot is one episode.
 
     Raises:
-        ValueError: a cell is neither empty nor a number; the text names it.
+        ValueError: a cell is neither empty nor a number; the text names the cell.
     """
     figure = Figure(figsize=(WIDTH, 9.0), layout="constrained")
     success, pitch, returns, loss = figure.subplots(4, 1, sharex=True)
@@ -47,10 +47,10 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     _validation(pitch, checked, column(rows_validation, "pitch_variation"))
     _curve(returns, at, column(rows_episode, "return"), CHASSIS, dots=True)
     _losses(loss, at, rows_episode)
-    tidy(success, title, "", "success [%]")
-    tidy(pitch, "", "", r"pitch variation $\hat\theta_R$ [rad]")
-    tidy(returns, "", "", "return [-]")
-    tidy(loss, "", "decisions", "loss [-]")
+    style_axes(success, title, "", "success [%]")
+    style_axes(pitch, "", "", r"pitch variation $\hat\theta_R$ [rad]")
+    style_axes(returns, "", "", "return [-]")
+    style_axes(loss, "", "decisions", "loss [-]")
     for axes in (success, pitch, returns):
         legend_above(axes)
     if not rows_episode:
@@ -60,7 +60,11 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
 
 
 def column(rows: Rows, key: str) -> FloatArray:
-    """One column as numbers, (T,); NaN where a cell is empty or missing."""
+    """Return one column as numbers, (T,), with NaN for an empty or missing cell.
+
+    Raises:
+        ValueError: a cell is neither empty nor a number; the text names the cell.
+    """
     values = []
     for i, row in enumerate(rows):
         text = row.get(key) or "nan"
@@ -72,7 +76,7 @@ def column(rows: Rows, key: str) -> FloatArray:
 
 
 def running_mean(values: FloatArray, window: int) -> FloatArray:
-    """Mean of each value and the ``window`` - 1 before it, (T,); NaNs are left out."""
+    """Return the means, (T,), of each value and the ``window`` - 1 before it, ignoring NaN."""
     known = np.isfinite(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
     count = np.concatenate([[0], np.cumsum(known)])
@@ -84,7 +88,7 @@ def running_mean(values: FloatArray, window: int) -> FloatArray:
 
 
 def since_first_update(loss: FloatArray) -> FloatArray:
-    """The loss, (T,), with NaN where nothing was learnt yet; older runs wrote 0 there."""
+    """Return the loss, (T,), with NaN before the first update, where older versions wrote 0."""
     learning = np.isfinite(loss) & (loss != 0.0)
     return np.where(np.maximum.accumulate(learning), loss, math.nan)
 
@@ -97,7 +101,7 @@ def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bo
         )  # fmt: skip
     mean = running_mean(values, WINDOW)
     fewer = f"mean of all episodes so far, fewer than {WINDOW}"
-    alone = "o" if len(at) == 1 else ""  # a line through one point is not seen
+    alone = "o" if len(at) == 1 else ""  # a line through one point is invisible
     axes.plot(
         at[:WINDOW], mean[:WINDOW], color=colour, linewidth=0.8, marker=alone, markersize=3,
         label=fewer,
@@ -110,7 +114,7 @@ def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bo
 
 
 def _dot_size(episodes: int) -> float:
-    """Diameter [pt]: dots are seen one by one while they are few, and as a cloud of many."""
+    """Return a dot's diameter [pt], which decreases with the number of episodes."""
     return float(np.clip(60.0 / math.sqrt(max(episodes, 1)), 1.6, 5.0))
 
 
@@ -122,7 +126,7 @@ def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:
 
 
 def _losses(axes: Axes, at: FloatArray, rows: Rows) -> None:
-    """The loss on the left scale, logarithmic where it can be, and ε on the right one."""
+    """Draw the loss on the left axis, logarithmic if any is above 0, and ε on the right axis."""
     loss = since_first_update(column(rows, "loss"))
     axes.plot(at, loss, color=CHASSIS, linewidth=1.0, label="loss")
     if (loss > 0).any():

@@ -1,4 +1,4 @@
-"""Pictures of drawn profiles.
+"""Pictures of terrain profiles.
 
 In: profiles and the robot's geometry. Out: a matplotlib figure, made without pyplot and its
 global state.
@@ -15,11 +15,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.env.render import FAINT, INK, RobotArtist
-from flipperctl.report.figure import WIDTH, draw_ground, frame, stretch, tidy, z_label
+from flipperctl.report.figure import WIDTH, draw_ground, frame, style_axes, z_label, z_scale
 
-_HEADROOM = 0.35  # [m] from the highest point to the dimension of the length
-SMALL = 12  # further profiles that are drawn
-_COLUMNS = 4  # of small pictures, at most
+SMALL = 12
+"""Largest number of small pictures [-]."""
+_HEADROOM = 0.35
+"""Distance from the highest point to the dimension line of the length [m]."""
+_COLUMNS = 4
+"""Largest number of small pictures in a row [-]."""
 
 
 def terrain_figure(
@@ -28,14 +31,14 @@ def terrain_figure(
     robot: RobotGeometry,
     labels: Sequence[str] | None = None,
 ) -> Figure:
-    """The first profile large with the robot before it, the next ones small; equal scales.
+    """Draw the first profile large with the robot before it, and up to twelve others small.
 
-    Very long ground is drawn higher than it is, and the axis says so. The small pictures share
-    one scale; when there are more than twelve the figure says so.
-    ``labels`` name the profiles in place of their numbers.
+    x and z have equal scales, but the heights of very long ground are scaled up, which the axis
+    label says. The small pictures share one scale; the figure states how many profiles are left
+    out. ``labels`` replace the numbers of the profiles.
 
     Raises:
-        ValueError: without profiles.
+        ValueError: there is no profile.
     """
     if not profiles:
         raise ValueError("a terrain figure needs at least one profile")
@@ -43,28 +46,26 @@ def terrain_figure(
     large = _window(profiles[0], robot)
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
-    columns = -(-len(others) // rows) if rows else 1  # so that no place stays empty that need not
-    stretched = stretch(large[1] - large[0], WIDTH - 1.0)
-    heights = [_height(large[1] - large[0], WIDTH - 1.0, stretched)]
-    small = _height(extent, WIDTH / columns - 0.2, stretched)
+    columns = -(-len(others) // rows) if rows else 1  # fill the rows evenly
+    scale = z_scale(large[1] - large[0], WIDTH - 1.0)
+    heights = [_height(large[1] - large[0], WIDTH - 1.0, scale)]
+    small = _height(extent, WIDTH / columns - 0.2, scale)
     heights += rows * [min(small, 0.6 * heights[0]) + 0.2]
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
     figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout=layout)
     grid = figure.add_gridspec(1 + rows, columns, height_ratios=heights)
-    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, stretched)
+    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, scale)
     for i, profile in enumerate(others):
         axes = figure.add_subplot(grid[1 + i // columns, i % columns])
         name = labels[i + 1] if labels else f"draw {i + 2}"
-        _draw_small(axes, profile, extent, name, stretched)
+        _draw_small(axes, profile, extent, name, scale)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
         figure.supxlabel(f"{left_out} more draws are not shown", fontsize=8, color=FAINT)
     return figure
 
 
-def _draw_large(
-    axes: Axes, profile: Profile, robot: RobotGeometry, title: str, stretched: int
-) -> None:
+def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
     draw_ground(axes, profile)
     stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
     RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
@@ -77,17 +78,15 @@ def _draw_large(
     if top > bottom:
         beside = right + 0.65 * _margin(profile)
         _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
-    frame(axes, *_window(profile, robot), stretched)
-    tidy(axes, title, "x [m]", z_label(stretched))
+    frame(axes, *_window(profile, robot), scale)
+    style_axes(axes, title, "x [m]", z_label(scale))
 
 
-def _draw_small(
-    axes: Axes, profile: Profile, extent: FloatArray, name: str, stretched: int
-) -> None:
+def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, scale: int) -> None:
     draw_ground(axes, profile)
     points = profile.points
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    frame(axes, middle - extent / 2, middle + extent / 2, stretched)
+    frame(axes, middle - extent / 2, middle + extent / 2, scale)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_color("#C8C8CC")
@@ -97,7 +96,7 @@ def _draw_small(
 
 
 def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:
-    """A bar between two points in world [m], the second one above or right of the first."""
+    """Draw a dimension line between two points (x, z) in world [m], up or to the right."""
     bar = {"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": INK, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", start, end, arrowprops=bar)
     axes.annotate(
@@ -107,12 +106,12 @@ def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float],
 
 
 def _run_up(robot: RobotGeometry) -> float:
-    """How far before the first edge the robot is drawn [m]."""
+    """Return the distance of the drawn robot from the first edge [m]."""
     return max(1.0, robot.hinge_offset + robot.flipper_axle + robot.track_radius + 0.2)
 
 
 def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right of the large picture, (x, z) in world [m]."""
+    """Return the lower left and upper right corner of the large picture, (x, z) in world [m]."""
     low, high = profile.points.min(axis=0), profile.points.max(axis=0)
     before = 2 * _run_up(robot)
     return low - np.array([before, 0.25]), high + np.array(
@@ -121,15 +120,15 @@ def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatAr
 
 
 def _extent(profile: Profile) -> FloatArray:
-    """Width and height of a small picture [m]."""
+    """Return width and height of the part of the world in a small picture, (2,) [m]."""
     return np.asarray(np.ptp(profile.points, axis=0) + np.array([1.0, 0.3]))
 
 
 def _margin(profile: Profile) -> float:
-    """How much more room the dimensions of long ground take [-]."""
+    """Return the factor by which the dimension lines of long ground need more room [-]."""
     return max(1.0, (profile.end - profile.start) / 12)
 
 
-def _height(extent: FloatArray, width: float, stretched: int) -> float:
-    """Height of a picture so wide in which the extent fits [in]."""
-    return float(np.clip(stretched * width * extent[1] / extent[0], 0.5, 5.0))
+def _height(extent: FloatArray, width: float, scale: int) -> float:
+    """Return the height [in] of a picture of the given width [in] that shows ``extent`` [m]."""
+    return float(np.clip(scale * width * extent[1] / extent[0], 0.5, 5.0))

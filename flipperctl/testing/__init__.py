@@ -1,13 +1,13 @@
-"""The conformance suite: what every plugin must keep to, for authors to test theirs with.
+"""The conformance suite, with which plugin authors test that a plugin keeps to its contract.
 
-Two lines of a test file are enough:
+Two lines in a test file are enough:
 
     class TestRidge(Conformance):
         plugin = Ridge
 
 or, for several plugins at once, ``@pytest.mark.parametrize("check", checks(Ridge, Gap), ids=str)``
 over ``def test_mine(check): check()``. ``flipperctl inspect plugins --check`` runs the same checks
-on whatever is installed.
+on all installed plugins.
 """
 
 from flipperctl.errors import ConformanceError

@@ -1,4 +1,4 @@
-"""One check of one plugin: a callable that raises what is wrong, where and with which value."""
+"""A check of one plugin: a callable whose error says what is wrong, where, and with which value."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from flipperctl.guard import error_line, error_place, plugin_label
 from flipperctl.testing.variants import Variant
 
 
-class NotChecked(SkipTest):  # no error: pytest and unittest show it as skipped
+class NotChecked(SkipTest):  # pytest and unittest show it as a skipped test
     """The check needs a package that is not installed; the text names the extra."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """Call it; it returns if the plugin keeps to the contract here."""
+    """A named check of a plugin; calling it returns if the plugin passes."""
 
     plugin: type[Plugin]
     name: str
     run: Callable[[], None]
+    """Performs the check; its errors do not name the plugin yet."""
 
     def __call__(self) -> None:
         """Run the check.
 
         Raises:
             ConformanceError: the plugin fails; the text gives plugin, value and what is allowed.
-            NotChecked: what the check needs is not installed.
+            NotChecked: a package that the check needs is not installed.
         """
         try:
             self.run()
@@ -39,20 +40,21 @@ class Check:
         except (SkipTest, KeyboardInterrupt):
             raise
         except BaseException as error:  # the plugin's own code may raise anything
-            told = _told(error, self.plugin)
-            raise ConformanceError(f"{plugin_label(self.plugin)} raises {told}") from error
+            text = _describe(error, self.plugin)
+            raise ConformanceError(f"{plugin_label(self.plugin)} raises {text}") from error
 
     def __str__(self) -> str:
-        """Kind, plugin and check, as a test's id."""
+        """Return kind, plugin and check, as the id of a test."""
         name = getattr(self.plugin, "plugin_name", self.plugin.__name__)
         return f"{self.plugin.kind}-{name}-{self.name}"
 
 
-def over(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
-    """Run a test on every variant; what fails first is told, the others are named.
+def run_on_variants(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
+    """Run a test on every variant of a plugin.
 
     Raises:
-        ConformanceError: a variant fails, or the plugin's own code raises.
+        ConformanceError: a variant fails, or the plugin's own code raises. The text describes the
+            first failure and names the other variants that fail.
     """
     failed: list[tuple[str, ConformanceError]] = []
     for variant in variants:
@@ -63,9 +65,9 @@ def over(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
         except (SkipTest, KeyboardInterrupt):
             raise
         except BaseException as error:  # noqa: BLE001  # the plugin's own code may raise anything
-            told = ConformanceError(_told(error, variant.plugin))
-            told.__cause__ = error
-            failed.append((variant.label, told))
+            failure = ConformanceError(_describe(error, variant.plugin))
+            failure.__cause__ = error
+            failed.append((variant.label, failure))
     if failed:
         label, first = failed[0]
         others = ", ".join(label for label, _ in failed[1:])
@@ -74,16 +76,16 @@ def over(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
 
 
 def require(holds: bool, text: str) -> None:
-    """Raise the text unless it holds.
+    """Raise an error with this text unless the condition holds.
 
     Raises:
-        ConformanceError: it does not hold.
+        ConformanceError: the condition does not hold.
     """
     if not holds:
         raise ConformanceError(text)
 
 
-def _told(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
-    """What the plugin's own code raised, and where; the core's own errors say it already."""
+def _describe(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
+    """Return the error in one line, with file and line unless it is one of the core's own."""
     where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
     return f"{error_line(error)}{where}"

@@ -1,4 +1,4 @@
-"""What holds for plugins of every kind: registered, documented, and the same after a checkpoint."""
+"""Checks of plugins of every kind: registered, documented, and unchanged by a checkpoint."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOWER, _UPPER = ("ge", "gt"), ("le", "lt")
 
 
 def registered(cls: type[Plugin]) -> None:
-    """The registry leads from its name to it."""
+    """Check that the plugin is registered under its name."""
     name = cls.__dict__.get("plugin_name")
     require(name is not None, f"has no name; decorate {cls.__name__} with @{cls.kind}(<name>)")
     found = registry.get((cls.kind, str(name)))
@@ -23,7 +23,7 @@ def registered(cls: type[Plugin]) -> None:
 
 
 def documented(cls: type[Plugin]) -> None:
-    """A docstring of its own; every field says what it is, in which unit and within what."""
+    """Check that the plugin has a docstring, and each field a description, a unit and bounds."""
     own = cls.__dict__.get("__doc__")
     require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; say what it is")
     for field, info in cls.model_fields.items():
@@ -41,7 +41,7 @@ def documented(cls: type[Plugin]) -> None:
 
 
 def survives_a_checkpoint(plugin: Plugin) -> None:
-    """Written as JSON and read again, it is equal."""
+    """Check that the plugin is equal after it was written as JSON and read again."""
     written = resolver.container(plugin)
     again = resolver.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
     require(

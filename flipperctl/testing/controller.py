@@ -1,4 +1,4 @@
-"""What a controller must keep to while it drives."""
+"""Checks of a controller while it drives: valid actions, repeatable and in time."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
 
 DECISIONS = 20
-"""On each scene, or fewer where the episode ends before."""
+"""Largest number of decisions on each scene; an episode may end before [-]."""
 
 
 def actions(controller: Controller) -> None:
-    """Every answer is an index into ``ACTIONS``."""
+    """Check that every action is an index into ``ACTIONS``."""
     for index in range(len(_scenes(controller))):
         _drive(controller, index)
 
 
 def repeats(controller: Controller) -> None:
-    """Equal episodes give equal actions; what is drawn at random is drawn from ``p.rng``."""
+    """Check that equal episodes give equal actions, with random numbers from ``p.rng`` only."""
     for index in range(len(_scenes(controller))):
         (one, _), (other, _) = (_drive(controller, index) for _ in range(2))
         require(
@@ -34,18 +34,18 @@ def repeats(controller: Controller) -> None:
 
 
 def in_time(controller: Controller) -> None:
-    """A decision is made before the next one is due, at the median; a search before it is free."""
+    """Check that the median decision takes at most one period, without the search before it."""
     period = SCENES[0].environment().robot.decision_period
-    taken = [t for index in range(len(_scenes(controller))) for t in _drive(controller, index)[1]]
+    times = [t for index in range(len(_scenes(controller))) for t in _drive(controller, index)[1]]
     require(
-        median(taken) <= period,
-        f"a decision takes it {median(taken):.2f} s at the median; "
+        median(times) <= period,
+        f"a decision takes it {median(times):.2f} s at the median; "
         f"the next one is due after {period:g} s",
     )
 
 
 def looks_ahead(cls: type[Plugin]) -> bool:
-    """Whether it searches the scene before an episode, which may take it long."""
+    """Return whether the controller searches the scene before an episode, which may take long."""
     return issubclass(cls, Controller) and cls.searches_first
 
 
@@ -54,35 +54,35 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
 
 
 def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
-    """What it answers, and the time that each answer took [s]."""
+    """Drive on a scene; return the actions and the time that each of them took [s]."""
     env = _scenes(controller)[scene].environment()
-    watched = _Watched(controller, scene)
-    for _ in islice(decisions(env, watched, scene), DECISIONS):
+    recorder = _ActionRecorder(controller, scene)
+    for _ in islice(decisions(env, recorder, scene), DECISIONS):
         pass
-    return watched.answers, watched.taken
+    return recorder.actions, recorder.times
 
 
-class _Watched:
-    """A controller's policy whose answers are checked and timed."""
+class _ActionRecorder:
+    """A policy that checks, times and records the actions of a controller's policy."""
 
     def __init__(self, controller: Controller, scene: int) -> None:
         self._policy, self._scene = controller.build(), scene
-        self.answers: list[int] = []
-        self.taken: list[float] = []  # [s]
+        self.actions: list[int] = []
+        self.times: list[float] = []  # [s]
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin the policy's episode."""
+        """Begin an episode of the controller's policy."""
         self._policy.reset(simulator)
 
     def act(self, p: Perception) -> int:
-        """Return the policy's answer."""
+        """Return the action of the controller's policy."""
         begun = perf_counter()
         action = self._policy.act(p)
-        self.taken.append(perf_counter() - begun)
+        self.times.append(perf_counter() - begun)
         require(
             isinstance(action, int) and action in range(len(ACTIONS)),
-            f"act returned {action!r} at decision {len(self.answers)} of scene {self._scene}; "
+            f"act returned {action!r} at decision {len(self.actions)} of scene {self._scene}; "
             f"an int from 0 to {len(ACTIONS) - 1} is allowed",
         )
-        self.answers.append(action)
+        self.actions.append(action)
         return action

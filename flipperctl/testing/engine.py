@@ -1,4 +1,4 @@
-"""What an engine must keep to: it drives, repeats, stops at limits, returns to snapshots."""
+"""Checks of an engine: it drives, repeats, stops at limits and restores snapshots."""
 
 from __future__ import annotations
 
@@ -8,25 +8,32 @@ from flipperctl.api import Engine, FloatArray, Limits, Profile, Robot, RobotStat
 from flipperctl.testing.check import require
 
 SAMPLES = 100
-"""One second, in which the robot drives about 0.2 m."""
+"""Number of samples of a run: one second, in which the robot drives about 0.2 m [-]."""
 GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
 START = Start(-0.6)
-_TURNED = 0.3  # [rad] that both flippers are told to turn to
+_TARGET = 0.3
+"""Commanded angle of both flipper pairs [rad]."""
 
 
 def drives(engine: Engine) -> None:
-    """On level ground the robot gets on by what its belts run, and its flippers turn."""
+    """Check that the robot drives at about track speed on level ground and turns its flippers."""
     world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
     begun, poses = world.state(), _run(world)
     moved = float(poses[-1, 0] - begun.position[0])
-    way = Robot().track_speed * SAMPLES / 100
-    require(0.5 * way < moved < 1.5 * way, f"drives {moved:.3f} m in 1 s; {way:g} m is expected")
+    expected = Robot().track_speed * SAMPLES / 100
+    require(
+        0.5 * expected < moved < 1.5 * expected,
+        f"drives {moved:.3f} m in 1 s; {expected:g} m is expected",
+    )
     for name, turned in (("front", poses[-1, 3]), ("rear", poses[-1, 4])):
-        require(turned > 0.1, f"the {name} flippers are at {turned:.2f} rad 1 s after {_TURNED}")
+        require(
+            turned > 0.1,
+            f"the {name} flippers are at {turned:.2f} rad 1 s after a command of {_TARGET} rad",
+        )
 
 
 def samples(engine: Engine) -> None:
-    """``advance`` gives (S, 5) finite poses, of which the last is the state."""
+    """Check that ``advance`` returns finite poses, (S, 5), the last of which equals the state."""
     world = engine.place(GROUND, Robot(), START)
     poses = _run(world)
     require(poses.shape == (SAMPLES, 5), f"advance({SAMPLES}) has shape {poses.shape}")
@@ -36,20 +43,20 @@ def samples(engine: Engine) -> None:
 
 
 def repeats(engine: Engine) -> None:
-    """Equal worlds go on equally, bit for bit."""
+    """Check that equal worlds advance equally, bit for bit."""
     one, other = (_run(engine.place(GROUND, Robot(), START)) for _ in range(2))
     require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
 
 
 def stops(engine: Engine) -> None:
-    """A run ends after the sample at which a limit is reached."""
+    """Check that a run ends after the sample at which a limit is reached."""
     world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
     poses = world.advance(SAMPLES, Limits(x=START.x + 0.05))
     require(0 < len(poses) < SAMPLES, f"runs for {len(poses)} samples past a limit 0.05 m ahead")
 
 
 def returns(engine: Engine) -> None:
-    """A snapshot brings the state back."""
+    """Check that loading a snapshot restores the state."""
     world = engine.place(GROUND, Robot(), START)
     _run(world)
     saved, state = world.save(), _numbers(world.state())
@@ -60,7 +67,7 @@ def returns(engine: Engine) -> None:
 
 
 def _run(world: World) -> FloatArray:
-    world.command(_TURNED, _TURNED)
+    world.command(_TARGET, _TARGET)
     return world.advance(SAMPLES)
 
 

@@ -1,4 +1,4 @@
-"""What a network must keep to: shapes, gradients, and that it can leave for the robot."""
+"""Checks of a network: shapes, gradients, repeatability and export."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     import torch
 
 LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
-_BATCH = 64  # so many that no working unit rests on all of them
+_BATCH = 64
+"""Batch size, large enough that no working unit is inactive on the whole batch [-]."""
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: on busy cores several only wait for each other at these sizes."""
+    """Run torch on one thread; at these sizes, several threads slow each other down."""
     import torch
 
     threads = torch.get_num_threads()
@@ -40,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 
 def shape(network: Network) -> None:
-    """Observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
+    """Check that observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
     from flipperctl.agent.building import build_network
 
     for layout in LAYOUTS:
@@ -57,7 +58,7 @@ def shape(network: Network) -> None:
 
 
 def gradient(network: Network) -> None:
-    """Every parameter learns, and every number of the observation has an effect."""
+    """Check that every parameter has a gradient and every input number affects the Q-values."""
     module = _built(network)
     observations = _observations(network, LAYOUTS[-1]).requires_grad_()
     module(observations).square().sum().backward()
@@ -65,7 +66,8 @@ def gradient(network: Network) -> None:
         slope = parameter.grad
         require(
             slope is not None and bool(slope.isfinite().all()) and bool(slope.any()),
-            f"the gradient of parameter {name!r} is {_told(slope)}; it must be finite and not 0",
+            f"the gradient of parameter {name!r} is {_describe(slope)}; "
+            "it must be finite and not 0",
         )
     slope = observations.grad
     used = slope.any(dim=0).tolist() if slope is not None else [False]
@@ -78,7 +80,7 @@ def gradient(network: Network) -> None:
 
 
 def repeats(network: Network) -> None:
-    """Equal seeds build equal networks, and an evaluated one answers alike each time."""
+    """Check that equal seeds build equal networks and that eval mode is deterministic."""
     import torch
 
     observations = _observations(network, LAYOUTS[-1])
@@ -94,10 +96,10 @@ def repeats(network: Network) -> None:
 
 
 def exportable(network: Network) -> None:
-    """It leaves as ONNX and gives the same Q-values there.
+    """Check that the network exports to ONNX with the same Q-values.
 
     Raises:
-        NotChecked: a package that ONNX needs is not installed.
+        NotChecked: a package that the export needs is not installed.
     """
     from flipperctl.config import TrainConfig
     from flipperctl.export.onnx import compare_onnx
@@ -129,12 +131,12 @@ def _seed() -> None:
 
 
 def _frames(network: Network) -> int:
-    """How many observations, one after the other, the network is fed with."""
+    """Return the number of successive observations that the network takes as input [-]."""
     return int(getattr(network, "frames", 1))
 
 
 def _observations(network: Network, layout: ObservationLayout) -> torch.Tensor:
-    """Numbers of the magnitude that observations have, (B, frames · (N + 3))."""
+    """Return random numbers of the magnitude of observations, (B, frames · (N + 3))."""
     import torch
 
     scale = torch.tensor(np.tile(layout.scale, _frames(network)), dtype=torch.float32)
@@ -143,13 +145,13 @@ def _observations(network: Network, layout: ObservationLayout) -> torch.Tensor:
 
 
 def _recorded(network: Network) -> Any:
-    """Observations of the first scene, (M, frames · (N + 3))."""
+    """Return the observations of an episode on the first scene, (M, frames · (N + 3))."""
     scene = SCENES[0]
-    seen = [d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)]
-    return np.tile(np.stack(seen), (1, _frames(network)))
+    found = [d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)]
+    return np.tile(np.stack(found), (1, _frames(network)))
 
 
-def _told(slope: torch.Tensor | None) -> str:
+def _describe(slope: torch.Tensor | None) -> str:
     if slope is None:
         return "missing"
     return "0 everywhere" if bool(slope.isfinite().all()) else "not finite"

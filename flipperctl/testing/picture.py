@@ -1,4 +1,4 @@
-"""That a terrain can be drawn: the picture of an episode's start, and small ones at the bounds."""
+"""Check that a terrain can be drawn: the first video frame, and sketches at the field bounds."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from flipperctl.env.render import CHASSIS, EARTH, Renderer, RobotArtist
 from flipperctl.testing.check import require
 from flipperctl.testing.terrain import environment
 
-_SHARE = 1e-3  # of the picture that ground and chassis fill at least [-]
+_MIN_AREA = 1e-3
+"""Smallest fraction of the picture that ground and chassis must each cover [-]."""
 
 
-def pictured(terrain: Terrain, whole: bool) -> None:
-    """Ground and robot are seen in the picture; ``whole``: as a video's first frame shows it."""
+def shows_ground_and_robot(terrain: Terrain, full: bool) -> None:
+    """Check that ground and robot are visible in a video frame if ``full``, else in a sketch."""
     env = environment(terrain)
     env.reset(seed=0)
-    picture = _renderer()(env.scene) if whole else _sketch()(env)
+    picture = _renderer()(env.scene) if full else _sketch()(env)
     for what, colour in (("ground", EARTH), ("robot", CHASSIS)):
         near = np.abs(picture.astype(int) - _bytes(colour)).max(axis=2) <= 8
-        require(float(near.mean()) >= _SHARE, f"its picture shows no {what} (in {colour})")
+        require(float(near.mean()) >= _MIN_AREA, f"its picture shows no {what} (in {colour})")
 
 
 def _bytes(colour: str) -> NDArray[np.int_]:
@@ -36,7 +37,7 @@ def _bytes(colour: str) -> NDArray[np.int_]:
 
 
 class _Sketch:
-    """The ground within 2.5 m of the robot, without words, which take most of a picture's time."""
+    """Draw the ground within 2.5 m of the robot, without the text that makes a frame slow."""
 
     def __init__(self) -> None:
         self._figure = Figure((2.5, 1.25), 60)

@@ -1,4 +1,4 @@
-"""Real episodes of every outcome, played once by rules of this module's own.
+"""Recorded episodes of every outcome, played once by simple rules.
 
 They need no registered plugin. Out: scenes, and the transitions recorded on them.
 """
@@ -33,18 +33,18 @@ HOLD = action_index(0, 0)
 
 
 class Ground(Terrain):
-    """The points that it is given."""
+    """A terrain of given points."""
 
     plugin_name: ClassVar[str] = "recorded"
-    points: tuple[tuple[float, float], ...] = Field(((0.0, 0.0),), description="(x, z) [m]")
+    points: tuple[tuple[float, float], ...] = Field(((0.0, 0.0),), description="points (x, z) [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Always the same."""
+        """Return the profile of the points."""
         return Profile(self.points)
 
 
 class NoReward(RewardTerm):
-    """Pays nothing, for those who only drive."""
+    """A reward that is always 0, for checks that only drive."""
 
     plugin_name: ClassVar[str] = "no_reward"
 
@@ -54,24 +54,24 @@ class NoReward(RewardTerm):
 
 
 def hold(p: Perception) -> int:
-    """Leave the flippers as they are."""
+    """Return the action that holds both flipper pairs."""
     return HOLD
 
 
 def follow(p: Perception) -> int:
-    """Lay the front flippers along the terrain ahead; the rear ones stay level."""
+    """Turn the front flippers to the candidate angle and the rear ones level."""
     wanted = (candidate_angle(p.points, p.pitch, p.robot) - p.front, -p.rear)
     return action_index(*(max(-1, min(1, round(w / p.robot.angle_step))) for w in wanted))
 
 
-def anything(p: Perception) -> int:
-    """Any action."""
+def draw_action(p: Perception) -> int:
+    """Draw any action with equal probability."""
     return int(p.rng.integers(len(ACTIONS)))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Ground, settings, and a rule that comes to a known end there."""
+    """Ground, environment settings, a rule, and the outcome of that rule's episode."""
 
     points: tuple[tuple[float, float], ...]
     rule: Callable[[Perception], int]
@@ -80,8 +80,8 @@ class Scene:
 
     def environment(self) -> FlipperEnv:
         """Return the environment on this ground."""
-        chosen = {"terrain": Ground(points=self.points), "rewards": {"none": NoReward()}}
-        return FlipperEnv(config=parse(EnvConfig, {**chosen, **self.settings}))
+        own = {"terrain": Ground(points=self.points), "rewards": {"none": NoReward()}}
+        return FlipperEnv(config=parse(EnvConfig, {**own, **self.settings}))
 
     @property
     def policy(self) -> FunctionPolicy:
@@ -90,37 +90,37 @@ class Scene:
 
 
 _STEPS = ((0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0))
-_SEEN_BADLY = {"perception": {"noise": 0.03, "dropout": 0.7, "horizon": 0.4, "angle_noise": 0.02}}
+_POOR_SENSING = {"perception": {"noise": 0.03, "dropout": 0.7, "horizon": 0.4, "angle_noise": 0.02}}
 _WALL = ((0.0, 0.0), (0.0, 1.0))
-_SMOOTH = {"sim": {"friction": 0.3}}  # else the belts climb the wall until the robot turns over
+_SMOOTH = {"sim": {"friction": 0.3}}  # with more, the tracks climb the wall and the robot overturns
 SCENES = (
     Scene(_STEPS, follow, Outcome.REACHED),
-    Scene(((0.0, 0.0), (0.5, 0.05), (1.0, 0.0)), anything, Outcome.REACHED, _SEEN_BADLY),
+    Scene(((0.0, 0.0), (0.5, 0.05), (1.0, 0.0)), draw_action, Outcome.REACHED, _POOR_SENSING),
     Scene(((0.0, 0.0), (0.0, -1.0)), hold, Outcome.OVERTURNED),
     Scene(_WALL, follow, Outcome.STUCK, _SMOOTH),
-    Scene(_WALL, anything, Outcome.TIMEOUT, {"episode": {"slack": 1.01}, **_SMOOTH}),
+    Scene(_WALL, draw_action, Outcome.TIMEOUT, {"episode": {"slack": 1.01}, **_SMOOTH}),
 )
-"""Up and down a step, a bump seen badly, a ledge, a smooth wall, and it again with little time."""
+"""Two steps, a bump with poor sensing, a ledge, a smooth wall, and the wall with little time."""
 
 SHORT = Scene(
     ((0.0, 0.0), (0.1, 0.0)), hold, Outcome.REACHED, {"episode": {"run_up": 0.2, "run_out": 0.2}}
 )
-"""Half a metre of level ground, for controllers that search the scene first."""
+"""Half a metre of level ground, for controllers that search the scene before the episode."""
 
 
 @cache
 def transitions() -> tuple[Transition, ...]:
-    """Every decision of an episode on each scene, the last ones with all four outcomes.
+    """Return all transitions of an episode on each scene; together they have all four outcomes.
 
     Raises:
-        RuntimeError: an episode did not end as its scene says.
+        RuntimeError: an episode did not end with its scene's outcome.
     """
     found: list[Transition] = []
     for index, scene in enumerate(SCENES):
-        seen = [d.transition for d in decisions(scene.environment(), scene.policy, index)]
-        if seen[-1].outcome is not scene.outcome:
+        episode = [d.transition for d in decisions(scene.environment(), scene.policy, index)]
+        if episode[-1].outcome is not scene.outcome:
             raise RuntimeError(
-                f"recorded scene {index} ended as {seen[-1].outcome}, not {scene.outcome}"
+                f"recorded scene {index} ended as {episode[-1].outcome}, not {scene.outcome}"
             )
-        found += seen
+        found += episode
     return tuple(found)

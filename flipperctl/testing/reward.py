@@ -1,4 +1,4 @@
-"""What a reward term must keep to on recorded episodes of every outcome."""
+"""Checks of a reward term on recorded episodes of every outcome."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _ROUNDING = 1e-9
 
 
 def finite(reward: RewardTerm) -> None:
-    """Every decision is paid a finite float."""
+    """Check that the reward of every transition is a finite float."""
     for t in transitions():
         value = reward(t)
         require(
@@ -22,7 +22,7 @@ def finite(reward: RewardTerm) -> None:
 
 
 def bounded(reward: RewardTerm) -> None:
-    """Every value lies within ``bounds``."""
+    """Check that every reward lies within ``bounds``."""
     low, high = reward.bounds
     require(low <= high, f"bounds are {reward.bounds}; the lower one comes first")
     for t in transitions():
@@ -34,7 +34,7 @@ def bounded(reward: RewardTerm) -> None:
 
 
 def pure(reward: RewardTerm) -> None:
-    """The value follows from the transition alone and leaves it as it was."""
+    """Check that the reward depends on the transition alone and does not change it."""
     pitches = [t.pitches.tobytes() for t in transitions()]
     first = [reward(t) for t in transitions()]
     again = [reward(t) for t in reversed(transitions())][::-1]

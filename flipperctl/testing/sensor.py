@@ -1,4 +1,4 @@
-"""What a sensor must keep to: shapes, finite numbers, and no randomness of its own."""
+"""Checks of a sensor: shapes, finite numbers, and random numbers from ``rng`` only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STATE = RobotState(
 
 
 def senses(sensor: Sensor) -> None:
-    """Points in order of x, a height for each bin, and angles; all of them finite."""
+    """Check for finite points in order of x, a finite height per bin and finite angles."""
     ground, angles = sensor.over(GROUND, 5.0).sense(STATE, np.random.default_rng(0))
     points, heights = ground.points, ground.heights
     require(points.ndim == 2 and points.shape[1] == 2, f"points have shape {points.shape}")
@@ -32,8 +32,8 @@ def senses(sensor: Sensor) -> None:
 
 
 def repeats(sensor: Sensor) -> None:
-    """Equal generators give equal perceptions, and no other randomness is used."""
-    before = np.random.get_state(legacy=False)  # noqa: NPY002  # the global one, to watch it
+    """Check that equal generators give equal perceptions and no other randomness is used."""
+    before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
     found = []
     for _ in range(2):
         ground, angles = sensor.over(GROUND, 5.0).sense(STATE, np.random.default_rng(1))

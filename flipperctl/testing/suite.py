@@ -1,4 +1,4 @@
-"""Which checks a plugin goes through, and the class that hands them to pytest."""
+"""The checks of each kind of plugin, and the class that passes them to pytest."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from typing import Any, ClassVar
 from flipperctl import plugins as loader
 from flipperctl.api import Plugin
 from flipperctl.testing import common
-from flipperctl.testing.check import Check, over
+from flipperctl.testing.check import Check, run_on_variants
 from flipperctl.testing.variants import Variant, variants
 
 Test = Callable[[Any], None]
 
 
 def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
-    """Every check of every plugin; ``pictures``: a folder for pictures of the terrains."""
-    loader.load()  # a plugin may be made of others
+    """Return all checks of the plugins; ``pictures`` is a folder for pictures of the terrains."""
+    loader.load()  # a plugin may contain others
     return [check for cls in plugins for check in _checks(cls, pictures)]
 
 
 class Conformance:
-    """To be inherited by a test class that says which ``plugin`` it is about."""
+    """Base class of a test class that names the ``plugin`` to check."""
 
     plugin: ClassVar[type[Plugin]]
     pictures: ClassVar[Path | None] = None
-    """A folder for pictures of the terrain at its defaults and at each bound."""
+    """Folder for pictures of the terrain at its defaults and at each bound, if any."""
 
     def pytest_generate_tests(self, metafunc: Any) -> None:
-        """One test a check."""
+        """Make one test of each check."""
         if "check" in metafunc.fixturenames:
             found = checks(self.plugin, pictures=self.pictures)
             metafunc.parametrize("check", found, ids=str)
 
     def test_keeps_the_contract(self, check: Check) -> None:
-        """Fails with plugin, value and what is allowed."""
+        """Fail with the plugin, the value and the allowed values."""
         check()
 
 
 class _Cases:
-    """The variants of a plugin, made when the first check asks for them."""
+    """Variants of a plugin, created when the first check needs them."""
 
     def __init__(self, cls: type[Plugin]) -> None:
         self._cls = cls
@@ -55,10 +55,10 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
     cases = _Cases(cls)
 
     def at_all(name: str, test: Test) -> Check:
-        return Check(cls, name, lambda: over(cases.all, test))
+        return Check(cls, name, lambda: run_on_variants(cases.all, test))
 
     def at_defaults(name: str, test: Test) -> Check:
-        return Check(cls, name, lambda: over(cases.all[:1], test))
+        return Check(cls, name, lambda: run_on_variants(cases.all[:1], test))
 
     yield Check(cls, "registered", lambda: common.registered(cls))
     yield Check(cls, "documented", lambda: common.documented(cls))
@@ -73,7 +73,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("extent", terrain.extent)
             yield at_all("difficulty", terrain.graded)
             yield at_all("start", terrain.starts)
-            yield Check(cls, "picture", lambda: _pictured(cases.all, pictures))
+            yield Check(cls, "picture", lambda: _check_pictures(cases.all, pictures))
         case "reward":
             from flipperctl.testing import reward
 
@@ -90,7 +90,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
         case "controller":
             from flipperctl.testing import controller
 
-            # A search at the largest of its settings may take hours.
+            # A search at its largest settings may take hours.
             at_some = at_defaults if controller.looks_ahead(cls) else at_all
             yield at_some("actions", controller.actions)
             yield at_defaults("repeats", controller.repeats)
@@ -110,10 +110,10 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("repeats", sensor.repeats)
 
 
-def _pictured(cases: list[Variant], folder: Path | None) -> None:
+def _check_pictures(cases: list[Variant], folder: Path | None) -> None:
     from flipperctl.testing import picture, terrain
 
-    over(cases[:1], lambda made: picture.pictured(made, whole=True))
-    over(cases[1:], lambda made: picture.pictured(made, whole=False))
+    run_on_variants(cases[:1], lambda t: picture.shows_ground_and_robot(t, full=True))
+    run_on_variants(cases[1:], lambda t: picture.shows_ground_and_robot(t, full=False))
     if folder is not None:
         terrain.write_pictures(cases, folder)

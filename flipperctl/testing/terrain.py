@@ -1,4 +1,4 @@
-"""What a terrain must keep to, at its defaults and at each field's bounds."""
+"""Checks of a terrain: valid profiles, repeatability, extent, difficulty and a drivable start."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from flipperctl.testing.recorded import HOLD, NoReward
 from flipperctl.testing.variants import Variant
 
 SEEDS = range(5)
-LENGTH, HEIGHT = 100.0, 20.0
-"""The longest profile, and the largest height above or below its first edge [m]."""
+MAX_LENGTH, MAX_HEIGHT = 100.0, 20.0
+"""Largest length of a profile, and largest height above or below its first edge [m]."""
 DECISIONS = 5
-"""Made with the flippers held: 0.6 m, the last third with the front flippers on the terrain."""
-DRIVEN, DEEP = 0.15, 0.02
-"""Least way in them, and the deepest overlap with the ground that contact explains [m]."""
+"""Number of decisions with held flippers: 0.6 m, the last third with the front flippers on the
+terrain [-]."""
+MIN_DRIVEN, MAX_DEPTH = 0.15, 0.02
+"""Smallest distance driven meanwhile, and largest penetration that contact explains [m]."""
 
 
 def draws(terrain: Terrain) -> None:
-    """Every draw is a profile."""
+    """Check that ``generate`` returns a profile."""
     for seed in SEEDS:
         _draw(terrain, seed)
 
 
 def repeats(terrain: Terrain) -> None:
-    """Equal generators give equal ground, whatever was drawn before."""
+    """Check that equal generators give equal profiles, independently of earlier calls."""
     first = [_draw(terrain, seed).points.tobytes() for seed in SEEDS]
     again = type(terrain)(**dict(terrain))
     for seed in reversed(SEEDS):
@@ -45,7 +46,7 @@ def repeats(terrain: Terrain) -> None:
 
 
 def leaves_global_randomness(terrain: Terrain) -> None:
-    """``random`` and ``numpy.random`` are as they were."""
+    """Check that the states of ``random`` and ``numpy.random`` do not change."""
     before = _global_state()
     _draw(terrain, 0)
     require(
@@ -55,7 +56,7 @@ def leaves_global_randomness(terrain: Terrain) -> None:
 
 
 def graded(terrain: Terrain) -> None:
-    """A training may ask for any difficulty from 0 to 1, and is told one in between."""
+    """Check that any difficulty from 0 to 1 works and leads to another from 0 to 1."""
     for difficulty in (0.0, terrain.first_difficulty, 1.0):
         for reached in (False, True):
             following = terrain.next_difficulty(difficulty, reached)
@@ -67,21 +68,23 @@ def graded(terrain: Terrain) -> None:
 
 
 def extent(terrain: Terrain) -> None:
-    """Not longer and not higher than a robot could ever cross."""
+    """Check that a profile is neither longer nor higher than a robot could ever cross."""
     for seed in SEEDS:
         profile = _draw(terrain, seed)
         length = profile.end - profile.start
-        require(length <= LENGTH, f"it is {length:g} m long; at most {LENGTH:g} m is allowed")
+        require(
+            length <= MAX_LENGTH, f"it is {length:g} m long; at most {MAX_LENGTH:g} m is allowed"
+        )
         heights = profile.points[:, 1] - profile.points[0, 1]
         highest = float(np.abs(heights).max())
         require(
-            highest <= HEIGHT,
-            f"it leads {highest:g} m above or below its first edge; {HEIGHT:g} m is allowed",
+            highest <= MAX_HEIGHT,
+            f"it leads {highest:g} m above or below its first edge; {MAX_HEIGHT:g} m is allowed",
         )
 
 
 def starts(terrain: Terrain) -> None:
-    """The robot stands before it and drives off, on the ground and not in it."""
+    """Check that the robot starts before the terrain and drives off without penetrating it."""
     env = environment(terrain)
     for seed in SEEDS[:2]:
         try:
@@ -98,23 +101,25 @@ def starts(terrain: Terrain) -> None:
             )
             x, z = env.state.position.tolist()
             depth = max(env.drive.world.penetration(), env.profile.height(x) - z)
-            require(depth <= DEEP, f"the robot is {depth:.3f} m in the ground at x = {x:.2f} m")
+            require(
+                depth <= MAX_DEPTH, f"the robot is {depth:.3f} m in the ground at x = {x:.2f} m"
+            )
         driven = env.state.position[0] - start
         require(
-            driven >= DRIVEN,
+            driven >= MIN_DRIVEN,
             f"the robot drove {driven:.2f} m in its first {DECISIONS} decisions; "
-            f"on a start that it can cross it drives {DRIVEN:g} m or more",
+            f"on a start that it can cross it drives {MIN_DRIVEN:g} m or more",
         )
 
 
 def environment(terrain: Terrain) -> FlipperEnv:
-    """The default environment on this terrain."""
-    # A term of our own, so that no reward plugin is needed.
+    """Return the default environment on this terrain."""
+    # NoReward is not a registered plugin, so that none is needed.
     return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": NoReward()}))
 
 
 def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
-    """A draw at the defaults large, one at each bound small, thirteen a file.
+    """Draw the first variant large and the others small, thirteen per file.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -146,6 +151,6 @@ def _draw(terrain: Terrain, seed: int) -> Profile:
 
 
 def _global_state() -> tuple[object, ...]:
-    state = np.random.get_state(legacy=False)  # noqa: NPY002  # it is only looked at
+    state = np.random.get_state(legacy=False)  # noqa: NPY002  # read only
     words = state["state"]
     return random.getstate(), words["key"].tobytes(), words["pos"], state["gauss"]

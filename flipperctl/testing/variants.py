@@ -1,6 +1,6 @@
-"""A plugin at its defaults and at the outermost values of each of its fields.
+"""Variants of a plugin: its defaults, and the outermost values of each of its fields.
 
-In: a plugin's class. Out: instances, each with the settings that make it differ.
+In: a plugin's class. Out: instances, each labelled with the setting that differs.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from flipperctl.errors import ConformanceError
 _CONTRACT = Plugin.__module__.rpartition(".")[0] + "."
 """Package of the families' base classes."""
 _BOUNDS = {"ge": 0, "le": 0, "gt": 1, "lt": -1}
+"""Kind of bound → direction from the bound to the nearest allowed value [-]."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A plugin, and the setting that differs from its defaults."""
+    """A plugin, labelled with the setting that differs from its defaults."""
 
     label: str
     plugin: Plugin
 
 
 def at_defaults(cls: type[Plugin]) -> Variant:
-    """The plugin as ``flipperctl`` makes it when only its name is given.
+    """Return the plugin that ``flipperctl`` creates from its name alone.
 
     Raises:
         ConformanceError: a field has no default, or the defaults are not valid.
@@ -42,12 +43,12 @@ def at_defaults(cls: type[Plugin]) -> Variant:
 
 
 def variants(cls: type[Plugin]) -> list[Variant]:
-    """Its defaults, then each bound and each choice of each field of its own.
+    """Return the defaults, then each bound and each choice of each of the plugin's own fields.
 
-    A value that does not go with the other fields' defaults (a validator says so) gives none.
+    A value that the plugin's validator refuses beside the other fields' defaults is left out.
 
     Raises:
-        ConformanceError: a value that a field's own bounds allow is refused by its type.
+        ConformanceError: a field's type refuses a value that its bounds allow.
     """
     found = [at_defaults(cls)]
     default = found[0].plugin
@@ -65,7 +66,7 @@ def variants(cls: type[Plugin]) -> list[Variant]:
 
 
 def own_fields(cls: type[Plugin]) -> list[str]:
-    """The fields that are not those of its whole family."""
+    """Return the fields that the base classes of the plugin's kind do not have."""
     shared: set[str] = set()
     for base in cls.__mro__[1:]:
         if base.__module__.startswith(_CONTRACT):
@@ -74,18 +75,18 @@ def own_fields(cls: type[Plugin]) -> list[str]:
 
 
 def edges(cls: type[Plugin], field: str) -> Iterator[Any]:
-    """The outermost values that a field's bounds allow, or its choices."""
+    """Yield the outermost values that a field's bounds allow, or its choices."""
     info = cls.model_fields[field]
     kinds = numbers(info.annotation)
     for bound in info.metadata:
-        for name, way in _BOUNDS.items():
+        for name, direction in _BOUNDS.items():
             value = getattr(bound, name, None)
             if value is None:
                 continue
             if kinds == {int}:
-                yield int(value) + way
+                yield int(value) + direction
             else:
-                yield math.nextafter(value, math.inf * way) if way else value
+                yield math.nextafter(value, math.inf * direction) if direction else value
     if info.annotation is bool:
         yield from (False, True)
     elif get_origin(info.annotation) is Literal:
@@ -93,7 +94,7 @@ def edges(cls: type[Plugin], field: str) -> Iterator[Any]:
 
 
 def numbers(annotation: Any) -> set[type]:
-    """``int`` and ``float``, as far as a field holds one by itself (or None)."""
+    """Return the number types that a field takes, alone or beside None: ``int``, ``float``."""
     union = get_origin(annotation) in (Union, types.UnionType)
     parts = get_args(annotation) if union else (annotation,)
     return {part for part in parts if part in (int, float)}

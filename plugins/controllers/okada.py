@@ -7,24 +7,28 @@ from flipperctl.api import Controller, Perception, action_index, candidate_angle
 
 @controller("okada")
 class Okada(Controller):
-    """Front flippers at the candidate angle, rear flippers on the terrain behind.
+    """Follow the terrain: front flippers along the ground ahead, rear ones along that behind.
 
-    Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the terrain that
-    was scanned; both pairs do so here, each with the largest angle to the inflated terrain.
+    Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
+    terrain. Both pairs do so here, each at the largest angle to the inflated terrain.
     """
 
-    near: float = Field(0.1, ge=0, le=1, description="nearest terrain, from the hinge [m]")
-    far: float = Field(0.45, gt=0, le=3, description="farthest terrain, from the hinge [m]")
+    near: float = Field(
+        0.1, ge=0, le=1, description="smallest distance of considered terrain from the hinge [m]"
+    )
+    far: float = Field(
+        0.45, gt=0, le=3, description="largest distance of considered terrain from the hinge [m]"
+    )
     rear_gain: float = Field(
         0.5,
         ge=-2,
         le=2,
-        description="share of the terrain angle behind that the rear flippers take; below 1 they "
-        "press the tail up while the chassis climbs [-]",
+        description="rear flipper angle as a fraction of the terrain angle behind the robot; "
+        "below 1 the rear flippers press the tail up while the chassis climbs [-]",
     )
 
     def act(self, p: Perception) -> int:
-        """One step towards both target angles; nothing within half an angle step."""
+        """Turn each pair one step towards its target; hold it within half an angle step of it."""
         front, rear = (
             candidate_angle(p.points, p.pitch, p.robot, near=self.near, far=self.far, rear=behind)
             for behind in (False, True)

@@ -1,12 +1,12 @@
-"""Actions drawn at random."""
+"""A controller that draws its actions at random."""
 
 from flipperctl.api import ACTIONS, Controller, Perception, controller
 
 
 @controller("random")
 class Random(Controller):
-    """Every action equally likely; the floor that any policy must beat."""
+    """Draw every action with equal probability; a lower bound that any policy should beat."""
 
     def act(self, p: Perception) -> int:
-        """Draws from the episode's generator."""
+        """Draw an action from the episode's generator."""
         return int(p.rng.integers(len(ACTIONS)))

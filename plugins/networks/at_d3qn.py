@@ -14,16 +14,20 @@ if TYPE_CHECKING:
 
 @network("at_d3qn")
 class AtD3qn(Network):
-    """AT-D3QN (paper Sec. III-E): terrain MLP → H′, joined with E by one layer → S′, dueling."""
+    """AT-D3QN (paper Sec. III-E): terrain MLP → H′, fused with E in one layer → S′, dueling."""
 
     terrain: tuple[PositiveInt, ...] = Field(
-        (64, 64), min_length=1, description="widths of the terrain layers; paper silent [-]"
+        (64, 64),
+        min_length=1,
+        description="widths of the terrain layers; not given in the paper [-]",
     )
-    fused: int = Field(128, ge=1, le=4096, description="width of S′; paper silent [-]")
-    head: int = Field(128, ge=1, le=4096, description="width in each head; paper silent [-]")
+    fused: int = Field(128, ge=1, le=4096, description="width of S′; not given in the paper [-]")
+    head: int = Field(
+        128, ge=1, le=4096, description="width of each head's layer; not given in the paper [-]"
+    )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling, Fusion, Normalise, perceptron

@@ -1,4 +1,4 @@
-"""Convolution over the terrain."""
+"""A network that convolves over the terrain bins."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
 
 @network("conv")
 class Conv(Network):
-    """AT-D3QN with 1-D convolutions for the terrain layers: an edge is an edge in any bin."""
+    """AT-D3QN with 1-D convolutions as terrain layers, which detect an edge alike in any bin."""
 
     channels: tuple[PositiveInt, ...] = Field(
         (16, 16), min_length=1, description="channels of the convolutions [-]"
     )
     reach: int = Field(
-        1, ge=0, le=7, description="bins to either side that a convolution takes in [-]"
+        1, ge=0, le=7, description="bins to either side that a convolution covers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
-    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import SLOPE, Dueling, Fusion, Normalise
 
         layers: list[nn.Module] = [nn.Unflatten(1, (1, layout.bins))]
-        for before, behind in pairwise((1, *self.channels)):
-            # Beyond the outermost bins the ground goes on as it is there.
+        for inputs, outputs in pairwise((1, *self.channels)):
+            # The padding continues the ground level beyond the outermost bins.
             layers += [
                 nn.ReplicationPad1d(self.reach),
-                nn.Conv1d(before, behind, 2 * self.reach + 1),
+                nn.Conv1d(inputs, outputs, 2 * self.reach + 1),
                 nn.LeakyReLU(SLOPE),
             ]
         terrain = nn.Sequential(*layers, nn.Flatten())

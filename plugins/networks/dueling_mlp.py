@@ -1,4 +1,4 @@
-"""Dueling heads without the fusion front end, for comparison."""
+"""A dueling network without the fusion front end, for comparison."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 
 @network("dueling_mlp")
 class DuelingMlp(Network):
-    """All N + 3 numbers through one perceptron into dueling heads (Wang et al. 2016)."""
+    """One perceptron over all N + 3 observations, with dueling heads (Wang et al. 2016)."""
 
     hidden: tuple[PositiveInt, ...] = Field(
         (128, 128), min_length=1, description="widths of the hidden layers [-]"
     )
-    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling, Normalise, perceptron

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 @network("mlp")
 class Mlp(Network):
-    """All N + 3 numbers through one perceptron to Q, as in the first DQN (Mnih et al. 2015)."""
+    """One perceptron from all N + 3 observations to Q, as in the first DQN (Mnih et al. 2015)."""
 
     hidden: tuple[PositiveInt, ...] = Field(
         (128, 128), min_length=1, description="widths of the hidden layers [-]"
     )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Normalise, perceptron

@@ -1,4 +1,4 @@
-"""torch modules that the built-in networks are made of; imported only inside ``build``."""
+"""torch modules that the built-in networks are composed of; imported only inside ``build``."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,14 +11,14 @@ from torch import nn
 from flipperctl.api import ObservationLayout
 
 SLOPE = 0.01
-"""Of the Leaky ReLU on the negative side."""
+"""Slope of the Leaky ReLU for negative inputs [-]."""
 
 Linear = Callable[[int, int], nn.Module]
-"""Makes a linear layer of so many inputs and outputs."""
+"""Builds a linear layer from its number of inputs and of outputs."""
 
 
 class Normalise(nn.Module):
-    """Divides each number by its typical magnitude, (B, F·(N + 3)) SI → the same of order one."""
+    """Divide each number of F observations in SI units by its typical magnitude, to order one."""
 
     scale: torch.Tensor
 
@@ -28,12 +28,12 @@ class Normalise(nn.Module):
         self.register_buffer("scale", scale)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, F·(N + 3)) → (B, F·(N + 3))."""
+        """Map (B, F·(N + 3)) in SI units to (B, F·(N + 3)) [-]."""
         return observation / self.scale
 
 
 def perceptron(sizes: Sequence[int], linear: Linear = nn.Linear) -> nn.Sequential:
-    """Linear layers of the given widths, each followed by a Leaky ReLU."""
+    """Return linear layers of the given widths, each followed by a Leaky ReLU."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
@@ -53,19 +53,19 @@ class Dueling(nn.Module):
         )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """(B, features) → (B, n_actions)."""
+        """Map features (B, features) to Q-values (B, n_actions)."""
         advantage = self.advantage(features)
         q: torch.Tensor = self.value(features) + advantage - advantage.mean(dim=1, keepdim=True)
         return q
 
 
 class DuelingQuantiles(nn.Module):
-    """Dueling heads for K quantiles of each action's return, behind a front end."""
+    """A front end followed by dueling heads for K quantiles of each action's return."""
 
     def __init__(
         self, front: nn.Module, features: int, hidden: int, n_actions: int, count: int
     ) -> None:
-        """``front``: (B, …) → (B, features); ``count``: K."""
+        """``front`` maps (B, …) to (B, features); ``count`` is K."""
         super().__init__()
         self.front = front
         self.value = nn.Sequential(perceptron((features, hidden)), nn.Linear(hidden, count))
@@ -76,7 +76,7 @@ class DuelingQuantiles(nn.Module):
         )
 
     def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, …) → (B, n_actions, K)."""
+        """Return the quantiles of each action's return, (B, n_actions, K)."""
         features = self.front(observation)
         advantage = self.advantage(features)
         value = self.value(features).unsqueeze(1)  # (B, 1, K)
@@ -84,12 +84,12 @@ class DuelingQuantiles(nn.Module):
         return z
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, …) → Q (B, n_actions), the means."""
+        """Return the Q-values (B, n_actions), which are the means of the quantiles."""
         return self.quantiles(observation).mean(dim=2)
 
 
 class Fusion(nn.Module):
-    """Terrain features joined with the robot's own angles (paper Fig. 4, left)."""
+    """Fuse terrain features with the robot's own angles in one layer (paper Fig. 4, left)."""
 
     def __init__(
         self,
@@ -99,21 +99,21 @@ class Fusion(nn.Module):
         fused: int,
         more: int = 0,
     ) -> None:
-        """``terrain``: (B, N) → (B, features); ``more`` numbers follow the robot's three."""
+        """``terrain`` maps (B, N) to (B, features); ``more`` inputs follow the robot's three."""
         super().__init__()
         self.bins = layout.bins
         self.terrain = terrain
         self.joined = perceptron((features + 3 + more, fused))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, N + 3 + more) → S′ (B, fused)."""
+        """Map (B, N + 3 + more) to S′ (B, fused)."""
         heights, robot = observation[:, : self.bins], observation[:, self.bins :]
         features: torch.Tensor = self.joined(torch.cat([self.terrain(heights), robot], dim=1))
         return features
 
 
 class NoisyLinear(nn.Module):
-    """A linear layer whose weights carry learnt, factorised Gaussian noise in ``train()`` mode.
+    """A linear layer whose weights have learnt, factorised Gaussian noise in ``train()`` mode.
 
     w = μ + σ · f(ε_out) f(ε_in)ᵀ with f(ε) = sign(ε) √|ε| (Fortunato et al. 2018, Eqs. 9 to 11).
     """
@@ -122,7 +122,7 @@ class NoisyLinear(nn.Module):
     noise_out: torch.Tensor
 
     def __init__(self, inputs: int, outputs: int, sigma: float = 0.5) -> None:
-        """``sigma``: σ₀, the noise at the start."""
+        """``sigma`` is σ₀: each σ starts at σ₀ / √inputs."""
         super().__init__()
         self.mean = nn.Linear(inputs, outputs)
         self.sigma = nn.Linear(inputs, outputs)
@@ -132,13 +132,13 @@ class NoisyLinear(nn.Module):
         self.register_buffer("noise_out", torch.randn(outputs), persistent=False)
 
     def draw_noise(self, rng: np.random.Generator) -> None:
-        """Take new noise."""
+        """Draw new noise from ``rng``."""
         for noise in (self.noise_in, self.noise_out):
             drawn = rng.standard_normal(len(noise), dtype=np.float32)
             noise.copy_(torch.from_numpy(np.copysign(np.sqrt(np.abs(drawn)), drawn)))
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """(B, inputs) → (B, outputs)."""
+        """Map (B, inputs) to (B, outputs)."""
         mean: torch.Tensor = self.mean(features)
         if not self.training:
             return mean
@@ -147,14 +147,14 @@ class NoisyLinear(nn.Module):
 
 
 class Motion(nn.Module):
-    """(B, F·n), oldest first → the newest n numbers and the F - 1 changes before, (B, F·n)."""
+    """Replace F stacked observations by the newest one and the F - 1 changes that led to it."""
 
     def __init__(self, frames: int) -> None:
         super().__init__()
         self.frames = frames
 
     def forward(self, stacked: torch.Tensor) -> torch.Tensor:
-        """(B, F·n) → (B, F·n)."""
+        """Map (B, F·n), oldest first, to (B, F·n): the newest n numbers, then the changes."""
         frames = stacked.view(-1, self.frames, stacked.shape[1] // self.frames)
         changes = frames[:, 1:] - frames[:, :-1]
         return torch.cat([frames[:, -1], changes.flatten(1)], dim=1)

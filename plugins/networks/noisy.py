@@ -1,4 +1,4 @@
-"""Exploration by learnt noise."""
+"""A network that explores by learnt noise."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ if TYPE_CHECKING:
 
 @network("noisy")
 class Noisy(Network):
-    """AT-D3QN with noisy heads (Fortunato et al. 2018); it explores with agent.epsilon_start=0."""
+    """AT-D3QN with noisy heads (Fortunato et al. 2018), which explore without ε-greedy actions.
+
+    Train it with ``agent.epsilon_start=0``.
+    """
 
     terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
-    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
     noise: float = Field(
-        0.5, gt=0, le=10, description="σ₀, deviation of the noise at the start, over √inputs [-]"
+        0.5, gt=0, le=10, description="σ₀; the noise starts with a deviation of σ₀ / √inputs [-]"
     )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import (

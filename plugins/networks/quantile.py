@@ -1,4 +1,4 @@
-"""The distribution of returns instead of its mean."""
+"""A network that learns the distribution of returns instead of its mean."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Quantile(Network):
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
-    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
-    quantiles: int = Field(32, ge=1, le=512, description="K, quantiles of an action [-]")
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
+    quantiles: int = Field(32, ge=1, le=512, description="K, number of quantiles per action [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observation (B, N + 3) → Q (B, n_actions)."""
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import (

@@ -1,4 +1,4 @@
-"""A memory of the last decisions."""
+"""A network that sees the last few observations at once."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ if TYPE_CHECKING:
 
 @network("stacked")
 class Stacked(Network):
-    """``at_d3qn`` that also sees how the newest observation came about: what moves, and what not.
+    """AT-D3QN over a window of observations, from which it can tell how the robot is moving.
 
-    The changes between the last observations join the robot's own angles behind the terrain layers.
+    The changes between the last observations enter the fusion layer with the robot's own angles.
     """
 
     window: int = Field(
-        3, ge=2, le=16, description="observations that are taken in at once, newest included [-]"
+        3, ge=2, le=16, description="number of observations seen at once, newest included [-]"
     )
     terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
     )
-    fused: int = Field(128, ge=1, le=4096, description="width behind the fusion [-]")
-    head: int = Field(128, ge=1, le=4096, description="width in each head [-]")
+    fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
 
     @property
     def frames(self) -> int:
-        """As many as the window holds."""
+        """Number of stacked observations, which is the window [-]."""
         return self.window
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Observations (B, window · (N + 3)), oldest first → Q (B, n_actions)."""
+        """Return a module that maps (B, window · (N + 3)), oldest first, to Q (B, n_actions)."""
         from torch import nn
 
         from .modules import (

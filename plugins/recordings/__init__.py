@@ -1,1 +1,1 @@
-"""Readers for ground that was recorded; they speak of no terrain and draw nothing."""
+"""Readers for recorded ground; they know no terrain plugin and use no randomness."""

@@ -1,6 +1,6 @@
-"""Headers that claim more than their file holds, found before memory is taken for it.
+"""Check that a file can hold what its header claims, before memory is allocated for it.
 
-In: the file of a point cloud. Out: how many points it holds, or an error.
+In: a point cloud file. Out: the number of its points, or an error.
 """
 
 from collections.abc import Iterator
@@ -9,17 +9,17 @@ from typing import BinaryIO
 
 _LONGEST_HEADER = 1000  # lines
 _LONGEST_LINE = 100_000  # bytes
-_MOST_COUNTS = 1000
-"""Numbers of a point; a point of PCL's has up to some hundred."""
-_LZF = 264
-"""No byte of LZF-compressed data stands for more than these."""
+_MAX_VALUES = 1000
+"""Largest number of values per point; PCL's own point types have a few hundred at most."""
+_LZF_MAX_RATIO = 264
+"""Largest number of bytes that one byte of LZF-compressed data can expand to."""
 
 
 def pcd_points(path: Path) -> int:
-    """The number of points that the header claims.
+    """Return the number of points in a PCD file's header.
 
     Raises:
-        ValueError: the file cannot hold them, or the header is wrong.
+        ValueError: the file cannot hold that many points, or the header is malformed.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -35,12 +35,12 @@ def pcd_points(path: Path) -> int:
         counts = _counts(header, "COUNT", len(sizes)) if "COUNT" in header else [1] * len(sizes)
         (points,) = _counts(header, "POINTS", 1)
         values = sum(counts)
-        if values > _MOST_COUNTS:
-            raise ValueError(f"a point has {values} numbers; {_MOST_COUNTS} are allowed")
+        if values > _MAX_VALUES:
+            raise ValueError(f"a point has {values} numbers; {_MAX_VALUES} are allowed")
         record = sum(width * count for width, count in zip(sizes, counts, strict=True))
         if data == "binary_compressed":
             packed, whole = (int.from_bytes(file.read(4), "little") for _ in range(2))
-            if packed > rest - 8 or whole > packed * _LZF or whole != points * record:
+            if packed > rest - 8 or whole > packed * _LZF_MAX_RATIO or whole != points * record:
                 raise ValueError(_claim(points, "points", size))
         elif points * (record if data == "binary" else 2 * values) > rest + 1:
             raise ValueError(_claim(points, "points", size))
@@ -48,10 +48,10 @@ def pcd_points(path: Path) -> int:
 
 
 def ply_vertices(path: Path) -> int:
-    """The number of vertices that the header claims.
+    """Return the number of vertices in a PLY file's header.
 
     Raises:
-        ValueError: the file cannot hold that many elements, or the header is wrong.
+        ValueError: the file cannot hold that many elements, or the header is malformed.
     """
     vertices = 0
     size = path.stat().st_size
@@ -69,7 +69,7 @@ def ply_vertices(path: Path) -> int:
 
 
 def _header(file: BinaryIO) -> Iterator[str]:
-    """The header's lines that hold anything but a comment."""
+    """Yield the header's lines, without blank lines and comments."""
     for _ in range(_LONGEST_HEADER):
         raw = file.readline(_LONGEST_LINE)
         if not raw:

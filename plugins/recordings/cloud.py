@@ -1,4 +1,4 @@
-"""Point clouds, and slices of them along a vertical plane.
+"""Point clouds, and slices through them along a vertical plane.
 
 In: PCD, PLY and XYZ files in any frame with an axis that points up. Out: heights along a line, in
 the frame with x and y level and z up.
@@ -24,11 +24,11 @@ LEVEL = {
     "-y": ("x", "z"),
     "-x": ("z", "y"),
 }
-"""For the file's axis that points up, its two that become x and y; both frames right-handed."""
+"""The file's axis that points up → its axes that become x and y; both frames right-handed."""
 
 
 def read_pcd(path: Path) -> FloatArray:
-    """The points of a PCD file (ASCII, binary or compressed), (P, 3) in the file's unit.
+    """Return the points of a PCD file (ASCII, binary or compressed), (P, 3) in the file's unit.
 
     Raises:
         ValueError: it holds fewer or more points than its header claims.
@@ -41,7 +41,7 @@ def read_pcd(path: Path) -> FloatArray:
 
 
 def read_ply(path: Path) -> FloatArray:
-    """The vertices of a PLY file (ASCII or binary), (P, 3) in the file's unit.
+    """Return the vertices of a PLY file (ASCII or binary), (P, 3) in the file's unit.
 
     Raises:
         ValueError: it holds fewer or more vertices than its header claims.
@@ -61,16 +61,20 @@ def _complete(points: FloatArray, claimed: int) -> FloatArray:
 
 
 def read_xyz(path: Path) -> FloatArray:
-    """The first three columns of a text file, (P, 3).
+    """Return the first three columns of a text file, (P, 3) in the file's unit.
 
-    They are parted by blanks or commas; by semicolons or blanks where the decimal sign is a comma.
+    Columns are separated by blanks or commas, or by semicolons or blanks where the decimal sign is
+    a comma.
+
+    Raises:
+        ValueError: the file is not text, or a line does not begin with three numbers.
     """
-    lines = (_with_points(line) for line in read_lines(path))
+    lines = (_with_decimal_points(line) for line in read_lines(path))
     return np.loadtxt(lines, usecols=(0, 1, 2), ndmin=2)
 
 
-def _with_points(line: str) -> str:
-    """The line with blanks between its columns and decimal points."""
+def _with_decimal_points(line: str) -> str:
+    """Return the line with blanks between its columns and with decimal points."""
     columns = line.replace(";", " ").split()
     if ";" in line or (len(columns) > 2 and all(map(_DECIMAL_COMMA.fullmatch, columns[:3]))):
         return " ".join(columns).replace(",", ".")
@@ -78,7 +82,7 @@ def _with_points(line: str) -> str:
 
 
 def upright(points: FloatArray, up: str) -> FloatArray:
-    """The points in a frame with z up, (P, 3), those that are not finite left out."""
+    """Return the finite points in a frame with z up, (P', 3) in the unit of ``points``."""
     sign = -1.0 if up.startswith("-") else 1.0
     first, second = ("xyz".index(axis) for axis in LEVEL[up])
     third = "xyz".index(up[-1])
@@ -89,10 +93,10 @@ def upright(points: FloatArray, up: str) -> FloatArray:
 def slice_along(
     points: FloatArray, line: Line, thickness: float, quantile: float, fewest: int
 ) -> FloatArray:
-    """Heights at the line's points, (D,) [m]; NaN where the slice is empty.
+    """Return the heights at the line's points, (D,) [m]; NaN where the slice is empty.
 
-    A height is the quantile of the points that are nearest to that place along the line and not
-    farther than half the ``thickness`` [m] beside it.
+    Each height is the quantile of those points of the slice that are nearest to its place along
+    the line. The slice reaches half the ``thickness`` [m] to either side of the line.
 
     Raises:
         ValueError: fewer than ``fewest`` points lie in the slice.

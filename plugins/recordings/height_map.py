@@ -1,7 +1,7 @@
-"""Height maps: a grid of heights and where its cells lie.
+"""Height maps: a grid of heights and the positions of its cells.
 
-In: NPY files, whose frame must be stated, and GeoTIFF files, which state it. Out: heights along a
-line. The frame: x and y level, z up [m].
+In: NPY files, whose frame must be stated, and GeoTIFF files, which contain it. Out: heights along
+a line, in a frame with x and y level and z up [m].
 """
 
 import warnings
@@ -18,27 +18,29 @@ from flipperctl.api import FloatArray
 from .line import Line
 
 Part = tuple[slice, slice]
-"""Rows and columns of a grid."""
-MOST_CELLS = 25_000_000
-"""Cells around a line that are read at once: 200 MB."""
+"""Ranges of rows and of columns of a grid."""
+MAX_CELLS = 25_000_000
+"""Largest number of cells around a line that are read at once, which take 200 MB."""
 
 
 @dataclass(frozen=True)
 class HeightMap:
-    """A grid of heights, of which only what a line needs is read."""
+    """A grid of heights, from which only the cells around a line are read."""
 
     shape: tuple[int, int]
-    """R rows and C columns"""
+    """Numbers of rows and of columns [-]."""
     to_cell: FloatArray
-    """(2, 3): (row, column) = to_cell · (x, y, 1); a cell's centre has whole numbers"""
+    """Affine map (2, 3): (row, column) = to_cell · (x, y, 1); integers are cell centres."""
     heights: Callable[[Part], FloatArray]
-    """Heights of a part of the grid [m], NaN where unknown"""
+    """Reads the heights of a part of the grid [m], NaN where unknown."""
 
     def along(self, line: Line) -> FloatArray:
-        """Heights at the line's points, between cells bilinear, (D,) [m]; NaN where unknown.
+        """Return the heights at the line's points, (D,) [m]; NaN where unknown.
+
+        Heights between cell centres are interpolated bilinearly.
 
         Raises:
-            ValueError: an end of the line lies outside of the map, or too much lies around it.
+            ValueError: an end of the line lies outside the map, or too many cells surround it.
         """
         cells = line.points @ self.to_cell[:, :2].T + self.to_cell[:, 2]  # (D, 2)
         last = np.array(self.shape) - 1
@@ -47,21 +49,21 @@ class HeightMap:
                 raise ValueError(f"{end} lies outside of the map, which covers {self._extent()}")
         cells = np.clip(cells, 0, last)
         low = np.minimum(cells.astype(int), np.maximum(last - 1, 0))
-        share = cells - low
+        fraction = cells - low  # (D, 2) position between two cell centres [-]
         first, end_cell = low.min(axis=0), np.minimum(low.max(axis=0) + 1, last)
-        if (count := int(np.prod(end_cell - first + 1))) > MOST_CELLS:
+        if (count := int(np.prod(end_cell - first + 1))) > MAX_CELLS:
             raise ValueError(
                 f"{count} cells lie around the line from {line.start} to {line.end}; "
-                f"{MOST_CELLS} are allowed: a line along rows or columns needs fewer"
+                f"{MAX_CELLS} are allowed: a line along rows or columns needs fewer"
             )
         part = slice(first[0], end_cell[0] + 1), slice(first[1], end_cell[1] + 1)
         heights = self.heights(part)
         total = np.zeros(len(cells))
         for row in (0, 1):
             for column in (0, 1):
-                weight = np.abs(1 - row - share[:, 0]) * np.abs(1 - column - share[:, 1])
+                weight = np.abs(1 - row - fraction[:, 0]) * np.abs(1 - column - fraction[:, 1])
                 at = np.minimum(low + np.array([row, column]), last) - first
-                # A cell that has no part in a height may be unknown.
+                # A cell of zero weight may be unknown (NaN).
                 total += np.where(weight > 1e-9, weight * heights[at[:, 0], at[:, 1]], 0.0)
         return total
 
@@ -74,15 +76,15 @@ class HeightMap:
 
 
 def read_npy(path: Path, resolution: float | None, unit: float, rows: int) -> HeightMap:
-    """A map whose cell [0, 0] lies at (0, 0); columns run along x, rows along y.
+    """Return a map whose cell [0, 0] lies at (0, 0), with columns along x and rows along y.
 
-    ``resolution`` is the size of a cell and ``unit`` that of the heights [m]; with ``rows`` of -1
-    they run against y, as in pictures.
+    ``resolution`` is the size of a cell [m] and ``unit`` the unit of the heights [m]. With ``rows``
+    of -1 the rows run against y, as in images.
 
     Raises:
-        ValueError: it is no grid of numbers, or the resolution is not stated.
+        ValueError: the file is not a grid of numbers, or the resolution is not stated.
     """
-    # A map of the file: a header that claims more than the file holds takes no memory.
+    # The file is memory-mapped: a header that claims more than it holds allocates no memory.
     grid = np.lib.format.open_memmap(path, mode="r")
     if grid.ndim != 2 or grid.dtype.kind not in "iuf" or min(grid.shape) < 2:
         raise ValueError(
@@ -97,10 +99,12 @@ def read_npy(path: Path, resolution: float | None, unit: float, rows: int) -> He
 
 
 def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -> HeightMap:
-    """The first band; the frame is the file's own, or stated as for NPY if it has none.
+    """Return a map of the file's first band, in the file's own frame.
+
+    A file without a frame needs a ``resolution`` [m], as an NPY file does.
 
     Raises:
-        ValueError: its coordinates are degrees, or the frame is stated twice or not at all.
+        ValueError: the coordinates are degrees, or the frame is stated twice or not at all.
     """
     with _opened(path) as file:
         shape, transform, crs = (file.height, file.width), file.transform, file.crs

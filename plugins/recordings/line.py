@@ -1,7 +1,7 @@
 """A straight line over the ground, and heights along it.
 
-The frame: x and y level, z up. A line runs from ``start`` to ``end`` in (x, y) [m]; distances are
-measured along it from ``start`` on.
+In the frame, x and y are level and z points up. A line runs from ``start`` to ``end`` in (x, y)
+[m]; distances are measured along it from ``start``.
 """
 
 from dataclasses import dataclass
@@ -13,16 +13,18 @@ from flipperctl.api import FloatArray
 
 @dataclass(frozen=True)
 class Line:
-    """Where the profile is taken."""
+    """The line over the ground along which a profile is sampled."""
 
     start: tuple[float, float]
+    """First point, (x, y) [m]."""
     end: tuple[float, float]
+    """Last point, (x, y) [m]."""
     spacing: float
-    """Distance between two heights [m]; the last one may be shorter."""
+    """Distance between two heights [m]; the last distance may be shorter."""
 
     @property
     def length(self) -> float:
-        """From start to end [m]."""
+        """Distance from start to end [m]."""
         return float(np.hypot(*np.subtract(self.end, self.start)))
 
     @property
@@ -32,20 +34,22 @@ class Line:
 
     @property
     def distances(self) -> FloatArray:
-        """Of the heights, both ends included, (D,) [m]."""
+        """Distances of the heights from the start, both ends included, (D,) [m]."""
         inner = np.arange(0.0, self.length - 1e-9, self.spacing)
         return np.append(inner, self.length)
 
     @property
     def points(self) -> FloatArray:
-        """Of the heights, (D, 2) in (x, y) [m]."""
+        """Positions of the heights, (D, 2) in (x, y) [m]."""
         return np.asarray(self.start) + self.distances[:, None] * self.direction
 
     def profile(self, heights: FloatArray, largest_gap: float) -> FloatArray:
-        """(V, 2) of distance and height [m] from (D,) heights, NaN where unknown.
+        """Return distance and height of each point, (D, 2) [m], from heights (D,) [m].
+
+        Unknown heights are NaN and are interpolated linearly, or continued to the line's ends.
 
         Raises:
-            ValueError: heights are unknown over more than ``largest_gap``, or at an end.
+            ValueError: heights are unknown over more than ``largest_gap`` [m].
         """
         distances = self.distances
         known = np.isfinite(heights)

@@ -1,4 +1,4 @@
-"""Profiles that are written down point by point."""
+"""Profiles that are stored as points in a CSV file."""
 
 import csv
 import math
@@ -11,25 +11,26 @@ from flipperctl.api import FloatArray
 from .text import read_lines
 
 _DELIMITERS = ";\t,"
-"""By rank: a comma may be the decimal sign where another one parts the columns."""
+"""In order of precedence: a comma may be the decimal sign if another one separates the columns."""
 _LARGE = 1 << 20
-"""A file from this size on is read by numpy's compiled reader first [bytes]."""
+"""Smallest size of a file that numpy's compiled reader tries to read first [bytes]."""
 
 
 def read_csv(path: Path) -> FloatArray:
-    """Columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
+    """Return columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
-    Columns are parted by commas, or by semicolons or tabs with decimal points or commas, as
+    Columns are separated by commas, or by semicolons or tabs with decimal points or commas, as
     spreadsheets write them.
 
     Raises:
-        ValueError: a column is missing, or a line holds no number or goes back in x.
+        ValueError: a column is missing, a value is not a number, x decreases, or there are fewer
+            than two points.
     """
     if path.stat().st_size >= _LARGE and (fast := _compiled(path)) is not None:
         return fast
     lines = read_lines(path)
     first = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    if lines and lines[first].lower().startswith("sep="):  # what some spreadsheets begin with
+    if lines and lines[first].lower().startswith("sep="):  # some spreadsheets write this line first
         first += 1
     header = lines[first] if first < len(lines) else ""
     delimiter = next((sign for sign in _DELIMITERS if sign in header), ",")
@@ -44,7 +45,7 @@ def read_csv(path: Path) -> FloatArray:
     points: list[tuple[float, float]] = []
     for number, row in enumerate(rows[1:], start=first + 2):
         if not any(text.strip() for text in row):
-            continue  # spreadsheets leave such lines behind
+            continue  # spreadsheets write such lines at the end
         if len(row) > len(columns) and any(text.strip() for text in row[len(columns) :]):
             raise ValueError(
                 f"line {number}: it has {len(row)} values for {len(columns)} columns; where the "
@@ -66,7 +67,7 @@ def read_csv(path: Path) -> FloatArray:
 
 
 def _number(text: str, delimiter: str) -> float:
-    """The number that is written, or NaN."""
+    """Return the number that ``text`` spells, or NaN."""
     if delimiter != "," and "." not in text:
         text = text.replace(",", ".")
     try:
@@ -76,9 +77,10 @@ def _number(text: str, delimiter: str) -> float:
 
 
 def _compiled(path: Path) -> FloatArray | None:
-    """Return what ``read_csv`` does, or None where only it can read the file or say what is wrong.
+    """Return the result of ``read_csv`` for a plain table, or None where that must read the file.
 
-    It reads plain tables only, of which it needs a fifth of the time and a tenth of the memory.
+    For plain tables this takes a fifth of the time and a tenth of the memory. Faulty files give
+    None, so that ``read_csv`` names their first wrong line.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:

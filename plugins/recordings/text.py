@@ -1,4 +1,4 @@
-"""Text files of any origin: byte order marks, Windows' encodings and line ends.
+"""Text files of any origin, with byte order marks, Windows encodings and any line ends.
 
 In: a file. Out: its lines.
 """
@@ -9,12 +9,13 @@ _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf
 
 
 def read_lines(path: Path) -> list[str]:
-    """The file's lines without their ends.
+    """Return the file's lines without their ends.
 
-    Without a byte order mark it is UTF-8 or, as spreadsheets write it, Windows-1252.
+    A file without a byte order mark is read as UTF-8 or else as Windows-1252, which spreadsheets
+    write.
 
     Raises:
-        ValueError: it is no text.
+        ValueError: the file is not text.
     """
     data = path.read_bytes()
     encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)

@@ -1,4 +1,4 @@
-"""Built-in reward terms: the paper's three, and a library to compose others from."""
+"""Built-in reward terms: the paper's three, and further ones to compose rewards from."""
 
 from . import (
     clearance,

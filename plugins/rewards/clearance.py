@@ -1,4 +1,4 @@
-"""Clearance under the chassis."""
+"""Reward for clearance under the chassis."""
 
 import math
 from typing import ClassVar
@@ -11,22 +11,22 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("clearance")
 class Clearance(RewardTerm):
-    """The gap between the chassis' underside and what stands up between the hinges.
+    """Penalise a small gap between the chassis' underside and bumps between the hinges.
 
-    A tracked chassis may lie flat on level ground; it is an edge under its middle that it hangs on
-    and tips over. So, as for a vehicle's breakover angle, only ground that rises above the straight
-    line between the ground below the two hinges counts. That takes in the noses of a stair, which
-    the tracks climb: there the term asks the flippers to carry the chassis.
+    A tracked chassis may lie flat on level ground, but it gets caught and tips on an edge under its
+    middle. As for a vehicle's breakover angle, a bump is therefore ground that rises above the
+    straight line between the ground points below the two hinges. The noses of a stair, which the
+    tracks climb, are bumps too: on stairs the term asks the flippers to carry the chassis.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    enough: float = Field(0.05, gt=0, le=1, description="gap from which nothing is paid [m]")
+    enough: float = Field(0.05, gt=0, le=1, description="gap from which there is no penalty [m]")
     bump: float = Field(
-        0.02, ge=0, le=1, description="rise above the line between the hinges that is free [m]"
+        0.02, ge=0, le=1, description="smallest rise above the line between the hinges [m]"
     )
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; -1 where the underside touches a bump, 0 without one."""
+        """Return the reward in [-1, 0]: -1 if the underside touches a bump, 0 without a bump."""
         cos, sin = math.cos(t.after.pitch), math.sin(t.after.pitch)
         (x, z), half = t.after.position, t.robot.hinge_offset * cos
         ground = t.profile.around(float(x), half)  # (P, 2) [m]

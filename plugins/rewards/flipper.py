@@ -10,25 +10,30 @@ from flipperctl.api import RewardTerm, Transition, candidate_angle, reward
 
 @reward("flipper")
 class Flipper(RewardTerm):
-    """R_flipper (paper Eq. 4): the front flippers follow the candidate angle."""
+    """R_flipper (paper Eq. 4): penalise front flippers that deviate from the candidate angle."""
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_1: float = Field(1.0, gt=0, le=100, description="slope of the penalty [1/rad]")
     tolerance: float = Field(
-        math.pi / 36, ge=0, le=1, description="deviation from the candidate that is free [rad]"
+        math.pi / 36, ge=0, le=1, description="deviation up to which there is no penalty [rad]"
     )
     near: float = Field(
-        0.1, ge=0, le=1, description="nearest terrain that counts, from the hinge; paper silent [m]"
+        0.1,
+        ge=0,
+        le=1,
+        description="smallest distance of considered terrain from the hinge; not given in the "
+        "paper [m]",
     )
     far: float = Field(
         0.45,
         gt=0,
         le=3,
-        description="farthest terrain that counts, from the hinge; paper silent [m]",
+        description="largest distance of considered terrain from the hinge; not given in the "
+        "paper [m]",
     )
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; -1 where the deviation exceeds 1/λ1."""
+        """Return the reward in [-1, 0]: -1 if the deviation exceeds the tolerance by 1/λ1."""
         x = float(t.after.position[0])
         reach = t.robot.hinge_offset + self.far + t.robot.track_radius
         points = t.profile.around(x, reach) - t.after.position

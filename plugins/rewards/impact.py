@@ -1,4 +1,4 @@
-"""Impacts."""
+"""Reward against impacts."""
 
 from typing import ClassVar
 
@@ -10,20 +10,21 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("impact")
 class Impact(RewardTerm):
-    """The largest vertical acceleration of the chassis' centre within the decision.
+    """Penalise the largest vertical acceleration of the chassis' centre during the decision.
 
-    Differences at 100 Hz of the vertical velocity: before the decision, its mean over each sample,
-    and behind it, so that no blow falls between two decisions.
+    The acceleration is the difference at 100 Hz of the vertical velocity: that before the decision,
+    the mean over each sample period, and that after the decision. Thus no impact falls between two
+    decisions.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    tolerance: float = Field(5.0, ge=0, le=1000, description="acceleration that is free [m/s²]")
+    tolerance: float = Field(5.0, ge=0, le=1000, description="acceleration without penalty [m/s²]")
     worst: float = Field(
-        30.0, gt=0, le=10_000, description="acceleration beyond the free one that costs 1 [m/s²]"
+        30.0, gt=0, le=10_000, description="excess over the tolerance that costs 1 [m/s²]"
     )
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; 0 without a path."""
+        """Return the reward in [-1, 0]: 0 for a transition without a path."""
         if len(t.path) < 2:
             return 0.0
         rise = np.diff(t.path[:, 1]) / t.sample_period  # (S,) [m/s]

@@ -11,18 +11,21 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("pitch")
 class Pitch(RewardTerm):
-    """R_pitch (paper Eq. 6): the chassis swings little, and least of all when it is steep.
+    """R_pitch (paper Eq. 6): penalise the swing of the chassis, most of all at a steep pitch.
 
-    The paper averages over the k decisions that follow; the swing is averaged here over the last
-    k pitches, which a reward paid at once can know.
+    The paper averages the swing over the next k decisions. Here it is averaged over the last k
+    pitches, which are known when the reward is paid.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_2: float = Field(8.0, gt=0, le=1000, description="slope of the penalty [1/rad]")
-    window: int = Field(3, ge=2, le=100, description="k, pitches averaged over; paper silent [-]")
+    window: int = Field(3, ge=2, le=100, description="k, last pitches; not given in the paper [-]")
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; -1 where the mean swing exceeds 1/λ2, or beyond π/4 and still rising."""
+        """Return the reward in [-1, 0].
+
+        It is -1 if the mean swing exceeds 1/λ2, or if the pitch is beyond ±π/4 and still growing.
+        """
         rising = abs(t.after.pitch) > abs(t.before.pitch)
         if abs(t.after.pitch) > math.pi / 4 and rising:
             return -1.0

@@ -1,4 +1,4 @@
-"""The way forward."""
+"""Reward for distance gained."""
 
 from typing import ClassVar
 
@@ -9,18 +9,18 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("progress")
 class Progress(RewardTerm):
-    """The chassis' way forward; backwards costs as much as forwards pays.
+    """Reward the distance that the chassis moves forward; penalise moving back alike.
 
-    The sum over a crossing is its length, whatever its speed. It competes with the other terms;
-    ``shaped_progress`` only points the way.
+    The sum over a crossing is proportional to its length and does not depend on the speed. This
+    term changes which policy is optimal; ``shaped_progress`` does not.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)
     distance: float = Field(
-        0.2, gt=0.01, le=10, description="way of one decision that pays 1, and no more [m]"
+        0.2, gt=0.01, le=10, description="distance per decision that pays 1, the most [m]"
     )
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 1]."""
-        way = float(t.after.position[0] - t.before.position[0])
-        return max(-1.0, min(1.0, way / self.distance))
+        """Return the reward in [-1, 1]."""
+        moved = float(t.after.position[0] - t.before.position[0])  # [m]
+        return max(-1.0, min(1.0, moved / self.distance))

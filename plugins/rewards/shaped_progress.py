@@ -1,4 +1,4 @@
-"""The way forward as a potential."""
+"""Potential-based shaping by distance."""
 
 from typing import ClassVar
 
@@ -9,14 +9,17 @@ from flipperctl.api import Profile, RobotGeometry, RobotState, Shaping, reward
 
 @reward("shaped_progress")
 class ShapedProgress(Shaping):
-    """Potential-based shaping by the distance to the last edge: it guides, and biases nothing."""
+    """Potential-based shaping by the distance to the last edge; changes no optimal policy."""
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)
     distance: float = Field(
-        10.0, gt=0.1, le=1000, description="Φ falls to -1 over this, and no further [m]"
+        10.0,
+        gt=0.1,
+        le=1000,
+        description="distance to the last edge at and beyond which Φ = -1 [m]",
     )
 
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
-        """From 0 behind the last edge to -1."""
+        """Return Φ in [-1, 0]: 0 past the last edge, falling linearly with the distance to it."""
         left = profile.end - float(state.position[0])
         return -max(0.0, min(1.0, left / self.distance))

@@ -1,4 +1,4 @@
-"""Action smoothness."""
+"""Reward for smooth actions."""
 
 from typing import ClassVar
 
@@ -7,15 +7,15 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("smoothness")
 class Smoothness(RewardTerm):
-    """How much the action differs from the one before: a pair that stops costs half a reversal.
+    """Penalise the change from the previous action; stopping costs half as much as reversing.
 
-    The first-order smoothness of actions in time, as in Mysore et al. 2021 ("Regularizing Action
-    Policies for Smooth Control with Reinforcement Learning"), here as a reward.
+    This is the first-order temporal smoothness of Mysore et al. 2021 ("Regularizing Action Policies
+    for Smooth Control with Reinforcement Learning"), as a reward.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; -1 where both pairs reverse."""
+        """Return the reward in [-1, 0]: -1 if both pairs reverse."""
         pairs = zip(t.action, t.previous_action, strict=True)
         return -sum(abs(now - before) for now, before in pairs) / 4

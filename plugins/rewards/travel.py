@@ -1,4 +1,4 @@
-"""Flipper travel."""
+"""Reward against flipper travel."""
 
 from typing import ClassVar
 
@@ -7,15 +7,15 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("travel")
 class Travel(RewardTerm):
-    """The angle that both flipper pairs turned: wear, and most of the energy that a policy spends.
+    """Penalise the angle by which both flipper pairs turn, which costs wear and energy.
 
-    It counts what the flippers did, not what they were told: a command beyond the reach costs
-    nothing, being pushed by the ground does.
+    The term measures the motion, not the command: a command beyond the angle limit costs nothing,
+    while a flipper that the ground pushes away does.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
 
     def __call__(self, t: Transition) -> float:
-        """In [-1, 0]; -1 where both pairs turned by a whole step or more."""
+        """Return the reward in [-1, 0]: -1 if the pairs turned by two whole steps in total."""
         turned = abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear)
         return -min(1.0, turned / (2 * t.robot.angle_step))

@@ -1,4 +1,4 @@
-"""Stairs as buildings have them, from comfortable to steep."""
+"""Stairs with the proportions of buildings, from comfortable to steep."""
 
 import math
 from typing import Literal
@@ -14,11 +14,11 @@ from .flight import flight
 
 @terrain("building_stair")
 class BuildingStair(DrawnRow):
-    """Flights of 20–45° in the proportions of buildings; ``stair`` has the paper's.
+    """Flights of 20–45° in the proportions of buildings; ``stair`` has those of the paper.
 
-    Slope and stride are drawn, the step follows: by the rule that builders go by since Blondel
-    (1675), two rises and a tread make a stride. So 30° at 0.63 m is a rise of 0.169 m on a tread of
-    0.292 m, and 45° is 0.21 m on 0.21 m.
+    Slope and stride are drawn. Rise and tread follow from Blondel's rule (1675) that two rises and
+    a tread make a stride. Thus 30° and 0.63 m give a rise of 0.169 m and a tread of 0.292 m, and
+    45° gives 0.21 m and 0.21 m.
     """
 
     slope_low: float = Field(20.0, ge=5, le=60, description="smallest slope [°]")
@@ -28,11 +28,11 @@ class BuildingStair(DrawnRow):
     fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
     most: int = Field(6, ge=1, le=50, description="largest number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
-        "both", description="way of the flight; both draws one [-]"
+        "both", description="direction of the flight; both draws one each episode [-]"
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Vertical faces with treads between them."""
+        """Return vertical faces with treads between them."""
         slope, stride = math.tan(math.radians(self.draw(rng, "slope"))), self.draw(rng, "stride")
         tread = stride / (1 + 2 * slope)
         steps = self.draw_count(rng)

@@ -1,4 +1,4 @@
-"""What the terrains share that are made of other terrains."""
+"""Base class of the terrains that are made of other terrains."""
 
 from typing import Self
 
@@ -6,7 +6,7 @@ from flipperctl.api import Terrain
 
 
 class Combinator(Terrain):
-    """Hands the difficulty on to the terrains in its fields; all are at the same one."""
+    """Pass the difficulty on to the terrains in the fields; all have the same difficulty."""
 
     def _inner(self) -> dict[str, Terrain | tuple[Terrain, ...]]:
         values = {name: getattr(self, name) for name in type(self).model_fields}
@@ -23,16 +23,16 @@ class Combinator(Terrain):
 
     @property
     def first_difficulty(self) -> float:
-        """The least of the terrains' own."""
+        """Smallest first difficulty of the inner terrains [-]."""
         return min(part.first_difficulty for part in self._terrains())
 
     def next_difficulty(self, difficulty: float, reached: bool) -> float:
-        """As the first terrain says that changes it."""
-        said = [part.next_difficulty(difficulty, reached) for part in self._terrains()]
-        return next((value for value in said if value != difficulty), difficulty)
+        """Return the next difficulty of the first inner terrain that changes it."""
+        following = [part.next_difficulty(difficulty, reached) for part in self._terrains()]
+        return next((value for value in following if value != difficulty), difficulty)
 
     def at(self, difficulty: float) -> Self:
-        """The same of the terrains at this difficulty."""
+        """Return this terrain with every inner terrain configured for ``difficulty``."""
         inner = {
             name: tuple(part.at(difficulty) for part in value)
             if isinstance(value, tuple)

@@ -12,7 +12,7 @@ from .drawn import Drawn
 
 @terrain("curb_and_ramp")
 class CurbAndRamp(Drawn):
-    """Up a curb, along the pavement, down a ramp; or the other way, drawn each episode."""
+    """A curb up, a pavement and a ramp down, or the reverse, as drawn each episode."""
 
     height_low: float = Field(0.1, gt=0, le=0.8, description="lowest curb [m]")
     height_high: float = Field(0.4, gt=0, le=0.8, description="highest curb [m]")
@@ -22,7 +22,7 @@ class CurbAndRamp(Drawn):
     width_high: float = Field(1.5, gt=0, le=20, description="widest pavement [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Four points."""
+        """Return four points."""
         height, width = self.draw(rng, "height"), self.draw(rng, "width")
         run = height / math.tan(math.radians(self.draw(rng, "slope")))
         if rng.integers(2):

@@ -1,4 +1,4 @@
-"""A terrain that grows harder as the robot succeeds."""
+"""A terrain that becomes harder as the robot succeeds."""
 
 from typing import Any, Self
 
@@ -12,11 +12,11 @@ from .step import Step
 
 @terrain("curriculum")
 class Curriculum(Terrain):
-    """In training, goes from an easy to a hard version of a terrain with each success.
+    """In training, move from an easy to a hard version of a terrain with each success.
 
-    Every number lies between its two values, at the share that the difficulty says; validation
-    and evaluation meet the hard version. The steps settle where the success rate is
-    down / (up + down): 75 % at the defaults. ``metrics.csv`` has each episode's difficulty.
+    Every number is interpolated linearly between its easy and its hard value by the difficulty;
+    validation and evaluation use the hard version. The difficulty settles where the success rate
+    is down / (up + down), 75 % at the defaults. ``metrics.csv`` has each episode's difficulty.
     """
 
     easy: AnyTerrain = Field(
@@ -26,8 +26,8 @@ class Curriculum(Terrain):
         Step(), description="the same terrain at difficulty 1; only numbers may differ [-]"
     )
     start: float = Field(0.0, ge=0, le=1, description="difficulty of the first episode [-]")
-    up: float = Field(0.01, ge=0, le=1, description="added after an episode that succeeds [-]")
-    down: float = Field(0.03, ge=0, le=1, description="taken off after one that fails [-]")
+    up: float = Field(0.01, ge=0, le=1, description="increase of difficulty after a success [-]")
+    down: float = Field(0.03, ge=0, le=1, description="decrease of difficulty after a failure [-]")
 
     @model_validator(mode="after")
     def _alike(self) -> Self:
@@ -36,15 +36,15 @@ class Curriculum(Terrain):
 
     @property
     def first_difficulty(self) -> float:
-        """The start."""
+        """Difficulty of the first episode [-]."""
         return self.start
 
     def next_difficulty(self, difficulty: float, reached: bool) -> float:
-        """Up or down a step, within 0 and 1."""
+        """Return the difficulty one step up after a success, or down, within 0 and 1."""
         return min(1.0, max(0.0, difficulty + (self.up if reached else -self.down)))
 
     def at(self, difficulty: float) -> Terrain:
-        """The terrain between easy and hard.
+        """Return the terrain between easy and hard.
 
         Raises:
             ValueError: the difficulty is not within 0 and 1.
@@ -55,25 +55,26 @@ class Curriculum(Terrain):
         return between
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """The hard version's."""
+        """Return a profile of the hard version."""
         return self.hard.labelled(rng)
 
 
-def _between(easy: Any, hard: Any, share: float, where: str) -> Any:
-    """``easy`` at a share of 0 and ``hard`` at 1; whole numbers stay whole."""
+def _between(easy: Any, hard: Any, fraction: float, where: str) -> Any:
+    """Interpolate from ``easy`` (fraction 0) to ``hard`` (fraction 1); integers stay integers."""
     if easy == hard:
         return hard
     if type(easy) is type(hard) and isinstance(easy, Plugin):
         fields = type(easy).model_fields
         values = {
-            f: _between(getattr(easy, f), getattr(hard, f), share, f"{where}.{f}") for f in fields
+            f: _between(getattr(easy, f), getattr(hard, f), fraction, f"{where}.{f}")
+            for f in fields
         }
         return type(easy)(**values)
     if isinstance(easy, tuple) and isinstance(hard, tuple) and len(easy) == len(hard):
         pairs = enumerate(zip(easy, hard, strict=True))
-        return tuple(_between(a, b, share, f"{where}.{i}") for i, (a, b) in pairs)
+        return tuple(_between(a, b, fraction, f"{where}.{i}") for i, (a, b) in pairs)
     if type(easy) is type(hard) and isinstance(easy, int | float) and not isinstance(easy, bool):
-        value = easy * (1 - share) + hard * share
+        value = easy * (1 - fraction) + hard * fraction
         return round(value) if isinstance(easy, int) else value
     raise ValueError(
         f"only numbers may differ between easy and hard; {where} is {_shown(easy)} and "

@@ -1,4 +1,4 @@
-"""What the terrains share that draw their sizes anew each episode."""
+"""Base classes of the terrains that draw their sizes anew each episode."""
 
 from typing import Self
 
@@ -9,7 +9,7 @@ from flipperctl.api import Terrain
 
 
 class Drawn(Terrain):
-    """Draws a quantity uniformly between its fields ``<quantity>_low`` and ``<quantity>_high``."""
+    """Draw a quantity uniformly between its fields ``<quantity>_low`` and ``<quantity>_high``."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -24,17 +24,17 @@ class Drawn(Terrain):
         return self
 
     def draw(self, rng: np.random.Generator, quantity: str) -> float:
-        """A value of the quantity, in the unit of its fields."""
+        """Draw a value of the quantity, in the unit of its fields."""
         low, high = getattr(self, f"{quantity}_low"), getattr(self, f"{quantity}_high")
         return float(rng.uniform(low, high))
 
 
 class DrawnRow(Drawn):
-    """Draws also of how many parts it is made."""
+    """Draw also the number of parts in a row."""
 
     fewest: int = Field(2, ge=1, le=50, description="smallest number of parts [-]")
     most: int = Field(4, ge=1, le=50, description="largest number of parts [-]")
 
     def draw_count(self, rng: np.random.Generator) -> int:
-        """From ``fewest`` to ``most``."""
+        """Draw the number of parts, from ``fewest`` to ``most``."""
         return int(rng.integers(self.fewest, self.most + 1))

@@ -2,9 +2,9 @@
 
 
 def flight(x: float, z: float, steps: int, tread: float, rise: float) -> list[tuple[float, float]]:
-    """Two points a step: (x, z), where a vertical face begins the flight, to its last edge [m].
+    """Return two points (x, z) per step [m], from the foot of the first face to the last edge.
 
-    ``rise`` below zero leads down.
+    The flight begins at (x, z) with a vertical face; a negative ``rise`` leads down.
     """
     points = []
     for step in range(steps):

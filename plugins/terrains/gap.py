@@ -1,4 +1,4 @@
-"""A trench across the way."""
+"""A trench across the track."""
 
 import numpy as np
 from pydantic import Field
@@ -10,7 +10,7 @@ from .drawn import Drawn
 
 @terrain("gap")
 class Gap(Drawn):
-    """A trench with vertical walls, narrower than the robot with its flippers laid out."""
+    """A trench with vertical walls, narrower than the robot with level flippers is long."""
 
     width_low: float = Field(0.3, gt=0, le=3, description="narrowest trench [m]")
     width_high: float = Field(0.8, gt=0, le=3, description="widest trench [m]")
@@ -18,6 +18,6 @@ class Gap(Drawn):
     depth_high: float = Field(0.5, gt=0, le=3, description="deepest trench [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Down and up again."""
+        """Return four points: down one wall and up the other."""
         width, depth = self.draw(rng, "width"), self.draw(rng, "depth")
         return Profile([(0.0, 0.0), (0.0, -depth), (width, -depth), (width, 0.0)])

@@ -1,4 +1,4 @@
-"""A terrain the other way round."""
+"""A terrain in the reverse direction."""
 
 import numpy as np
 from pydantic import Field
@@ -11,18 +11,18 @@ from .curb_and_ramp import CurbAndRamp
 
 @terrain("mirror")
 class Mirror(Combinator):
-    """Another terrain, driven from its end to its start."""
+    """Another terrain, crossed from its end to its start."""
 
     terrain: AnyTerrain = Field(
         CurbAndRamp(),
         description="the terrain: a name, or a mapping with a name and fields [-]",
     )
     probability: float = Field(
-        1.0, ge=0, le=1, description="share of the episodes that are turned round [-]"
+        1.0, ge=0, le=1, description="probability that an episode's terrain is reversed [-]"
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """The points in reverse, from x and z of 0 on; the label stays."""
+        """Return the points in reverse order, beginning at (0, 0), with the same label."""
         profile = self.terrain.labelled(rng)
         if rng.random() >= self.probability:
             return profile

@@ -1,4 +1,4 @@
-"""One of several terrains."""
+"""A random choice among several terrains."""
 
 from typing import Self
 
@@ -14,7 +14,7 @@ from .step import Step
 
 @terrain("mix")
 class Mix(Combinator):
-    """Draws one of several terrains each episode; the episode's row says which."""
+    """Draw one of several terrains each episode, which the episode's row names."""
 
     parts: tuple[AnyTerrain, ...] = Field(
         (Step(), Stair()),
@@ -22,7 +22,7 @@ class Mix(Combinator):
         description="the terrains: names, or mappings with a name and fields [-]",
     )
     weights: tuple[float, ...] = Field(
-        (), description="relative frequency of each part; none: all alike [-]"
+        (), description="relative frequency of each part; equal for all if empty [-]"
     )
 
     @model_validator(mode="after")
@@ -36,7 +36,7 @@ class Mix(Combinator):
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """The part's profile, labelled with what was drawn."""
+        """Return the profile of the drawn part, with that part's label."""
         weights = np.array(self.weights or [1.0] * len(self.parts))
         part = self.parts[int(rng.choice(len(self.parts), p=weights / weights.sum()))]
         return part.labelled(rng)

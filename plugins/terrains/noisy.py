@@ -13,7 +13,7 @@ from .stair import Stair
 
 @terrain("noisy")
 class Noisy(Combinator):
-    """Another terrain with a rough surface; vertical faces stay vertical and as high."""
+    """Another terrain with a rough surface; vertical faces keep their direction and height."""
 
     terrain: AnyTerrain = Field(
         Stair(),
@@ -26,11 +26,11 @@ class Noisy(Combinator):
         0.1, ge=0.02, le=5, description="distance between independent heights of the surface [m]"
     )
     margin: float = Field(
-        0.5, ge=0, le=5, description="rough ground before and behind the terrain [m]"
+        0.5, ge=0, le=5, description="length of rough ground before and past the terrain [m]"
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """The surface, and straight lines between random heights one correlation apart."""
+        """Return the surface plus linearly interpolated noise, drawn every ``correlation`` [m]."""
         profile = self.terrain.labelled(rng)
         line = profile.extended(self.margin, self.margin)
         knots = np.arange(line[0, 0], line[-1, 0] + self.correlation, self.correlation)
@@ -41,7 +41,7 @@ class Noisy(Combinator):
 
 
 def _with_knots(line: FloatArray, knots: FloatArray) -> FloatArray:
-    """The polyline with further points at those x that lie within its segments, (V', 2) [m]."""
+    """Return the polyline with points added at every knot within a segment, (V', 2) [m]."""
     pieces = []
     for (x0, z0), (x1, z1) in pairwise(line):
         inner = knots[(knots > x0) & (knots < x1)]

@@ -11,11 +11,11 @@ from .step import Step
 class PaperStep(Step):
     """Step 0.4 m up, 3 m of platform, 0.4 m down; 5 m with the margins (paper Tab. I)."""
 
-    low: float = Field(0.4, ge=-1, le=1, description="smallest height, negative is down [m]")
+    low: float = Field(0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     platform: float = Field(
         3.0,
         ge=0,
         le=20,
-        description="length of the ground behind the step, before the way back [m]",
+        description="length of the platform after the first step [m]",
     )
-    back: bool = Field(True, description="whether a second step leads back to the level [-]")
+    back: bool = Field(True, description="whether a second step leads back to ground level [-]")

@@ -12,20 +12,20 @@ from .drawn import DrawnRow
 class Plum(DrawnRow):
     """Plum-blossom piles in profile: posts of unequal height (sizes: FTR-Bench's plum piles).
 
-    The gaps between the posts reach down to the ground.
+    The gaps between the piles reach down to the ground.
     """
 
     height_low: float = Field(0.2, gt=0, le=1, description="lowest pile [m]")
     height_high: float = Field(0.5, gt=0, le=1, description="highest pile [m]")
     width_low: float = Field(0.2, gt=0, le=5, description="thinnest pile [m]")
     width_high: float = Field(0.5, gt=0, le=5, description="thickest pile [m]")
-    clearance_low: float = Field(0.1, gt=0, le=5, description="smallest gap between two [m]")
-    clearance_high: float = Field(0.3, gt=0, le=5, description="largest gap between two [m]")
+    clearance_low: float = Field(0.1, gt=0, le=5, description="smallest gap between two piles [m]")
+    clearance_high: float = Field(0.3, gt=0, le=5, description="largest gap between two piles [m]")
     fewest: int = Field(3, ge=1, le=50, description="smallest number of piles [-]")
     most: int = Field(6, ge=1, le=50, description="largest number of piles [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Four points a pile."""
+        """Return four points per pile."""
         x, points = 0.0, list[tuple[float, float]]()
         for _ in range(self.draw_count(rng)):
             height, end = self.draw(rng, "height"), x + self.draw(rng, "width")

@@ -1,4 +1,4 @@
-"""Ground that was recorded: a profile, a height map or a point cloud from a file."""
+"""Recorded ground: a profile, a height map or a point cloud from a file."""
 
 import logging
 import math
@@ -22,14 +22,15 @@ MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_m
 CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
 SUFFIXES = (".csv", *MAPS, *CLOUDS)
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
-FEWEST = 10  # points of a slice
-
-LARGEST = 10_000.0  # metres; farther apart, it is rather the unit that is wrong
+MIN_POINTS = 10
+"""Smallest number of points in a slice through a cloud [-]."""
+MAX_LENGTH = 10_000.0
+"""Largest extent of a profile [m]; a larger one suggests a wrong unit."""
 
 
 @terrain("profile_file")
 class ProfileFile(Terrain):
-    """The same recorded ground each episode; the file's suffix says what it is.
+    """The same recorded ground each episode; the file's suffix determines its format.
 
     ``.csv``: columns x (forward) and z (up), x never decreasing.
     ``.npy``, ``.tif``: a height map; the profile is taken along the line from ``start`` to ``end``.
@@ -38,10 +39,10 @@ class ProfileFile(Terrain):
     """
 
     path: str | None = Field(
-        None, description="the file; null is a small example that comes along [-]"
+        None, description="file to read; null is a small example that is included [-]"
     )
     unit: Literal["m", "cm", "mm", "ft"] = Field(
-        "m", description="unit of the file's coordinates; of a map, that of its heights [-]"
+        "m", description="unit of the file's coordinates; for a map, of its heights only [-]"
     )
     start: tuple[float, float] | None = Field(
         None, description="x and y at which the line over a map or through a cloud begins [m]"
@@ -53,26 +54,26 @@ class ProfileFile(Terrain):
         0.02, ge=0.005, le=0.5, description="distance between two heights on the line [m]"
     )
     largest_gap: float = Field(
-        0.2, ge=0, le=5, description="longest stretch without a height that is bridged [m]"
+        0.2, ge=0, le=5, description="longest distance without a height that is interpolated [m]"
     )
     resolution: float | None = Field(
-        None, gt=0, le=10, description="size of a map's cells, where the file does not say it [m]"
+        None, gt=0, le=10, description="size of a map's cells, if the file does not contain it [m]"
     )
     rows: Literal["+y", "-y"] = Field(
         "+y",
-        description="way of the rows of such a map, whose first cell lies at (0, 0) and whose "
+        description="direction of the rows of such a map; its first cell lies at (0, 0) and its "
         "columns run along x [-]",
     )
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
         "z",
-        description="axis of a cloud's frame that points up; start and end are then in the "
-        "other two, as x and y of a right-handed frame [-]",
+        description="axis of a cloud's frame that points up; start and end are given in the "
+        "other two axes, as x and y of a right-handed frame [-]",
     )
     thickness: float = Field(
-        0.1, gt=0, le=2, description="of the vertical slice through a cloud [m]"
+        0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
     )
     quantile: float = Field(
-        0.9, ge=0, le=1, description="which of a cloud's points at a place is its height [-]"
+        0.9, ge=0, le=1, description="quantile of the cloud's heights at a place to take [-]"
     )
 
     @model_validator(mode="after")
@@ -80,22 +81,22 @@ class ProfileFile(Terrain):
         suffix = self._file.suffix.lower()
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
-        given = [self.start is not None, self.end is not None]
-        if suffix == ".csv" and any(given):
+        stated = [self.start is not None, self.end is not None]
+        if suffix == ".csv" and any(stated):
             raise ValueError("start and end belong to maps and clouds; a .csv is the line itself")
-        if suffix != ".csv" and not all(given):
+        if suffix != ".csv" and not all(stated):
             raise ValueError(f"a {suffix} file needs start and end, the line over the ground")
         if self.start is not None and self.end is not None:
             length = math.dist(self.start, self.end)
-            if not 0 < length <= LARGEST:
+            if not 0 < length <= MAX_LENGTH:
                 raise ValueError(
                     f"the line from start {self.start} to end {self.end} is {length:g} m long; "
-                    f"above 0 and up to {LARGEST:g} m is allowed"
+                    f"above 0 and up to {MAX_LENGTH:g} m is allowed"
                 )
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """From x and z of 0 on; nothing is drawn."""
+        """Return the recorded profile, beginning at (0, 0); ``rng`` is not used."""
         return self._profile
 
     @property
@@ -111,14 +112,14 @@ class ProfileFile(Terrain):
         return Profile(points - points[0], self._file.stem)
 
     def _points(self) -> FloatArray:
-        """(V, 2) of x and z [m].
+        """Read the points, (V, 2) of x and z [m].
 
         Raises:
-            ValueError: the file is missing, unreadable or does not fit its settings.
+            ValueError: the file is missing, unreadable or does not fit the settings.
         """
         file = self._file
         try:
-            with file.open("rb"):  # the system's own words for what is missing or forbidden
+            with file.open("rb"):  # raises the system's own message if the file cannot be read
                 pass
             with _quiet():
                 points = self._read(file, file.suffix.lower())
@@ -129,14 +130,14 @@ class ProfileFile(Terrain):
             ) from error
         except FileNotFoundError as error:
             raise ValueError(f"{file}: there is no such file") from error
-        except Exception as error:  # a reader of damaged files raises whatever its parser does
+        except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
         extent = np.ptp(points, axis=0)
-        if not (np.isfinite(points).all() and extent.max() <= LARGEST):
+        if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
-                f"{LARGEST:g} m is allowed: is its unit {self.unit!r}?"
+                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}?"
             )
         return points
 
@@ -150,15 +151,15 @@ class ProfileFile(Terrain):
             found = MAPS[suffix](file, self.resolution, unit, rows).along(line)
         else:
             points = cloud.upright(CLOUDS[suffix](file) * unit, self.up)
-            found = cloud.slice_along(points, line, self.thickness, self.quantile, FEWEST)
+            found = cloud.slice_along(points, line, self.thickness, self.quantile, MIN_POINTS)
         return line.profile(found, self.largest_gap)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Let readers say what is wrong by errors: their warnings are errors, their logs are unheard.
+    """Make readers report faults as errors: raise their warnings and silence their logs.
 
-    A logger with a handler of its own does not write on stderr.
+    A logger with a handler of its own does not write to stderr.
     """
     for name in ("rasterio", "trimesh"):
         logger = logging.getLogger(name)
@@ -166,5 +167,5 @@ def _quiet() -> Iterator[None]:
             logger.addHandler(logging.NullHandler())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", PendingDeprecationWarning)  # of libraries to libraries
+        warnings.simplefilter("ignore", PendingDeprecationWarning)  # addressed to libraries
         yield

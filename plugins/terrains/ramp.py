@@ -17,20 +17,16 @@ class Ramp(Drawn):
 
     slope_low: float = Field(10.0, gt=0, le=60, description="smallest slope [°]")
     slope_high: float = Field(35.0, gt=0, le=60, description="largest slope [°]")
-    length_low: float = Field(
-        0.8, gt=0, le=10, description="shortest incline, measured along it [m]"
-    )
-    length_high: float = Field(
-        1.5, gt=0, le=10, description="longest incline, measured along it [m]"
-    )
-    platform: float = Field(1.0, ge=0, le=20, description="level ground between the inclines [m]")
+    length_low: float = Field(0.8, gt=0, le=10, description="shortest incline, along the slope [m]")
+    length_high: float = Field(1.5, gt=0, le=10, description="longest incline, along the slope [m]")
+    platform: float = Field(1.0, ge=0, le=20, description="length of the level platform [m]")
     direction: Literal["up", "down", "both"] = Field(
-        "both", description="way of the first incline; both draws one [-]"
+        "both", description="direction of the first incline; both draws one each episode [-]"
     )
     back: bool = Field(True, description="whether a second incline leads back [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Two or four points."""
+        """Return two points for one incline, or four for two."""
         slope, length = math.radians(self.draw(rng, "slope")), self.draw(rng, "length")
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         run, rise = length * math.cos(slope), length * math.sin(slope) * (1 if up else -1)

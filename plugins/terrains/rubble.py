@@ -10,17 +10,17 @@ from .drawn import DrawnRow
 
 @terrain("rubble")
 class Rubble(DrawnRow):
-    """Blocks side by side, each of a height and a length of its own."""
+    """Blocks side by side, each with its own height and length."""
 
     height_low: float = Field(0.0, ge=0, le=1, description="lowest block [m]")
     height_high: float = Field(0.3, ge=0, le=1, description="highest block [m]")
-    width_low: float = Field(0.15, gt=0, le=5, description="shortest block, along the way [m]")
-    width_high: float = Field(0.5, gt=0, le=5, description="longest block, along the way [m]")
+    width_low: float = Field(0.15, gt=0, le=5, description="shortest block, along the track [m]")
+    width_high: float = Field(0.5, gt=0, le=5, description="longest block, along the track [m]")
     fewest: int = Field(4, ge=1, le=100, description="smallest number of blocks [-]")
     most: int = Field(8, ge=1, le=100, description="largest number of blocks [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """A flat top each, vertical faces between them."""
+        """Return flat tops with vertical faces between them."""
         x, points = 0.0, [(0.0, 0.0)]
         for _ in range(self.draw_count(rng)):
             height, end = self.draw(rng, "height"), x + self.draw(rng, "width")

@@ -13,18 +13,22 @@ from .step import Step
 
 @terrain("sequence")
 class Sequence(Drawn, Combinator):
-    """Terrains one after another; each begins at the height at which the last one ended."""
+    """Terrains one after another; each begins at the height at which the previous one ended."""
 
     parts: tuple[AnyTerrain, ...] = Field(
         (Ramp(), Step()),
         min_length=1,
-        description="the terrains, in this order: names, or mappings with a name and fields [-]",
+        description="the terrains in order: names, or mappings with a name and fields [-]",
     )
-    spacing_low: float = Field(0.5, ge=0, le=20, description="least level ground between two [m]")
-    spacing_high: float = Field(1.5, ge=0, le=20, description="most level ground between two [m]")
+    spacing_low: float = Field(
+        0.5, ge=0, le=20, description="shortest level ground between two terrains [m]"
+    )
+    spacing_high: float = Field(
+        1.5, ge=0, le=20, description="longest level ground between two terrains [m]"
+    )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """All parts' points, labelled with the parts' labels."""
+        """Return the points of all parts, labelled with the parts' labels."""
         end, points, labels = np.zeros(2), [], []
         for index, part in enumerate(self.parts):
             if index:

@@ -12,26 +12,26 @@ from .flight import flight
 
 @terrain("stair")
 class Stair(Terrain):
-    """Flights of equal steps; their number and their direction are drawn each episode.
+    """Flights of equal steps; number and direction of the steps are drawn each episode.
 
-    With ``back``, a second flight leads back to the level behind the platform.
+    With ``back``, a second flight leads from the platform back to ground level.
     """
 
     rise: float = Field(0.2, gt=0, le=0.5, description="height of a step [m]")
     tread: float = Field(
-        0.3, gt=0.05, le=2, description="depth of a step that leads up; 0.3 is 33.7° [m]"
+        0.3, gt=0.05, le=2, description="depth of a step that leads up; 0.3 m gives 33.7° [m]"
     )
     tread_down: float = Field(0.3, gt=0.05, le=2, description="depth of a step that leads down [m]")
     tread_spread: float = Field(
-        0.0, ge=0, le=1, description="each flight's tread is drawn within ± this [m]"
+        0.0, ge=0, le=1, description="largest deviation of each flight's drawn tread [m]"
     )
     fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
     most: int = Field(5, ge=1, le=50, description="largest number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
-        "both", description="way of the first flight; both draws one [-]"
+        "both", description="direction of the first flight; both draws one each episode [-]"
     )
     platform: float = Field(
-        0.0, ge=0, le=20, description="length of the ground behind the flight [m]"
+        0.0, ge=0, le=20, description="length of the platform after the first flight [m]"
     )
     back: bool = Field(False, description="whether a second flight leads back [-]")
 
@@ -49,7 +49,7 @@ class Stair(Terrain):
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Vertical faces with treads between them."""
+        """Return vertical faces with treads between them."""
         steps = int(rng.integers(self.fewest, self.most + 1))
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = self.rise if up else -self.rise

@@ -10,17 +10,17 @@ from flipperctl.api import Profile, Terrain, terrain
 
 @terrain("step")
 class Step(Terrain):
-    """One step whose height is drawn anew each episode; below zero leads down."""
+    """One step whose height is drawn each episode; a negative height leads down."""
 
-    low: float = Field(-0.4, ge=-1, le=1, description="smallest height, negative is down [m]")
+    low: float = Field(-0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     high: float = Field(0.4, ge=-1, le=1, description="largest height [m]")
     platform: float = Field(
         0.0,
         ge=0,
         le=20,
-        description="length of the ground behind the step, before the way back [m]",
+        description="length of the platform after the first step [m]",
     )
-    back: bool = Field(False, description="whether a second step leads back to the level [-]")
+    back: bool = Field(False, description="whether a second step leads back to ground level [-]")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -31,7 +31,7 @@ class Step(Terrain):
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """One vertical face, or two with the platform between them."""
+        """Return one vertical face, or two with the platform between them."""
         height = rng.uniform(self.low, self.high)
         points = [(0.0, 0.0), (0.0, height)]
         if self.platform:

@@ -1,4 +1,4 @@
-"""Waves of the ground."""
+"""Waves in a row."""
 
 import numpy as np
 from pydantic import Field
@@ -7,7 +7,8 @@ from flipperctl.api import Profile, terrain
 
 from .drawn import DrawnRow
 
-_POINTS = 16  # a wave
+_POINTS = 16
+"""Number of chords per wave [-]."""
 
 
 @terrain("wave")
@@ -25,7 +26,7 @@ class Wave(DrawnRow):
     most: int = Field(4, ge=1, le=50, description="largest number of waves [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Sixteen chords a wave."""
+        """Return sixteen chords per wave."""
         length, height = self.draw(rng, "length"), self.draw(rng, "height")
         turns = np.linspace(0.0, count := self.draw_count(rng), count * _POINTS + 1)
         heights = height / 2 * (1 - np.cos(2 * np.pi * turns))
