@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import plugins
+from flipperctl import api, plugins
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
-from flipperctl.errors import ConfigError, PluginError
+from flipperctl.errors import PluginError
 
 pytestmark = pytest.mark.usefixtures("registry")
 
@@ -151,7 +151,7 @@ def test_a_built_in_name_is_not_taken_silently(tmp_path: Path) -> None:
 
 def test_the_same_name_in_another_family_is_free(tmp_path: Path) -> None:
     plugins.load([write(tmp_path / "mine.py", "pitch")])
-    assert resolver.get("terrain", "pitch", "") is not resolver.get("reward", "pitch", "")
+    assert api.registry["terrain", "pitch"] is not api.registry["reward", "pitch"]
 
 
 @pytest.mark.parametrize(
@@ -172,17 +172,3 @@ def test_a_bad_name_and_a_wrong_family_are_errors(tmp_path: Path) -> None:
     wrong.write_text(wrong.read_text().replace("terrain", "reward"))
     with pytest.raises(PluginError, match="Ridge is not a RewardTerm"):
         plugins.load([wrong])
-
-
-def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
-    with pytest.raises(ConfigError) as error:
-        resolver.get("terrain", "stairs", "terrain")
-    assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
-    assert "did you mean 'stair'?" in str(error.value)
-    assert "paper_step" in str(error.value)
-
-
-@pytest.mark.parametrize("settings", [3, None, {}, {"rise": 0.1}])
-def test_settings_without_a_name_are_an_error(settings: object) -> None:
-    with pytest.raises(ConfigError, match="terrain: a plugin's name, or a mapping with 'name'"):
-        resolver.create("terrain", settings, "terrain")

@@ -10,6 +10,7 @@ from importlib.resources import files
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
 
 from flipperctl.api import ObservationLayout, registry
 from flipperctl.cli import conditions
@@ -91,6 +92,7 @@ def offer_sweepers() -> None:
     Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are given here, for
     this process alone, so that other Hydra applications keep their own ``basic`` and ``optuna``.
     """
+    Plugins.instance()  # Hydra's own entries are made at discovery, and ours come after them
     settings: dict[str, dict[str, Any]] = {
         "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
         "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},

@@ -1,0 +1,55 @@
+"""From names and overrides to settings: every way in gives the same settings, or the same words."""
+
+import pytest
+
+from flipperctl.config import EnvConfig, container, parse, resolver, with_overrides
+from flipperctl.errors import ConfigError
+
+
+def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
+    with pytest.raises(ConfigError) as error:
+        resolver.get("terrain", "stairs", "terrain")
+    assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
+    assert "did you mean 'stair'?" in str(error.value)
+    assert "paper_step" in str(error.value)
+
+
+@pytest.mark.parametrize("settings", [3, None, {}, {"rise": 0.1}])
+def test_settings_without_a_name_are_an_error(settings: object) -> None:
+    with pytest.raises(ConfigError, match="terrain: a plugin's name, or a mapping with 'name'"):
+        resolver.create("terrain", settings, "terrain")
+
+
+def test_a_plugins_container_makes_an_equal_plugin() -> None:
+    mix = resolver.create("terrain", {"name": "mix", "parts": ["flat", "step"]}, "terrain")
+    assert resolver.create("terrain", container(mix), "terrain") == mix
+    assert container(mix, brief=True)["parts"] == ["flat", "step"]
+    assert [p.plugin_name for p in resolver.nested(mix)] == ["mix", "flat", "step"]
+
+
+def test_a_name_inside_a_plugin_is_refused_in_the_words_of_one_outside() -> None:
+    with pytest.raises(ConfigError) as outside:
+        resolver.create("terrain", "stiar", "terrain.parts.0")
+    with pytest.raises(ConfigError) as inside:
+        resolver.create("terrain", {"name": "mix", "parts": ["stiar"]}, "terrain")
+    assert str(inside.value) == str(outside.value)
+
+
+def test_nested_and_dotted_overrides_and_a_whole_container_make_the_same_settings() -> None:
+    base = EnvConfig(terrain="stair")
+    dotted = with_overrides(base, {"terrain.rise": 0.1, "rewards.pitch.window": 4})
+    nested = with_overrides(base, {"terrain": {"rise": 0.1}, "rewards": {"pitch": {"window": 4}}})
+    assert dotted == nested == parse(EnvConfig, container(nested))
+    assert dotted != base
+
+
+def test_overrides_drop_terms_and_add_others() -> None:
+    base = EnvConfig(terrain="stair")
+    found = with_overrides(base, {"rewards.pitch": None, "rewards.hit": "impact"})
+    assert set(found.rewards) == {"flipper", "end", "hit"}
+    assert with_overrides(base, {"rewards": {}}).rewards == {}
+
+
+def test_an_override_inside_a_value_names_the_value() -> None:
+    with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, no section"):
+        with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1})
