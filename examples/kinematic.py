@@ -1,4 +1,4 @@
-"""An engine and a sensor of one's own: a robot that follows the ground without any dynamics.
+"""An engine and a sensor of your own: a robot that follows the ground without any dynamics.
 
 Try it: ``flipperctl eval --controller okada sim=kinematic perception=ruler --plugins
 examples/kinematic.py``
@@ -14,9 +14,11 @@ from flipperctl import api
 
 @api.engine("kinematic")
 class Kinematic(api.Engine):
-    """A chassis whose ends slide along the ground; its flippers turn freely."""
+    """A chassis whose ends slide along the ground and whose flippers turn freely."""
 
-    slowdown: float = Field(0.5, ge=0, le=0.9, description="lost speed on a vertical slope [-]")
+    slowdown: float = Field(
+        0.5, ge=0, le=0.9, description="fraction of the speed lost on a vertical slope [-]"
+    )
 
     def place(self, profile: api.Profile, robot: api.Robot, start: api.Start) -> api.World:
         """Put the robot on the ground."""
@@ -83,14 +85,14 @@ class Sliding:
 
 @api.sensor("ruler")
 class Ruler(api.Sensor):
-    """Reads the true height in the middle of each bin, and no point between."""
+    """Sense the true height at the centre of each bin, without noise."""
 
     def over(self, profile: api.Profile, margin: float) -> api.GroundSensor:
-        """Hold the ruler over a piece of ground."""
-        return Held(profile, self)
+        """Return a ruler over this profile."""
+        return RulerOver(profile, self)
 
 
-class Held:
+class RulerOver:
     """See ``flipperctl.api.GroundSensor``."""
 
     def __init__(self, profile: api.Profile, settings: Ruler) -> None:

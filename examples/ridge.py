@@ -14,5 +14,5 @@ class Ridge(Terrain):
     base: float = Field(0.6, gt=0, le=5, description="ridge width at the ground [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Three points."""
+        """Return three points: up one side and down the other."""
         return Profile([(0, 0), (self.base / 2, self.height), (self.base, 0)])

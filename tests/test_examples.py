@@ -1,4 +1,4 @@
-"""The example packages, installed in a fresh virtual environment as their authors would do it."""
+"""The example packages, installed in a fresh virtual environment as a plugin author would."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def package(name: str) -> Path:
 
 @pytest.fixture(scope="module")
 def flipperctl(tmp_path_factory: pytest.TempPathFactory) -> Flipperctl:
-    """The command line of an environment with two packages, over what is installed here."""
+    """Return the command line of an environment with two packages on top of this one."""
     folder = tmp_path_factory.mktemp("fresh")
     venv.create(folder / "venv", with_pip=False)
     python = str(folder / "venv" / "bin" / "python")
@@ -46,7 +46,7 @@ def flipperctl(tmp_path_factory: pytest.TempPathFactory) -> Flipperctl:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    # Dependencies, flipperctl among them, are those that are installed here: no network is needed.
+    # All dependencies and flipperctl come from this environment, so that no network is needed.
     here = sysconfig.get_path("purelib")
     where = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
     (Path(where) / "here.pth").write_text(f"import site; site.addsitedir({here!r})\n")
@@ -62,9 +62,9 @@ def test_an_installed_package_passes_the_conformance_suite(flipperctl: Flipperct
     assert all(row["ok"] and not row["skipped"] for row in rows)
 
 
-def test_one_packages_controller_is_judged_on_anothers_terrain(flipperctl: Flipperctl) -> None:
-    judge = ["eval", "--controller", "postures", "terrain=trunk", "--episodes", "2", "--json"]
-    (scene,) = json.loads(flipperctl(*judge))["scenes"]
+def test_one_packages_controller_is_evaluated_on_anothers_terrain(flipperctl: Flipperctl) -> None:
+    evaluate = ["eval", "--controller", "postures", "terrain=trunk", "--episodes", "2", "--json"]
+    (scene,) = json.loads(flipperctl(*evaluate))["scenes"]
     assert (scene["terrain"], scene["success_rate"]) == ("trunk", 1.0)
 
 

@@ -1,1 +1,1 @@
-"""Benchmarks: each measure of ``flipperctl bench`` in a file of its own."""
+"""Benchmarks; each measure of ``flipperctl bench`` is a module with ``ABOUT`` and ``measure``."""

@@ -1,4 +1,4 @@
-"""What finding installed plugins costs beyond importing them, in fresh processes."""
+"""Time to discover installed plugins, beyond importing their modules, in fresh processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import in_turn, quantity
+from flipperctl.bench.statistics import measure_in_turn, quantity
 
 ABOUT = "plugins.load() with installed plugin modules, against importing the same modules by name"
 
@@ -23,11 +23,11 @@ class Bench(Terrain):
     def generate(self, rng):
         return Profile([(0, 0), (1, 0)])
 '''
-# Both processes hold flipperctl and its own plugins already; argv: folder, module names.
+# Both processes have imported flipperctl and its own plugins before; argv: folder, module names.
 _BEFORE = """
 import os, sys, time
 from importlib import import_module
-os.environ.pop("FLIPPERCTL_PLUGINS", None)  # those would be loaded too
+os.environ.pop("FLIPPERCTL_PLUGINS", None)  # its plugins would be loaded too
 sys.path.insert(0, sys.argv[1])
 import flipperctl_plugins
 from flipperctl import plugins
@@ -43,7 +43,7 @@ assert sum(name.startswith("bench_") for _, name in registry) == len(sys.argv) -
 
 
 def measure(bench: Bench) -> dict[str, Any]:
-    """Milliseconds of both, round by round, and their difference.
+    """Measure the time of both [ms], round by round, and their difference.
 
     Raises:
         FlipperctlError: a process failed.
@@ -56,9 +56,11 @@ def measure(bench: Bench) -> dict[str, Any]:
             for what, line in (("import", _IMPORT), ("load", _LOAD))
         }
         for clock in clocks.values():
-            bench.tell("once, so that every file is compiled and in the cache", 0.0)
+            bench.report_progress("warm-up, to compile and cache every file", 0.0)
             clock()
-        found = in_turn(clocks, s.repeats, lambda share: bench.tell("processes in turn", share))
+        found = measure_in_turn(
+            clocks, s.repeats, lambda fraction: bench.report_progress("processes in turn", fraction)
+        )
     beyond = [load - pure for load, pure in zip(found["load"], found["import"], strict=True)]
     return {
         "about": f"{ABOUT}: {s.modules} modules",
@@ -71,7 +73,7 @@ def measure(bench: Bench) -> dict[str, Any]:
 
 
 def install(folder: Path, modules: int) -> list[str]:
-    """Distributions of one plugin module each, as pip leaves them; returns the modules' names."""
+    """Write distributions of one module each, as pip installs them; return the module names."""
     names = []
     for index in range(modules):
         name = f"flipperctl_bench_{index}"

@@ -1,4 +1,4 @@
-"""Optional packages that a measure needs, and the words for one that is missing."""
+"""Import of optional packages that a measure needs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from types import ModuleType
 from flipperctl.errors import MissingExtraError
 
 
-def extra(module: str, package: str, name: str) -> ModuleType:
-    """A module that needs an optional package.
+def import_extra(module: str, package: str, name: str) -> ModuleType:
+    """Import a ``module`` that needs an optional ``package``, which the extra ``name`` installs.
 
     Raises:
-        MissingExtraError: it is not installed; the text names flipperctl's extra.
+        MissingExtraError: the package is not installed; the text names flipperctl's extra.
     """
     try:
         return importlib.import_module(module)

@@ -1,7 +1,7 @@
-"""What a policy costs on the robot, and what a run costs on this machine.
+"""Latency of a policy on the robot, and time and memory of a training run on this machine.
 
-The clock of an exported policy runs in a process of its own that holds neither torch nor pymunk,
-as on a robot. Checkpoints and exports are those of a short training with this configuration.
+An exported policy is timed in a process of its own that imports neither torch nor pymunk, as on a
+robot. Checkpoints and exports are those of a short training with this configuration.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from flipperctl import checkpoint
 from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import in_turn, quantity
+from flipperctl.bench.statistics import measure_in_turn, quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.export.policy import export
@@ -29,14 +29,14 @@ ABOUT = (
 )
 CLOCK = "flipperctl.bench.onnx_clock"
 
-# Runs a command in a session of its own and prints the largest sum of its processes' memory
-# [KiB]; what several share (libraries, a fork server's pages) counts once, divided among them.
+# Runs a command in a session of its own and prints the largest total memory of its processes
+# [KiB]; shared memory (libraries, a fork server's pages) counts once, divided among its users.
 _PEAK = """
 import pathlib, subprocess, sys, time
 process = subprocess.Popen(
     sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
 )
-def share(entry):
+def memory(entry):
     try:
         if entry.joinpath("stat").read_text().rpartition(")")[2].split()[3] != str(process.pid):
             return 0
@@ -46,7 +46,7 @@ def share(entry):
         return 0
 peak = 0
 while process.poll() is None:
-    peak = max(peak, sum(map(share, pathlib.Path("/proc").glob("[0-9]*"))))
+    peak = max(peak, sum(map(memory, pathlib.Path("/proc").glob("[0-9]*"))))
     time.sleep(0.1)
 sys.stderr.buffer.write(process.stderr.read())
 print(peak)
@@ -55,12 +55,12 @@ sys.exit(process.returncode)
 
 
 def measure(bench: Bench) -> dict[str, Any]:
-    """Times [µs, ms] and memory [MiB]."""
+    """Measure times [µs, ms] and memory [MiB]."""
     s = bench.settings
     missing: list[str] = []
     with TemporaryDirectory(prefix="flipperctl-bench-") as name:
         folder = Path(name)
-        bench.tell("a short training", 0.0)
+        bench.report_progress("a short training", 0.0)
         trainer = trained(bench.config, s.decisions, folder)
         last, best = folder / checkpoint.LAST, folder / checkpoint.BEST
         saved, policy = checkpoint.read(best), folder / "policy.onnx"
@@ -71,16 +71,22 @@ def measure(bench: Bench) -> dict[str, Any]:
         }
         quantities = {
             n: quantity(v, "ms")
-            for n, v in in_turn(clocks, s.repeats, _part(bench, "checkpoints", 0.1, 0.2)).items()
+            for n, v in measure_in_turn(
+                clocks, s.repeats, _part(bench, "checkpoints", 0.1, 0.2)
+            ).items()
         }
         details: dict[str, Any] = {"checkpoint_size": {"unit": "B", "value": last.stat().st_size}}
         try:
             took = _milliseconds(lambda: export(saved, "onnx", policy))
-            exports = in_turn({"e": took}, max(1, s.repeats // 3), _part(bench, "export", 0.2, 0.4))
+            exports = measure_in_turn(
+                {"e": took}, max(1, s.repeats // 3), _part(bench, "export", 0.2, 0.4)
+            )
             quantities["onnx_export"] = quantity(exports["e"], "ms")
             rounds = []
             for index in range(s.repeats):
-                bench.tell("decisions of the exported policy", 0.4 + 0.3 * index / s.repeats)
+                bench.report_progress(
+                    "decisions of the exported policy", 0.4 + 0.3 * index / s.repeats
+                )
                 rounds.append(clocked(policy, s.calls, s.seed))
             for what in ("median", "p99"):
                 quantities[f"decision_{what}"] = quantity([r[what] for r in rounds], "µs")
@@ -88,7 +94,7 @@ def measure(bench: Bench) -> dict[str, Any]:
         except MissingExtraError as error:
             missing.append(str(error))
         if Path("/proc/self/smaps_rollup").exists():
-            bench.tell("memory of a short training", 0.8)
+            bench.report_progress("memory of a short training", 0.8)
             quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
         else:
             missing.append("memory is measured on Linux only")
@@ -96,7 +102,7 @@ def measure(bench: Bench) -> dict[str, Any]:
 
 
 def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
-    """A trainer that has spent a small budget."""
+    """Return a trainer after a training of ``decisions`` decisions."""
     changes = {
         "train.decisions": decisions,
         "train.validate_every": decisions,
@@ -109,7 +115,7 @@ def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
 
 
 def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
-    """What the clock's own process found: ``median`` and ``p99`` [µs], modules ``imported``.
+    """Time a policy in a process of its own: ``median`` and ``p99`` [µs], modules ``imported``.
 
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
@@ -120,15 +126,15 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
 
 
 def peak(bench: Bench, folder: Path) -> float:
-    """Largest memory of all processes of a short training together [MiB]."""
+    """Return the peak of the total memory of all processes of a short training [MiB]."""
     decisions = bench.settings.decisions
     command = [
         *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
         *(f"train.decisions={decisions}", f"train.validate_every={decisions}"),
         *("train.validation_episodes=1", f"hydra.run.dir={folder / 'peak'}"),
     ]
-    said = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
-    return int(said) / 1024
+    peak_kib = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
+    return int(peak_kib) / 1024
 
 
 def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
@@ -141,4 +147,4 @@ def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
 
 
 def _part(bench: Bench, what: str, low: float, high: float) -> Callable[[float], None]:
-    return lambda share: bench.tell(what, low + share * (high - low))
+    return lambda fraction: bench.report_progress(what, low + fraction * (high - low))

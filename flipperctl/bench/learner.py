@@ -1,10 +1,11 @@
-"""Updates a second of our learner against Stable-Baselines3's DQN.
+"""Updates per second of flipperctl's learner compared with Stable-Baselines3's DQN.
 
-Both draw from a replay of the same content, take one gradient step and move the target network
-softly; both have one torch thread, Huber loss, clipped gradients and Adam. SB3 gets a perceptron
-of as many layers and, as nearly as whole widths allow, as many weights as our network has. It is
-measured as it comes (``sb3``) and with torch's fused Adam (``sb3_fused``). Ours makes
-``agent.updates_together`` updates a call, as in training; each is a gradient step of its own.
+Both sample a replay of the same content, take one gradient step and make a soft update of the
+target network; both use one torch thread, Huber loss, clipped gradients and Adam. SB3 gets a
+perceptron with as many layers and, as nearly as integer widths allow, as many weights as
+flipperctl's network. It is measured unchanged (``sb3``) and with torch's fused Adam
+(``sb3_fused``). A call of flipperctl's learner makes ``agent.updates_together`` updates, as in
+training; each of them is a gradient step of its own.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.bench.extras import extra
+from flipperctl.bench.extras import import_extra
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import in_turn, quantity, ratio
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
@@ -39,7 +40,7 @@ ABOUT = (
 
 
 def measure(bench: Bench) -> dict[str, Any]:
-    """Updates and transitions a second [1/s] for each batch size, and our gain."""
+    """Measure updates and transitions per second [1/s] for each batch size, and their ratios."""
     s, config = bench.settings, bench.config
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -56,19 +57,19 @@ def measure(bench: Bench) -> dict[str, Any]:
                 missing = [str(error)]
             clocks = {n: _clock(*c, s.updates) for n, c in contestants.items()}
             for clock in clocks.values():
-                clock()  # warms up
+                clock()  # warm-up
 
-            def tell(share: float, done: int = index, size: int = batch_size) -> None:
-                bench.tell(f"batches of {size}", (done + share) / len(s.batch_sizes))
+            def report(fraction: float, done: int = index, size: int = batch_size) -> None:
+                bench.report_progress(f"batches of {size}", (done + fraction) / len(s.batch_sizes))
 
-            rates = in_turn(clocks, s.repeats, tell)
-            _note(result, rates, batch_size)
+            rates = measure_in_turn(clocks, s.repeats, report)
+            _add_rates(result, rates, batch_size)
         return {**result, "missing": missing}
     finally:
         torch.set_num_threads(threads)
 
 
-def _note(result: dict[str, Any], rates: dict[str, list[float]], batch_size: int) -> None:
+def _add_rates(result: dict[str, Any], rates: dict[str, list[float]], batch_size: int) -> None:
     for name, found in rates.items():
         result["quantities"][f"{name}.updates.{batch_size}"] = quantity(found, "1/s")
         result["quantities"][f"{name}.transitions.{batch_size}"] = quantity(
@@ -80,18 +81,18 @@ def _note(result: dict[str, Any], rates: dict[str, list[float]], batch_size: int
 
 
 def fill(config: TrainConfig, count: int, seed: int) -> Replay:
-    """A replay of single decisions of random episodes, ``count`` of them."""
+    """Return a replay with ``count`` one-step transitions of a random policy."""
     size = input_size(config.network, config.perception)
     replay = Replay(count, size, 1, config.agent.gamma)
     rng, numbers = np.random.default_rng(seed), itertools.count()
-    played = InProcessCollector(
+    collector = InProcessCollector(
         FlipperEnv(config=config.environment()),
         FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS)))),
         lambda: episode_seed("training", seed, next(numbers)),
         frames=config.network.frames,
     )
     while True:
-        for step in played.episode():
+        for step in collector.episode():
             replay.add(
                 step.observation,
                 step.action,
@@ -117,7 +118,7 @@ def _clock(update: Callable[[], object], together: int, count: int) -> Callable[
 
 
 Contestants = dict[str, tuple[Callable[[], object], int]]
-"""By name: a call, and the updates that it makes."""
+"""Name → a function that updates, and the number of updates that a call of it makes [-]."""
 
 
 def _ours(
@@ -135,7 +136,7 @@ def _ours(
 def _theirs(
     config: TrainConfig, replay: Replay, batch_size: int, seed: int
 ) -> tuple[Contestants, int]:
-    sb3 = extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
+    sb3 = import_extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
     agent = D3qn(config.network, config.perception, len(ACTIONS), config.agent, seed=seed)
     wanted = sum(p.numel() for p in agent.online.parameters())
     layers = hidden_layers(agent.online, input_size(config.network, config.perception))
@@ -151,18 +152,21 @@ def _theirs(
 
 
 def hidden_layers(module: torch.nn.Module, inputs: int) -> int:
-    """Linear layers on the longest way from observation to Q-values, without the last."""
+    """Return the number of linear layers on the longest path to the Q-values, without the last."""
 
     @functools.cache
     def longest(node: Any) -> int:
-        behind = [longest(following) for following, _ in node.next_functions if following]
-        return int(node.name().startswith("Addmm")) + max(behind, default=0)
+        earlier = [longest(inner) for inner, _ in node.next_functions if inner]
+        return int(node.name().startswith("Addmm")) + max(earlier, default=0)
 
     return max(1, longest(module(torch.zeros(2, inputs)).grad_fn) - 1)
 
 
 def equal_width(wanted: int, inputs: int, outputs: int, layers: int) -> int:
-    """Width of a perceptron with ``layers`` hidden layers that has about ``wanted`` weights."""
+    """Return the width at which a perceptron of ``layers`` hidden layers has ``wanted`` weights.
+
+    Of all integer widths, it is the one with the nearest number of weights.
+    """
 
     def weights(width: int) -> int:
         inner = (layers - 1) * (width + 1) * width

@@ -1,4 +1,4 @@
-"""What the numbers were measured with: versions, processor, load, date."""
+"""Description of the machine that a benchmark runs on: versions, processor, load and date."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PACKAGES = (
 
 
 def machine() -> dict[str, Any]:
-    """Versions (None: not installed), processor, cores, load and time of day."""
+    """Return date, versions (None if not installed), system, processor, cores and load."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {
@@ -35,18 +35,18 @@ def machine() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.release()}",
         "processor": processor(),
         "cores": os.cpu_count(),
-        "cores_allowed": _allowed(),
+        "cores_allowed": _allowed_cores(),
         "load_average": load(),
     }
 
 
 def load() -> list[float] | None:
-    """Processes that run or wait to run, over the last 1, 5 and 15 minutes [-]."""
+    """Return the load averages over the last 1, 5 and 15 minutes [-]; None if unavailable."""
     return list(os.getloadavg()) if hasattr(os, "getloadavg") else None
 
 
 def processor(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's model, as the system calls it."""
+    """Return the processor's model name."""
     if listing.is_file():
         for line in listing.read_text().splitlines():
             key, _, value = line.partition(":")
@@ -62,6 +62,6 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _allowed() -> int | None:
+def _allowed_cores() -> int | None:
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count()

@@ -1,9 +1,9 @@
-"""Times an exported policy's decisions; run as a process of its own by ``latency``.
+"""Time the decisions of an exported policy; ``latency`` runs this in a process of its own.
 
     python -m flipperctl.bench.onnx_clock POLICY CALLS SEED
 
-One JSON document on stdout: median and 99th percentile of a decision [µs], and which of the heavy
-packages the process holds (none, if it is to resemble a robot).
+It prints one JSON document: median and 99th percentile of a decision [µs], and the heavy packages
+that the process has imported (none on a robot).
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ _WARM_UP = 100
 
 
 def main(path: str, calls: int, seed: int) -> dict[str, object]:
-    """Time ``calls`` decisions on observations of plausible size."""
+    """Time ``calls`` decisions on random observations of plausible magnitude.
+
+    Raises:
+        MissingExtraError: ONNX Runtime is not installed.
+    """
     try:
         runtime = importlib.import_module("flipperctl.runtime")
     except ImportError as error:

@@ -1,8 +1,8 @@
-"""The environment against the limit: Chipmunk alone on the same situations.
+"""Speed of the environment compared with its upper limit, Chipmunk alone on the same states.
 
-An episode is recorded once. Then, episode by episode and in turn, the environment plays its
-actions again, and a bare world is put to where each decision began and stepped as often as that
-decision took, with nothing else on the clock. The parts of a decision are timed alike.
+Episodes are recorded once. Then, in turn, the environment replays their actions, and a bare world
+is set to the state at the beginning of each decision and stepped as often as that decision was,
+with nothing else timed. The parts of a decision are timed in the same way.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from flipperctl.api import ACTIONS, SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import quantity, ratio
+from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
@@ -40,44 +40,48 @@ class Recording:
     start: Start
     actions: list[int] = field(default_factory=list)
     targets: list[tuple[float, float]] = field(default_factory=list)
-    """Angles commanded to the front and the rear flippers [rad]."""
-    moments: list[bare.Snapshot] = field(default_factory=list)
-    """One more than decisions: the start is the first."""
+    """Angles commanded to the front and the rear flippers at each decision [rad]."""
+    snapshots: list[bare.Snapshot] = field(default_factory=list)
+    """State of the world at the start and after each decision."""
     transitions: list[Transition] = field(default_factory=list)
     contacts: list[int] = field(default_factory=list)
     """Contact points at the end of each decision."""
 
     def samples(self, index: int) -> int:
-        """How many samples of the state decision ``index`` took."""
+        """Return the number of samples of the state during decision ``index`` [-]."""
         t = self.transitions[index]
         return round((t.after.time - t.before.time) / SAMPLE_PERIOD)
 
 
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
-    """Play an episode with a controller plugin and note all that happens."""
+    """Play an episode with a controller plugin and record it."""
     env, robot = FlipperEnv(config=config), config.robot
     policy = resolver.create("controller", controller, "bench.controller").build()
     env.reset(seed=seed)
     state = env.state
     target = Start(float(state.position[0]), state.front, state.rear)
-    made = Recording(seed, env.profile, target)
-    made.moments.append(bare.snapshot(_world(env)))
+    recording = Recording(seed, env.profile, target)
+    recording.snapshots.append(bare.snapshot(_world(env)))
     for decision in decisions(env, policy, seed):
         world, move = _world(env), ACTIONS[decision.action]
         target = target._replace(
             front=robot.clip(target.front + move[0] * robot.angle_step),
             rear=robot.clip(target.rear + move[1] * robot.angle_step),
         )
-        made.actions.append(decision.action)
-        made.targets.append((target.front, target.rear))
-        made.moments.append(bare.snapshot(world))
-        made.contacts.append(bare.contacts(world))
-        made.transitions.append(decision.transition)
-    return made
+        recording.actions.append(decision.action)
+        recording.targets.append((target.front, target.rear))
+        recording.snapshots.append(bare.snapshot(world))
+        recording.contacts.append(bare.contacts(world))
+        recording.transitions.append(decision.transition)
+    return recording
 
 
 def _world(env: FlipperEnv) -> PlanarWorld:
-    """The world that the environment drives in."""
+    """Return the environment's planar world.
+
+    Raises:
+        TypeError: the environment's engine is another one.
+    """
     world = env.drive.world
     if not isinstance(world, PlanarWorld):
         raise TypeError(f"bench physics needs a planar world; got {type(world).__name__}")
@@ -85,7 +89,7 @@ def _world(env: FlipperEnv) -> PlanarWorld:
 
 
 class Clocks:
-    """Times each part of an episode's decisions; every method returns seconds."""
+    """Time each part of an episode's decisions; every public method returns a time [s]."""
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config
@@ -94,13 +98,13 @@ class Clocks:
         self.bare_contacts: list[int] = []
 
     def reset(self, r: Recording) -> float:
-        """The environment's reset."""
+        """Time the environment's reset."""
         begun = time.perf_counter()
         self.env.reset(seed=r.seed)
         return time.perf_counter() - begun
 
     def decision(self, r: Recording) -> float:
-        """The environment's steps, after ``reset``."""
+        """Time the environment's steps, after ``reset``."""
         step = self.env.step
         begun = time.perf_counter()
         for action in r.actions:
@@ -108,13 +112,13 @@ class Clocks:
         return time.perf_counter() - begun
 
     def bare(self, r: Recording) -> float:
-        """Chipmunk's step alone."""
+        """Time Chipmunk's step alone."""
         world, spent = self._world(r), 0.0
         bare.strip(world)
         substeps = round(SAMPLE_PERIOD / planar(self.config.sim).substep)
         self.bare_contacts = []
         for index in range(len(r.actions)):
-            bare.put(world, r.moments[index], r.moments[index + 1].phases)
+            bare.put(world, r.snapshots[index], r.snapshots[index + 1].phases)
             count = substeps * r.samples(index)
             begun = time.perf_counter()
             bare.step(world, count)
@@ -123,7 +127,7 @@ class Clocks:
         return spent
 
     def world(self, r: Recording) -> float:
-        """The world with its belts, sampled as the environment samples it."""
+        """Time the world with its belts, sampled as in the environment."""
         world, spent = self._world(r), 0.0
         for index, target in enumerate(r.targets):
             count = r.samples(index)
@@ -133,7 +137,7 @@ class Clocks:
         return spent
 
     def sensing(self, r: Recording) -> float:
-        """Terrain points, the heights of the bins and the angles."""
+        """Time the sensing of terrain points, bin heights and angles."""
         perception, episode = self.config.perception, self.config.episode
         margin = episode.run_up + episode.run_out + perception.reach + 2.0
         sensor, rng = perception.over(r.profile, margin), np.random.default_rng(0)
@@ -143,7 +147,7 @@ class Clocks:
         return time.perf_counter() - begun
 
     def rewards(self, r: Recording) -> float:
-        """All reward terms."""
+        """Time all reward terms."""
         begun = time.perf_counter()
         for t in r.transitions:
             self.reward(t)
@@ -154,28 +158,28 @@ class Clocks:
 
 
 def run(world: PlanarWorld, target: tuple[float, float], samples: int) -> None:
-    """Run a world through one decision, as the environment does."""
+    """Advance a world by one decision, as the environment does."""
     world.command(*target)
     world.advance(samples)
 
 
 def measure(bench: Bench) -> dict[str, Any]:
-    """Rates [1/s], their ratio, and the parts of a decision [µs].
+    """Measure rates [1/s], their ratio, and the time of each part of a decision [µs].
 
-    The parts: ``physics`` is Chipmunk alone; ``contacts`` what belts, commands and samples add to
-    it; ``sensing``; ``reward``; ``rest`` is all else in the environment's step.
+    The parts are ``physics`` (Chipmunk alone), ``contacts`` (the additional time of belts, commands
+    and samples), ``sensing``, ``reward`` and ``rest`` (the remainder of the environment's step).
     """
     s, config = bench.settings, bench.config.environment()
     clocks = Clocks(config)
     names = ("reset", "decision", "bare", "world", "sensing", "rewards")
     recordings = []
     for index in range(s.episodes):
-        bench.tell("recording episodes", 0.0)
+        bench.report_progress("recording episodes", 0.0)
         seed = episode_seed("evaluation", s.seed, index)
         recordings.append(record(config, s.controller, seed))
     rounds: list[dict[str, float]] = []
     contacts: list[int] = []
-    for index in range(-1, s.repeats):  # the first round warms up
+    for index in range(-1, s.repeats):  # the first round is the warm-up
         spent: Counter[str] = Counter()
         for r in recordings:
             for name in names:
@@ -183,7 +187,7 @@ def measure(bench: Bench) -> dict[str, Any]:
             contacts += clocks.bare_contacts if index < 0 else []
         if index >= 0:
             rounds.append(dict(spent))
-        bench.tell("episodes in turn", (index + 1) / s.repeats)
+        bench.report_progress("episodes in turn", (index + 1) / s.repeats)
     samples = sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
     work = Work(
         sum(len(r.actions) for r in recordings),
@@ -204,13 +208,13 @@ def measure(bench: Bench) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Work:
-    """How much each round did."""
+    """Numbers of decisions and of substeps in each round [-]."""
 
     decisions: int
     substeps: int
 
     def rates(self, rounds: list[dict[str, float]]) -> dict[str, Any]:
-        """Quantities and ratios from the seconds of each round."""
+        """Return quantities and ratios from the times of each round's parts [s]."""
         count, micro = self.decisions, 1e6 / self.decisions
         bare_rate = [count / t["bare"] for t in rounds]
         env_rate = [count / t["decision"] for t in rounds]

@@ -1,4 +1,4 @@
-"""Commands as processes of their own."""
+"""Running commands as processes of their own."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from flipperctl.errors import FlipperctlError, MissingExtraError
 
 
 def output(command: Sequence[str], what: str) -> str:
-    """Run a command to its end; returns what it wrote to stdout.
+    """Run a command to its end and return its stdout.
 
     Raises:
-        MissingExtraError: it left with the code of a wrong request and says what to install.
-        FlipperctlError: it failed otherwise; the text gives ``what`` and its last line.
+        MissingExtraError: the command failed because an extra is not installed.
+        FlipperctlError: the command failed otherwise; the text has ``what`` and its last line.
     """
-    # What is run is this interpreter with flipperctl's own modules.
+    # All callers run this interpreter with flipperctl's own modules.
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
     if done.returncode == 0:
         return done.stdout
-    said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-    if done.returncode == MissingExtraError.exit_code and "install flipperctl[" in said:
-        raise MissingExtraError(said.removeprefix("error: "))
-    raise FlipperctlError(f"{what} failed: {said}")
+    reason = (done.stderr.strip().splitlines() or ["it wrote no message"])[-1]
+    if done.returncode == MissingExtraError.exit_code and "install flipperctl[" in reason:
+        raise MissingExtraError(reason.removeprefix("error: "))
+    raise FlipperctlError(f"{what} failed: {reason}")

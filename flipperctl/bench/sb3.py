@@ -1,7 +1,7 @@
-"""Stable-Baselines3's DQN, set up for this task; the only file here that imports it.
+"""Stable-Baselines3's DQN, set up for this task; only this module imports it.
 
 In: a training configuration. Out: a model on ``flipperctl/Flipper-v0`` whose ``q_net`` maps
-observations (B, N + 3) in SI units to Q-values (B, 9), as a network of ours does.
+observations (B, N + 3) in SI units to Q-values (B, 9), as flipperctl's networks do.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import LinearSchedule, polyak_update
 
 import flipperctl.env  # noqa: F401  # registers the environment
 from flipperctl.agent.replay import Replay
-from flipperctl.bench.attempt import Attempt, Validation
+from flipperctl.bench.solve_run import SolveRun, Validation
 from flipperctl.config import TrainConfig
 
 SETTINGS: Mapping[str, Any] = {
@@ -40,12 +40,13 @@ SETTINGS: Mapping[str, Any] = {
     "reward_scale": 0.1,
     "fused": True,  # torch's fused Adam
 }
-"""The best settings found on ``stair``; the target network is what is validated.
+"""The best settings found on ``stair``, with the target network validated.
 
-Tried one after another, from the settings of our own agent on; validations of 100 episodes. Seconds
-are of training without validations until three in a row were perfect, on two busy cores, so
-decisions tell more than seconds; runs in front of the line break were validated every 2500
-decisions, those behind it every 1000. Seed 1 unless said otherwise.
+They were tried one after another, beginning with the settings of flipperctl's agent, with
+validations of 100 episodes. Seconds are the training time without validations until three in a row
+were perfect. They were measured on two busy cores, so decisions are more significant than seconds.
+Runs above the empty line were validated every 2500 decisions, those below it every 1000. The seed
+is 1 unless stated otherwise.
 
 =============================================================  ================  ==================
 change                                                         decisions         seconds
@@ -79,7 +80,7 @@ tau 0.01, reward_scale 1                                       11,005           
 
 
 class Scaled(BaseFeaturesExtractor):
-    """Divides each number by ``ObservationLayout.scale``, as our networks do."""
+    """Divide each number by ``ObservationLayout.scale``, as flipperctl's networks do."""
 
     scale: torch.Tensor
 
@@ -88,12 +89,12 @@ class Scaled(BaseFeaturesExtractor):
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, N + 3) → (B, N + 3)."""
+        """Map (B, N + 3) in SI units to (B, N + 3) [-]."""
         return observation / self.scale
 
 
 def environment(config: TrainConfig, reward_scale: float = 1.0) -> gymnasium.Env[Any, Any]:
-    """The task through Gymnasium, without the checker that ``make`` adds."""
+    """Return the task as a Gymnasium environment, without the checker that ``make`` adds."""
     env = gymnasium.make(
         "flipperctl/Flipper-v0", config=config.environment(), disable_env_checker=True
     )
@@ -103,7 +104,7 @@ def environment(config: TrainConfig, reward_scale: float = 1.0) -> gymnasium.Env
 
 
 def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
-    """A DQN with ``SETTINGS``, some of them changed."""
+    """Return a DQN with ``SETTINGS`` and ``changes`` to them."""
     s: dict[str, Any] = {**SETTINGS, **changes}
     reward_scale, net_arch = s.pop("reward_scale"), s.pop("net_arch")
     fused, (first, last) = s.pop("fused"), s.pop("learning_rate")
@@ -125,44 +126,48 @@ def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
     return made
 
 
-def solve(config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:
-    """Learn until the attempt is over; validate as our trainer does, between episodes."""
+def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
+    """Train until the run is finished; validate between episodes, as flipperctl's trainer does."""
     torch.set_num_threads(config.train.threads)
     made = model(config, config.seed)
-    made.learn(config.train.decisions, callback=_Validates(config, attempt, tell))
+    made.learn(config.train.decisions, callback=_ValidationCallback(config, run, report))
 
 
-class _Validates(BaseCallback):
-    def __init__(self, config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:
+class _ValidationCallback(BaseCallback):
+    def __init__(self, config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
         super().__init__()
         self._every = config.train.validate_every
         self._validation = Validation(config)
-        self._attempt = attempt
-        self._tell = tell
+        self._run = run
+        self._report = report
         self._last = 0
 
     def _on_step(self) -> bool:
-        """False stops learning."""
+        """Validate after an episode if it is due; return False to stop learning."""
         if not self.locals["dones"][0]:
             return True
-        self._tell()
+        self._report()
         before, self._last = self._last, self.num_timesteps
         if self._last // self._every > before // self._every:
             dqn = cast("DQN", self.model)
-            begun = self._attempt.elapsed
+            begun = self._run.elapsed
             success_rate = self._validation(dqn.q_net_target)
-            took = self._attempt.elapsed - begun
-            self._attempt.validated(self._last, success_rate, took)
-        return not self._attempt.over
+            took = self._run.elapsed - begun
+            self._run.add_validation(self._last, success_rate, took)
+        return not self._run.finished
 
 
 def fill(model: DQN, replay: Replay) -> None:
-    """Give the model's buffer what a replay of single decisions holds."""
+    """Copy a replay of one-step transitions to the model's buffer.
+
+    Raises:
+        TypeError: the model has no replay buffer.
+    """
     held, buffer = replay.filled(), model.replay_buffer
     if not isinstance(buffer, ReplayBuffer):
         raise TypeError("a model without a replay buffer cannot be filled")
     count, size = len(replay), buffer.obs_shape[0]
-    buffer.observations[:count, 0] = held["observation"][:, -size:]  # the newest, if several
+    buffer.observations[:count, 0] = held["observation"][:, -size:]  # the newest of stacked ones
     buffer.next_observations[:count, 0] = held["next_observation"][:, -size:]
     buffer.actions[:count, 0, 0] = held["action"]
     buffer.rewards[:count, 0] = held["reward"]
@@ -171,7 +176,7 @@ def fill(model: DQN, replay: Replay) -> None:
 
 
 def updater(model: DQN, batch_size: int) -> Callable[[], None]:
-    """One gradient step and the soft target update that ``learn`` does beside it."""
+    """Return a function for one gradient step and the soft target update of ``learn``."""
     pairs = list(model.q_net.parameters()), list(model.q_net_target.parameters())
 
     def update() -> None:

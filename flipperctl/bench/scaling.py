@@ -1,7 +1,7 @@
-"""Decisions a second over the number of collecting processes.
+"""Decisions per second by the number of collecting processes.
 
-A factory makes a collector with so many workers; whatever collects decisions (in this process,
-in worker processes, through Ray) is measured by giving ``measure`` one factory for it.
+``measure`` takes a factory for each kind of collector (in this process, in worker processes, on
+Ray). A factory creates a collector with a given number of workers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import in_turn, quantity, ratio
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
@@ -36,27 +36,27 @@ EPSILON = 0.05
 
 
 class Collector(Protocol):
-    """Something that plays training episodes."""
+    """A collector of training episodes."""
 
     def collect(self, decisions: int) -> int:
-        """Play at least so many decisions more; returns how many it was."""
+        """Play at least ``decisions`` more decisions; return the number of those played."""
 
     def close(self) -> None:
-        """End what was started."""
+        """Stop all processes that were started."""
 
 
 Factory = Callable[[TrainConfig, int], Collector]
-"""From a configuration and a number of workers to a collector; raises MissingExtraError."""
+"""Creates a collector from a configuration and a number of workers; raises MissingExtraError."""
 
 
 class InProcessCollector:
-    """One environment and one agent in this process, as the trainer has them: the reference."""
+    """One environment and one agent in this process, as in the trainer; the reference."""
 
     def __init__(self, config: TrainConfig, workers: int) -> None:
-        """``workers`` is 1."""
+        """``workers`` must be 1; it is not used."""
         layout = config.perception
         self._agent = D3qn(config.network, layout, len(ACTIONS), config.agent, seed=config.seed)
-        self._played = self._play(config)
+        self._decisions = self._play(config)
 
     def _play(self, config: TrainConfig) -> Iterator[None]:
         env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
@@ -64,28 +64,28 @@ class InProcessCollector:
         policy = ExploringPolicy(
             self._agent.online, config.network.frames, lambda: EPSILON, rng, self._agent.noise_rng
         )
-        played = collect.InProcessCollector(
+        collector = collect.InProcessCollector(
             env,
             policy,
             lambda: episode_seed("training", config.seed, next(numbers)),
             frames=config.network.frames,
         )
         while True:
-            for _ in played.episode():
+            for _ in collector.episode():
                 yield
 
     def collect(self, decisions: int) -> int:
-        """Play exactly so many decisions more."""
+        """Play exactly ``decisions`` more decisions."""
         for _ in range(decisions):
-            next(self._played)
+            next(self._decisions)
         return decisions
 
     def close(self) -> None:
-        """Nothing was started."""
+        """Release nothing; no process was started."""
 
 
-class OfWorkers:
-    """Episodes requested of workers, with the weights of a fresh network."""
+class WorkersCollector:
+    """Request episodes from workers, with the weights of an untrained network."""
 
     def __init__(self, config: TrainConfig, workers: RolloutWorkers) -> None:
         layout = config.perception
@@ -101,7 +101,7 @@ class OfWorkers:
         return RolloutRequest(self._requested, seed, EPSILON, 0, 0, self._weights)
 
     def collect(self, decisions: int) -> int:
-        """Whole episodes; none is left to be played when the next contestant's turn comes."""
+        """Play whole episodes; all of them end before this returns, so that no other waits."""
         workers, done = self._workers, 0
         while done < decisions or workers.outstanding():
             while done < decisions and len(workers.outstanding()) < workers.capacity:
@@ -115,32 +115,34 @@ class OfWorkers:
         self._workers.close()
 
 
-def in_processes(config: TrainConfig, workers: int) -> Collector:
-    """As ``train.workers``."""
-    return OfWorkers(config, ProcessWorkers(workers, container(config), plugins.configured_paths()))
+def process_collector(config: TrainConfig, workers: int) -> Collector:
+    """Return a collector with the worker processes of ``train.workers``."""
+    paths = plugins.configured_paths()
+    return WorkersCollector(config, ProcessWorkers(workers, container(config), paths))
 
 
-def on_ray(config: TrainConfig, workers: int) -> Collector:
-    """As ``collector=ray`` on a cluster that is started here, with room for all contestants."""
+def ray_collector(config: TrainConfig, workers: int) -> Collector:
+    """Return a collector with ``collector=ray`` on a local cluster for all contestants."""
     from flipperctl.rollout.ray_workers import RayWorkers, start_local
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)
-    return OfWorkers(config, RayWorkers(settings, container(config), plugins.configured_paths()))
+    paths = plugins.configured_paths()
+    return WorkersCollector(config, RayWorkers(settings, container(config), paths))
 
 
 def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:
-    """What is measured: a name, its factory, and the numbers of workers."""
+    """Return the factory and the numbers of workers of each kind of collector, by name."""
     counts = worker_counts()
     return {
         "in_process": (InProcessCollector, (1,)),
-        "processes": (in_processes, counts),
-        "ray": (on_ray, counts),
+        "processes": (process_collector, counts),
+        "ray": (ray_collector, counts),
     }
 
 
 def worker_counts(cores: int | None = None) -> tuple[int, ...]:
-    """1, 2, 4, … up to the number of cores, which is always the last."""
+    """Return the powers of two below the number of cores, and that number itself."""
     most = cores or os.cpu_count() or 1
     counts = [1]
     while counts[-1] * 2 < most:
@@ -151,7 +153,7 @@ def worker_counts(cores: int | None = None) -> tuple[int, ...]:
 def measure(
     bench: Bench, found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
 ) -> dict[str, Any]:
-    """Decisions a second [1/s] of each collector, and its gain over the first one."""
+    """Measure decisions per second [1/s] of each collector, and their ratios."""
     s, threads = bench.settings, torch.get_num_threads()
     torch.set_num_threads(1)
     collectors: dict[str, Collector] = {}
@@ -160,14 +162,18 @@ def measure(
         for name, (factory, counts) in (found or factories()).items():
             try:
                 for workers in counts:
-                    bench.tell(f"starting {name} with {workers}", 0.0)
+                    bench.report_progress(f"starting {name} with {workers}", 0.0)
                     collectors[f"{name}.{workers}"] = factory(bench.config, workers)
             except MissingExtraError as error:
                 missing.append(str(error))
         clocks = {name: _clock(made, s.decisions) for name, made in collectors.items()}
         for clock in clocks.values():
-            clock()  # warms up
-        rates = in_turn(clocks, s.repeats, lambda share: bench.tell("collectors in turn", share))
+            clock()  # warm-up
+        rates = measure_in_turn(
+            clocks,
+            s.repeats,
+            lambda fraction: bench.report_progress("collectors in turn", fraction),
+        )
     finally:
         for made in collectors.values():
             made.close()
@@ -183,7 +189,11 @@ def measure(
 
 
 def pairs(names: list[str]) -> list[tuple[str, str]]:
-    """What is compared: each with the first, with fewer workers of its kind, Ray with processes."""
+    """Return the pairs to compare.
+
+    Each collector is compared with the first one and with one worker of its kind, and Ray also with
+    as many processes.
+    """
     found = [(name, names[0]) for name in names[1:]]
     for name in names:
         kind, _, count = name.rpartition(".")

@@ -1,4 +1,4 @@
-"""How much a benchmark measures, and what every measure is handed."""
+"""The sizes of a benchmark, and the inputs of every measure."""
 
 from __future__ import annotations
 
@@ -27,59 +27,66 @@ SMALL: Mapping[str, Any] = {
     "commands": 1,
     "modules": 3,
 }
-"""In place of the defaults under ``--small``: shows in seconds that everything works."""
+"""Replacements of the defaults with ``--small``, which checks in seconds that everything works."""
 
 
 class BenchSettings(Settings):
     """The sizes of the measures."""
 
-    repeats: int = Field(10, ge=2, le=10_000, description="rounds, contestants in turn [-]")
-    seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of what is drawn [-]")
-    controller: str = Field("okada", description="plugin whose actions physics repeats [-]")
-    episodes: int = Field(4, ge=1, le=1000, description="physics: episodes a round [-]")
-    starts: int = Field(20, ge=1, le=10_000, description="accuracy: starts a scene [-]")
-    updates: int = Field(200, ge=1, le=100_000, description="learner: updates a round [-]")
+    repeats: int = Field(
+        10, ge=2, le=10_000, description="rounds, with all contestants in each [-]"
+    )
+    seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers [-]")
+    controller: str = Field(
+        "okada", description="physics, accuracy: controller plugin that drives [-]"
+    )
+    episodes: int = Field(4, ge=1, le=1000, description="physics: episodes per round [-]")
+    starts: int = Field(20, ge=1, le=10_000, description="accuracy: starts per scene [-]")
+    updates: int = Field(200, ge=1, le=100_000, description="learner: updates per round [-]")
     batch_sizes: tuple[int, ...] = Field(
-        (32, 128, 512), min_length=1, description="learner: transitions an update [-]"
+        (32, 128, 512), min_length=1, description="learner: transitions per update [-]"
     )
     transitions: int = Field(
         20_000, ge=100, le=1_000_000, description="learner: transitions in the replay [-]"
     )
-    seeds: int = Field(5, ge=1, le=100, description="solve: seeds a contestant [-]")
-    limit: float = Field(600.0, gt=0, le=86_400, description="solve: longest time a run [s]")
+    seeds: int = Field(5, ge=1, le=100, description="solve: seeds per contestant [-]")
+    limit: float = Field(600.0, gt=0, le=86_400, description="solve: time limit of a run [s]")
     validate_every: int = Field(
         1000, ge=1, le=1_000_000, description="solve: decisions between validations [-]"
     )
     validation_episodes: int = Field(
-        100, ge=1, le=10_000, description="solve: episodes a validation, all to succeed [-]"
+        100,
+        ge=1,
+        le=10_000,
+        description="solve: episodes per validation, which must all succeed [-]",
     )
-    in_a_row: int = Field(3, ge=1, le=100, description="solve: such validations in a row [-]")
-    calls: int = Field(5000, ge=10, le=10_000_000, description="latency: calls a round [-]")
+    in_a_row: int = Field(3, ge=1, le=100, description="solve: consecutive such validations [-]")
+    calls: int = Field(5000, ge=10, le=10_000_000, description="latency: calls per round [-]")
     decisions: int = Field(
         2000, ge=100, le=10_000_000, description="latency, scaling: decisions of a short run [-]"
     )
     commands: int = Field(
-        100, ge=1, le=100, description="startup: commands measured at most, in the help's order [-]"
+        100, ge=1, le=100, description="startup: largest number of commands, in help order [-]"
     )
     modules: int = Field(50, ge=1, le=1000, description="discovery: installed plugin modules [-]")
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What every measure is handed."""
+    """Inputs of a measure."""
 
     config: TrainConfig
     settings: BenchSettings
-    tell: Callable[[str, float], None] = lambda what, share: None
-    """Told what is measured now, and which share of the measure is done."""
+    report_progress: Callable[[str, float], None] = lambda what, fraction: None
+    """Called with a text on what is measured now and the fraction of the measure that is done."""
     overrides: tuple[str, ...] = ()
-    """Those of which ``config`` was made, for processes that compose it anew."""
+    """Overrides that ``config`` was composed of, for processes that compose it again."""
 
 
 def sizes(*, small: bool, changes: Mapping[str, Any]) -> BenchSettings:
-    """The defaults, or ``SMALL``, with ``changes`` laid over them.
+    """Return the defaults, or ``SMALL``, with ``changes`` to them.
 
     Raises:
-        ConfigError: a key or a value that is not allowed.
+        ConfigError: a key or a value is not allowed.
     """
     return with_overrides(parse(BenchSettings, SMALL if small else {}), changes)

@@ -1,8 +1,8 @@
-"""Time to solve: from the start until every unseen episode succeeds, three validations in a row.
+"""Time to solve: from the start until every unseen episode succeeds in three validations in a row.
 
-Our trainer with its configuration against Stable-Baselines3's DQN with the best settings found
-for it (see ``sb3``), on the same environment, validated on exactly the same episodes after as
-many decisions, with the same budget of decisions. Seeds in turn: ours, theirs, ours, …
+flipperctl's trainer with its configuration is compared with Stable-Baselines3's DQN with the best
+settings found for it (see ``sb3``). Both have the same environment and budget of decisions and are
+validated on the same episodes after equal numbers of decisions. They run in turn for each seed.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Any
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.bench.attempt import Attempt, Listens
-from flipperctl.bench.extras import extra
+from flipperctl.bench.extras import import_extra
 from flipperctl.bench.settings import Bench, BenchSettings
-from flipperctl.bench.spread import quantity, ratio
+from flipperctl.bench.solve_run import SolveRun, ValidationRecorder
+from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.training.trainer import Trainer
@@ -30,12 +30,12 @@ ABOUT = (
 
 
 def measure(bench: Bench) -> dict[str, Any]:
-    """Seconds and decisions until solved, seed by seed; None for a run that did not solve it."""
-    contestants: dict[str, Callable[[TrainConfig, Attempt, Callable[[], None]], None]]
-    contestants, missing = {"flipperctl": ours}, []
+    """Measure time [s] and decisions until solved for each seed; None for an unsolved run."""
+    contestants: dict[str, Callable[[TrainConfig, SolveRun, Callable[[], None]], None]]
+    contestants, missing = {"flipperctl": solve}, []
     details: dict[str, Any] = {}
     try:
-        sb3 = extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
+        sb3 = import_extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
         contestants["sb3"], details["sb3_settings"] = sb3.solve, sb3.SETTINGS
     except MissingExtraError as error:
         missing.append(str(error))
@@ -45,19 +45,19 @@ def measure(bench: Bench) -> dict[str, Any]:
     total = s.seeds * len(contestants)
     try:
         for seed in range(s.seed + 1, s.seed + 1 + s.seeds):
-            for name, run in contestants.items():
+            for name, solver in contestants.items():
                 config = configured(bench, seed)
-                attempt = Attempt(seed, s)
+                run = SolveRun(seed, s)
                 done = sum(map(len, runs.values()))
-                run(config, attempt, _teller(bench, attempt, name, done, total))
-                runs[name].append(attempt.report())
+                solver(config, run, _reporter(bench, run, name, done, total))
+                runs[name].append(run.report())
     finally:
         torch.set_num_threads(threads)
     return {"about": ABOUT, **summary(runs, s), **details, "missing": missing}
 
 
 def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchSettings) -> dict[str, Any]:
-    """Quantities and ratios (theirs over ours) of the runs' reports."""
+    """Return quantities and ratios (other learners over flipperctl) of the runs' reports."""
     units = {"seconds": "s", "training_seconds": "s", "decisions": "-"}
     values = {(n, what): [r[what] for r in found] for n, found in runs.items() for what in units}
     return {
@@ -79,7 +79,7 @@ def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchSettings) -> dict[
 
 
 def configured(bench: Bench, seed: int) -> TrainConfig:
-    """The training configuration of one run."""
+    """Return the training configuration of one run."""
     s = bench.settings
     changes = {
         "seed": seed,
@@ -89,24 +89,24 @@ def configured(bench: Bench, seed: int) -> TrainConfig:
     return with_overrides(bench.config, changes)
 
 
-def ours(config: TrainConfig, attempt: Attempt, tell: Callable[[], None]) -> None:
-    """Our trainer, until the attempt is over."""
+def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
+    """Train with flipperctl's trainer until the run is finished."""
 
     def stop() -> bool:
-        tell()
-        return attempt.over
+        report()
+        return run.finished
 
     with TemporaryDirectory(prefix="flipperctl-bench-") as folder:
         directory = Path(folder)
         (directory / checkpoint.BEST).parent.mkdir()
-        Trainer(config, directory, [Listens(attempt)]).run(stop)
+        Trainer(config, directory, [ValidationRecorder(run)]).run(stop)
 
 
-def _teller(bench: Bench, attempt: Attempt, name: str, done: int, total: int) -> Callable[[], None]:
-    def tell() -> None:
-        share = min(1.0, attempt.elapsed / attempt.settings.limit)
-        last = attempt.validations[-1]["success_rate"] if attempt.validations else 0.0
-        text = f"{name}, seed {attempt.seed}: {attempt.elapsed:.0f} s, success {last:.0%}"
-        bench.tell(text, (done + share) / total)
+def _reporter(bench: Bench, run: SolveRun, name: str, done: int, total: int) -> Callable[[], None]:
+    def report() -> None:
+        fraction = min(1.0, run.elapsed / run.settings.limit)
+        last = run.validations[-1]["success_rate"] if run.validations else 0.0
+        text = f"{name}, seed {run.seed}: {run.elapsed:.0f} s, success {last:.0%}"
+        bench.report_progress(text, (done + fraction) / total)
 
-    return tell
+    return report

@@ -1,4 +1,4 @@
-"""Wall-clock of short commands, each in a fresh process: what a user waits for."""
+"""Wall-clock time of short commands, each in a fresh process, which a user waits for."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 
 from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench
-from flipperctl.bench.spread import in_turn, quantity, ratio
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 
 ABOUT = "wall-clock of commands as processes of their own, in turn, beside Python's own start"
 PYTHON = "python -c pass"
 
 Command = tuple[str, ...]
-"""What follows ``flipperctl`` on the command line."""
+"""Arguments of ``flipperctl`` on the command line."""
 
 
 def measure(bench: Bench, commands: Sequence[Command]) -> dict[str, Any]:
-    """Milliseconds of each command, and how many times Python's own start that is.
+    """Measure the time of each command [ms], and its ratio to the start of Python itself.
 
     Raises:
         FlipperctlError: a command failed.
@@ -35,10 +35,12 @@ def measure(bench: Bench, commands: Sequence[Command]) -> dict[str, Any]:
         ]
     clocks = {name: _clock(name, process) for name, process in processes.items()}
     for index, clock in enumerate(clocks.values()):
-        bench.tell("once, so that every file is in the cache", 0.1 * index / len(clocks))
+        bench.report_progress("warm-up, to cache every file", 0.1 * index / len(clocks))
         clock()
-    found = in_turn(
-        clocks, s.repeats, lambda share: bench.tell("processes in turn", 0.1 + 0.9 * share)
+    found = measure_in_turn(
+        clocks,
+        s.repeats,
+        lambda fraction: bench.report_progress("processes in turn", 0.1 + 0.9 * fraction),
     )
     return {
         "about": ABOUT,

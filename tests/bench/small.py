@@ -1,4 +1,4 @@
-"""Measures of a size for tests, and what holds for every measure's result."""
+"""Benchmark settings small enough for tests, and checks of every measure's result."""
 
 import math
 
@@ -11,14 +11,14 @@ UNITS = {"rad", "1/s", "s", "ms", "µs", "MiB", "-"}
 
 
 def small_bench(**changes: object) -> Bench:
-    """Steps, which are quicker than stairs; what limits a run is its budget, not the clock."""
+    """Return small settings on steps, whose runs end by their budget and not by the clock."""
     config = TrainConfig(terrain="step", network="at_d3qn", seed=3, train={"decisions": 250})
     changes = {"limit": 3600.0, **changes}
     return Bench(config, sizes(small=True, changes=changes))
 
 
 def check(found: dict) -> None:
-    """Raw numbers, units, and statistics that follow from the raw numbers."""
+    """Check raw numbers and units, and that the statistics follow from the raw numbers."""
     assert found["about"]
     for name, q in found["quantities"].items():
         assert q["unit"] in UNITS, name
@@ -30,6 +30,6 @@ def check(found: dict) -> None:
 
 
 def check_ratio(found: dict, name: str, above: str, below: str) -> None:
-    """The ratio is the one of the medians of the two quantities."""
+    """Check that the ratio is that of the medians of the two quantities."""
     medians = [found["quantities"][what]["median"] for what in (above, below)]
     assert found["ratios"][name]["ratio"] == pytest.approx(medians[0] / medians[1])

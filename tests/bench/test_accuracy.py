@@ -11,7 +11,7 @@ def test_each_substep_is_compared_with_the_finest() -> None:
     for scene in ("paper_step", "paper_stair"):
         coarse, finest = f"{scene}.5ms", f"{scene}.1.25ms"
         check_ratio(found, f"{coarse} / {finest}", coarse, finest)
-        # Another substep is another trajectory, though hardly another θ̂_R.
+        # Another substep gives another trajectory with nearly the same θ̂_R.
         values = [found["quantities"][name]["values"] for name in (coarse, finest)]
         assert values[0] != values[1]
         assert 0.9 < found["ratios"][f"{coarse} / {finest}"]["ratio"] < 1.1

@@ -1,4 +1,4 @@
-"""What the numbers were measured with."""
+"""Description of the machine."""
 
 from flipperctl import __version__
 from flipperctl.bench.machine import machine, processor

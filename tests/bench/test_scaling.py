@@ -1,4 +1,4 @@
-"""Decisions a second over collectors."""
+"""Decisions per second of each collector."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.bench.small import check, check_ratio, small_bench
 
 
 class Counting:
-    """Collects without playing."""
+    """A collector that counts decisions without playing them."""
 
     def __init__(self, config: object, workers: int) -> None:
         self.collected = self.closed = 0

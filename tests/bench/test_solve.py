@@ -6,17 +6,17 @@ from itertools import pairwise
 import pytest
 
 from flipperctl.bench import solve
-from flipperctl.bench.attempt import Attempt, Listens, Validation
+from flipperctl.bench.solve_run import SolveRun, Validation, ValidationRecorder
 from flipperctl.training.trainer import Trainer
 from tests.bench.small import check, small_bench
 
 
 class Clock:
-    """An attempt's clock that a test sets."""
+    """The clock of a run that a test sets."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("flipperctl.bench.attempt.time.perf_counter", lambda: self.now)
+        monkeypatch.setattr("flipperctl.bench.solve_run.time.perf_counter", lambda: self.now)
 
 
 @pytest.fixture
@@ -24,20 +24,20 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return Clock(monkeypatch)
 
 
-def attempt(**changes: object) -> Attempt:
-    return Attempt(1, small_bench(limit=60.0, in_a_row=3, **changes).settings)
+def solve_run(**changes: object) -> SolveRun:
+    return SolveRun(1, small_bench(limit=60.0, in_a_row=3, **changes).settings)
 
 
 def test_solved_is_three_perfect_validations_in_a_row(clock: Clock) -> None:
-    a = attempt()
+    run = solve_run()
     for index, rate in enumerate((1.0, 1.0, 0.99, 1.0, 1.0)):
         clock.now += 4.0
-        a.validated(1000 * (index + 1), rate, took=1.0)
-        assert not a.over
+        run.add_validation(1000 * (index + 1), rate, took=1.0)
+        assert not run.finished
     clock.now += 4.0
-    a.validated(6000, 1.0, took=1.0)
-    assert a.over
-    report = a.report()
+    run.add_validation(6000, 1.0, took=1.0)
+    assert run.finished
+    report = run.report()
     assert (report["seconds"], report["training_seconds"], report["decisions"]) == (
         24.0,
         18.0,
@@ -46,26 +46,26 @@ def test_solved_is_three_perfect_validations_in_a_row(clock: Clock) -> None:
 
 
 def test_out_of_time_is_not_solved(clock: Clock) -> None:
-    a = attempt()
-    a.validated(1000, 1.0, took=1.0)
-    a.validated(2000, 1.0, took=1.0)
+    run = solve_run()
+    run.add_validation(1000, 1.0, took=1.0)
+    run.add_validation(2000, 1.0, took=1.0)
     clock.now += 61.0
-    a.validated(3000, 1.0, took=1.0)  # too late to count
-    assert a.over
-    report = a.report()
+    run.add_validation(3000, 1.0, took=1.0)  # too late to count
+    assert run.finished
+    report = run.report()
     assert report["solved"] is False
     assert report["seconds"] is None
     assert len(report["validations"]) == 2
 
 
 def test_the_time_since_the_episode_is_the_validations(clock: Clock) -> None:
-    a = attempt()
-    listener = Listens(a)
+    run = solve_run()
+    listener = ValidationRecorder(run)
     clock.now += 10.0
     listener.episode({})
     clock.now += 3.0
     listener.validation({"decision": 1000, "success_rate": 0.5})
-    assert a.validating == 3.0
+    assert run.validation_seconds == 3.0
 
 
 def test_medians_count_the_unsolved_as_longest() -> None:

@@ -1,4 +1,4 @@
-"""Terrains made of others: any plugin, from any place, and what becomes of labels and faces."""
+"""Terrains made of other terrains: inner plugins of any origin, their labels and their faces."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from flipperctl.errors import ConfigError
 
 @pytest.fixture
 def spike() -> Iterator[type[Terrain]]:
-    """A third party's terrain."""
+    """Register a third party's terrain."""
 
     @terrain("spike")
     class Spike(Terrain):
-        """A spike, first low, then high."""
+        """A spike that begins low and ends high."""
 
         tall: float = 0.2
 
@@ -44,7 +44,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 STEP = {"name": "step", "low": 0.3, "high": 0.3}
 
 
-def test_a_mix_draws_by_weight_and_says_what_it_drew(spike: type[Terrain]) -> None:
+def test_a_mix_draws_by_weight_and_labels_the_profile(spike: type[Terrain]) -> None:
     mix = made("mix", parts=["flat", "spike", STEP], weights=[1, 2, 0])
     stream = rng()
     drawn = Counter(mix.labelled(stream).label for _ in range(600))
@@ -52,7 +52,7 @@ def test_a_mix_draws_by_weight_and_says_what_it_drew(spike: type[Terrain]) -> No
     assert drawn["flat"] == pytest.approx(200, abs=40)
 
 
-def test_a_sequence_goes_on_at_the_height_it_has_come_to(spike: type[Terrain]) -> None:
+def test_a_sequence_continues_at_the_height_of_the_previous_part(spike: type[Terrain]) -> None:
     parts = [STEP, {"name": "spike", "tall": 0.5}, STEP]
     profile = made("sequence", parts=parts, spacing_low=0.5, spacing_high=0.5).labelled(rng(1))
     assert profile.label == "step+tall spike+step"
@@ -61,14 +61,14 @@ def test_a_sequence_goes_on_at_the_height_it_has_come_to(spike: type[Terrain]) -
     )
 
 
-def test_a_mirror_turns_a_terrain_round_as_often_as_asked(spike: type[Terrain]) -> None:
+def test_a_mirror_reverses_a_terrain_with_its_probability(spike: type[Terrain]) -> None:
     mirror = made("mirror", terrain="spike")
     assert mirror.labelled(rng()).points == pytest.approx(np.array([(0, 0), (1, -0.2)]))
     never = made("mirror", terrain="spike", probability=0)
     assert never.labelled(rng()).points.tolist() == [[2.0, 1.0], [3.0, 1.2]]
 
 
-def test_noise_keeps_vertical_faces_vertical_and_as_high() -> None:
+def test_noise_keeps_the_direction_and_height_of_vertical_faces() -> None:
     stair = {"name": "stair", "fewest": 3, "most": 3, "rise": 0.2, "direction": "up"}
     rough = made("noisy", terrain=stair, deviation=0.02).labelled(rng())
     faces = np.diff(rough.points, axis=0)
@@ -81,7 +81,7 @@ def test_noise_keeps_vertical_faces_vertical_and_as_high() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "said"),
+    ("part", "text"),
     [
         ("stare", "terrain.parts.1: there is no terrain plugin 'stare'; did you mean 'stair'?"),
         ({"name": "stair", "rise": 9}, "terrain.parts.1.rise: "),
@@ -93,13 +93,13 @@ def test_noise_keeps_vertical_faces_vertical_and_as_high() -> None:
         ({"rise": 1}, "terrain.parts.1: a terrain's name, or a mapping"),
     ],
 )
-def test_a_mistake_deep_within_is_found_where_it_is(part: object, said: str) -> None:
+def test_an_error_in_an_inner_terrain_names_its_place(part: object, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         made("mix", parts=["step", part])
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(text)
 
 
-def test_bounds_of_a_part_are_told() -> None:
+def test_an_error_states_the_bounds_of_a_part() -> None:
     with pytest.raises(ConfigError, match=r"> 0, ≤ 0\.5"):
         made("mix", parts=["step", {"name": "stair", "rise": 9}])
 
@@ -116,7 +116,7 @@ def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain])
     assert resolver.create("terrain", terrain, "terrain") == config.terrain
 
 
-def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrain]) -> None:
+def test_a_curriculum_interpolates_each_number_from_easy_to_hard(spike: type[Terrain]) -> None:
     easy = {"name": "mix", "parts": [{"name": "spike", "tall": 0}, {"name": "wave", "most": 2}]}
     hard = {"name": "mix", "parts": [{"name": "spike", "tall": 1}, {"name": "wave", "most": 8}]}
     found = made("curriculum", easy=easy, hard=hard)
@@ -129,7 +129,7 @@ def test_a_curriculum_goes_from_easy_to_hard_number_by_number(spike: type[Terrai
     assert found.at(1.0) == resolver.create("terrain", hard, "terrain")
 
 
-def test_a_curriculum_takes_small_steps_within_its_ends() -> None:
+def test_a_curriculum_takes_steps_between_0_and_1() -> None:
     found = made("curriculum", start=0.5, up=0.3, down=0.4)
     assert found.first_difficulty == 0.5
     assert found.next_difficulty(0.5, True) == pytest.approx(0.8)
@@ -143,12 +143,12 @@ def test_a_curriculum_takes_small_steps_within_its_ends() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hard", "said"),
+    ("hard", "text"),
     [
         ({"name": "stair"}, "step and stair"),
         ({"name": "step", "platform": 1, "back": True}, "step.back is False and True"),
     ],
 )
-def test_what_is_no_number_must_not_differ(hard: object, said: str) -> None:
-    with pytest.raises(ConfigError, match=f"only numbers may differ.*{said}"):
+def test_only_numbers_may_differ_between_easy_and_hard(hard: object, text: str) -> None:
+    with pytest.raises(ConfigError, match=f"only numbers may differ.*{text}"):
         made("curriculum", hard=hard)

@@ -1,4 +1,4 @@
-"""Every registered plugin keeps to the contract, and what is special to the built-in ones."""
+"""Every registered plugin keeps to its contract; further properties of the built-in ones."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_every_family_has_its_plugins() -> None:
     assert {kind for kind, _ in registry} == set(KINDS)
 
 
-# Between 1 m before the first edge and 1 m behind the last (paper Tab. I)
+# From 1 m before the first edge to 1 m past the last (paper Tab. I)
 @pytest.mark.parametrize(("name", "length"), [("paper_step", 5.0), ("paper_stair", 6.5)])
 def test_the_paper_s_scenes_have_the_paper_s_length(name: str, length: float) -> None:
     scene = resolver.create("terrain", name, "terrain")

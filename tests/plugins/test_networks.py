@@ -1,4 +1,4 @@
-"""What the parts of the built-in networks compute, by hand."""
+"""The modules of the built-in networks against numbers worked by hand."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def build(name: str, **fields: object) -> torch.nn.Module:
     return network.build(LAYOUT, 9)
 
 
-def test_the_noise_is_factorised_and_rests_in_eval_mode() -> None:
+def test_the_noise_is_factorised_and_absent_in_eval_mode() -> None:
     layer = NoisyLinear(2, 1, sigma=0.5)
     for parameter, value in zip(layer.mean.parameters(), ([[1.0, 2.0]], [3.0]), strict=True):
         parameter.data = torch.tensor(value)
@@ -34,7 +34,7 @@ def test_the_noise_is_factorised_and_rests_in_eval_mode() -> None:
     assert layer.eval()(row).item() == pytest.approx(53.0)
 
 
-def test_noise_comes_from_the_generator_and_is_no_weight() -> None:
+def test_noise_comes_from_the_generator_and_is_not_a_weight() -> None:
     layer, other = NoisyLinear(400, 3), NoisyLinear(400, 3)
     layer.draw_noise(np.random.default_rng(1))
     other.draw_noise(np.random.default_rng(1))
@@ -45,7 +45,7 @@ def test_noise_comes_from_the_generator_and_is_no_weight() -> None:
     assert layer.noise_in.mean().item() == pytest.approx(0.0, abs=0.15)
 
 
-def test_motion_is_the_newest_frame_and_the_changes_before_it() -> None:
+def test_motion_is_the_newest_frame_and_the_changes_up_to_it() -> None:
     rows = torch.tensor([[1.0, 5.0, 2.0, 4.0, 4.0, 0.0]])  # (1, 5), then (2, 4), then (4, 0)
     assert Motion(3)(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
 
@@ -59,10 +59,10 @@ def test_quantiles_differ_and_their_mean_is_the_q_value() -> None:
     assert torch.allclose(quantiles.mean(dim=2), module(observation))
 
 
-def test_the_convolution_sees_the_ground_go_on_beyond_its_ends() -> None:
+def test_the_convolution_continues_the_ground_beyond_its_ends() -> None:
     module = build("conv", channels=(3, 2), reach=2)
     flat = torch.zeros(1, LAYOUT.size)
-    flat[:, : LAYOUT.bins] = 0.3  # a level ground gives the same in every bin
+    flat[:, : LAYOUT.bins] = 0.3  # level ground gives equal features in every bin
     features = module[1].terrain(flat[:, : LAYOUT.bins]).reshape(2, LAYOUT.bins)
     assert torch.allclose(features, features[:, :1].expand(-1, LAYOUT.bins), atol=1e-6)
 
@@ -71,6 +71,6 @@ def test_the_convolution_sees_the_ground_go_on_beyond_its_ends() -> None:
     ("name", "field"),
     [("at_d3qn", "terrain"), ("conv", "channels"), ("mlp", "hidden"), ("dueling_mlp", "hidden")],
 )
-def test_a_layer_of_no_width_is_refused(name: str, field: str) -> None:
+def test_a_layer_of_zero_width_is_refused(name: str, field: str) -> None:
     with pytest.raises(ConfigError, match=rf"network\.{field}\.0: .* greater than 0"):
         build(name, **{field: (0,)})

@@ -1,4 +1,4 @@
-"""Recorded ground: every format gives the outline that was written into it."""
+"""Recorded ground: a file of any format gives the outline that was written to it."""
 
 import sys
 from pathlib import Path
@@ -16,32 +16,32 @@ from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, TerrainError
 
-WAY = {"start": (1.0, 2.0), "end": (3.0, 2.0)}
-"""Along x."""
+LINE = {"start": (1.0, 2.0), "end": (3.0, 2.0)}
+"""A line along x over a map or through a cloud."""
 
 
 def profile(path: Path | None = None, **fields: Any) -> Profile:
     settings = {"name": "profile_file", "path": path and str(path), **fields}
     found = resolver.create("terrain", settings, "terrain")
-    env = FlipperEnv(found)  # whose errors are what a user sees
+    env = FlipperEnv(found)  # raises the errors that a user sees
     env.reset(seed=0)
     return env.profile
 
 
 def block(x: np.ndarray) -> np.ndarray:
-    """A block 0.3 m high over x from 1.5 to 2.5 m, on ground at 7 m."""
+    """Return the heights of a block 0.3 m high from x = 1.5 to 2.5 m, on ground at 7 m."""
     return np.where((x > 1.495) & (x < 2.505), 7.3, 7.0)
 
 
 def assert_block(found: Profile, step: float) -> None:
-    """The block as seen from x = 1 on; its faces are at most ``step`` long."""
+    """Check for the block from x = 1 m on, with points at most ``step`` [m] apart in x."""
     assert found.end == pytest.approx(2.0)
     for x, z in ((0.0, 0.0), (0.4, 0.0), (0.6, 0.3), (1.4, 0.3), (1.6, 0.0), (2.0, 0.0)):
         assert found.height(x) == pytest.approx(z, abs=1e-6)
     assert np.diff(found.points[:, 0]).max() <= step + 1e-9
 
 
-def test_a_csv_is_the_line_itself_in_its_unit(tmp_path: Path) -> None:
+def test_a_csv_is_a_profile_in_its_unit(tmp_path: Path) -> None:
     file = tmp_path / "curb.csv"
     file.write_text("time, X, Z\n0, 100, 5\n1, 100, 25\n2, 180, 25\n")
     found = profile(file, unit="cm")
@@ -49,12 +49,12 @@ def test_a_csv_is_the_line_itself_in_its_unit(tmp_path: Path) -> None:
     assert found.label == "curb"
 
 
-def test_without_a_file_there_is_an_example() -> None:
+def test_the_default_is_the_included_example() -> None:
     assert profile().label == "example"
     assert profile().end == pytest.approx(2.5)
 
 
-def test_a_large_csv_is_read_alike_and_its_fault_is_named(tmp_path: Path) -> None:
+def test_a_large_csv_is_read_equally_and_its_fault_is_named(tmp_path: Path) -> None:
     file = tmp_path / "large.csv"
     lines = [f"{i}, {0.001 * i:.4f}, {0.0001 * (i % 7):.5f}\n" for i in range(60_000)]
     file.write_text("line, x, z\n" + "".join(lines))
@@ -100,7 +100,7 @@ def write_tiff(file: Path, heights: np.ndarray, **how: Any) -> None:
         out.write(heights.astype("float32"), 1)
 
 
-def test_a_geotiff_brings_its_frame(tmp_path: Path) -> None:
+def test_a_geotiff_contains_its_frame(tmp_path: Path) -> None:
     heights = np.tile(block(np.arange(80) * 0.05 + 0.025), (60, 1))  # 4 m × 3 m
     heights[:3] = -9999.0
     file = tmp_path / "map.tif"
@@ -120,16 +120,16 @@ def test_degrees_and_an_unknown_frame_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "degrees.tif"
     write_tiff(file, np.zeros((5, 5)), crs="EPSG:4326", transform=from_origin(10, 50, 0.1, 0.1))
     with pytest.raises(TerrainError, match="degrees; project it to metres"):
-        profile(file, **WAY)
+        profile(file, **LINE)
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         write_tiff(tmp_path / "bare.tif", np.zeros((50, 50)), transform=Affine.identity())
     with pytest.raises(TerrainError, match="state the resolution"):
-        profile(tmp_path / "bare.tif", **WAY)
-    assert profile(tmp_path / "bare.tif", resolution=0.1, **WAY).end == pytest.approx(2.0)
+        profile(tmp_path / "bare.tif", **LINE)
+    assert profile(tmp_path / "bare.tif", resolution=0.1, **LINE).end == pytest.approx(2.0)
 
 
 def scanned() -> np.ndarray:
-    """A cloud of the block, 4 m × 3 m, with a wall beside the way."""
+    """Return a cloud of the block, 4 m × 3 m, with a high point beside the line and a NaN."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform((0, 0), (4, 3), (40_000, 2)).T
     ground = np.column_stack([x, y, block(x)])
@@ -146,10 +146,10 @@ def write_cloud(file: Path, points: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["pcd", "ply", "xyz"])
-def test_a_point_cloud_is_sliced_beside_the_line(suffix: str, tmp_path: Path) -> None:
+def test_a_point_cloud_is_sliced_along_the_line(suffix: str, tmp_path: Path) -> None:
     file = tmp_path / f"scan.{suffix}"
     write_cloud(file, scanned())
-    assert_block(profile(file, **WAY), 0.02)
+    assert_block(profile(file, **LINE), 0.02)
     with pytest.raises(TerrainError, match=r"only 0 points lie within .* covers x from 0\.00 to 4"):
         profile(file, start=(8.0, 2.0), end=(9.0, 2.0))
     with pytest.raises(TerrainError, match=r"no height is known from 3\.\d+ to 5\.00 m"):
@@ -159,12 +159,12 @@ def test_a_point_cloud_is_sliced_beside_the_line(suffix: str, tmp_path: Path) ->
 def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
     file = tmp_path / "camera.xyz"
     x, y, z = scanned()[:-1].T
-    write_cloud(file, np.column_stack([x, -z, y]))  # right, down, ahead
-    assert_block(profile(file, up="-y", **WAY), 0.02)
+    write_cloud(file, np.column_stack([x, -z, y]))  # axes: right, down, ahead
+    assert_block(profile(file, up="-y", **LINE), 0.02)
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("name", "content", "text"),
     [
         ("none.csv", None, "there is no such file"),
         ("bad.csv", "a,b\n1,2\n", "columns x and z is needed; it has ['a', 'b']"),
@@ -187,23 +187,23 @@ def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_file_is_named_in_one_line(
-    name: str, text: str | None, said: str, tmp_path: Path
+    name: str, content: str | None, text: str, tmp_path: Path
 ) -> None:
-    if text is not None:
-        (tmp_path / name).write_text(text)
+    if content is not None:
+        (tmp_path / name).write_text(content)
     with pytest.raises(TerrainError) as caught:
-        profile(tmp_path / name, **({} if name.endswith("csv") else WAY))
-    assert said in str(caught.value)
+        profile(tmp_path / name, **({} if name.endswith("csv") else LINE))
+    assert text in str(caught.value)
     assert str(tmp_path / name) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "text"),
     [
         ({"path": "scan.las"}, "one of .csv, .npy"),
         ({"path": "scan.ply"}, "needs start and end"),
-        ({"path": "scan.csv", **WAY}, "belong to maps and clouds"),
+        ({"path": "scan.csv", **LINE}, "belong to maps and clouds"),
         (
             {"path": "scan.ply", "start": (1, 1), "end": (1, 1)},
             "is 0 m long; above 0",
@@ -212,8 +212,8 @@ def test_a_bad_file_is_named_in_one_line(
         ({"path": "~nobody-here/a.csv"}, "path ~nobody-here/a.csv: Could not determine"),
     ],
 )
-def test_settings_must_fit_the_file(fields: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_settings_must_fit_the_file(fields: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
         resolver.create("terrain", {"name": "profile_file", **fields}, "terrain")
 
 
@@ -222,4 +222,4 @@ def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     write_cloud(file, scanned())
     monkeypatch.setitem(sys.modules, "trimesh.exchange.ply", None)
     with pytest.raises(TerrainError, match=r"install flipperctl\[profiles\]"):
-        profile(file, **WAY)
+        profile(file, **LINE)

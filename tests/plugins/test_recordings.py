@@ -1,4 +1,4 @@
-"""Recorded ground from anywhere: spreadsheets' habits are read, headers that lie are refused."""
+"""Recorded ground of any origin: spreadsheets' dialects are read, false headers are refused."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import from_origin
 
 from flipperctl.errors import TerrainError
-from tests.plugins.test_profile_file import WAY, assert_block, profile, scanned, write_cloud
+from tests.plugins.test_profile_file import LINE, assert_block, profile, scanned, write_cloud
 
 CURB = np.array([(0.0, 0.0), (0.0, 0.2), (0.8, 0.2)])
 
@@ -35,7 +35,7 @@ def test_an_xyz_with_decimal_commas_is_read(row: str, tmp_path: Path) -> None:
     file = tmp_path / "scan.xyz"
     lines = (row.format(*point).replace(".", ",") for point in scanned()[:-1])
     file.write_text("\n".join(lines))
-    assert_block(profile(file, **WAY), 0.02)
+    assert_block(profile(file, **LINE), 0.02)
 
 
 _PCD = (
@@ -64,15 +64,15 @@ def test_a_header_that_claims_too_much_is_refused_before_memory_is_taken(
     text = header.format(points=points, data=data, count="1 1 1")
     file.write_bytes(text.encode() + b"\x10\0\0\0\xff\xff\xff\xff" * 2)
     with pytest.raises(TerrainError, match=r"a file of \d+ bytes can hold|whole number") as caught:
-        profile(file, **WAY)
+        profile(file, **LINE)
     assert str(file) in str(caught.value)
 
 
-def test_a_point_of_countless_numbers_is_refused(tmp_path: Path) -> None:
+def test_a_point_of_too_many_numbers_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "scan.pcd"
     file.write_text(_PCD.format(points=0, data="ascii", count="1 1 1099511627776"))
     with pytest.raises(TerrainError, match="1000 are allowed"):
-        profile(file, **WAY)
+        profile(file, **LINE)
 
 
 @pytest.mark.parametrize("suffix", ["pcd", "ply"])
@@ -83,7 +83,7 @@ def test_a_cloud_with_fewer_points_than_its_header_claims_is_refused(
     write_cloud(file, scanned())
     file.write_bytes(file.read_bytes()[:-12])  # a point of three float32
     with pytest.raises(TerrainError, match=str(file)):
-        profile(file, **WAY)
+        profile(file, **LINE)
 
 
 @pytest.mark.parametrize("shape", [(2**40, 2**20), (-4, 5), (10**9, 10)])
@@ -94,10 +94,10 @@ def test_a_map_that_claims_too_much_is_refused(shape: tuple[int, int], tmp_path:
         np.lib.format.write_array_header_1_0(out, header)
         out.write(bytes(800))
     with pytest.raises(TerrainError, match=r"map\.npy: "):
-        profile(file, resolution=0.1, **WAY)
+        profile(file, resolution=0.1, **LINE)
 
 
-def test_of_a_large_map_only_what_lies_around_the_line_is_read(tmp_path: Path) -> None:
+def test_of_a_large_map_only_the_cells_around_the_line_are_read(tmp_path: Path) -> None:
     file = tmp_path / "large.tif"
     with rasterio.open(
         file, "w", driver="GTiff", height=200_000, width=200_000, count=1, dtype="float32",
@@ -109,7 +109,7 @@ def test_of_a_large_map_only_what_lies_around_the_line_is_read(tmp_path: Path) -
         profile(file, start=(5.0, 5.0), end=(5000.0, 5000.0), spacing=0.5)
 
 
-def test_a_folder_is_no_file(tmp_path: Path) -> None:
+def test_a_folder_and_too_long_a_name_are_refused(tmp_path: Path) -> None:
     folder = tmp_path / "ground.csv"
     folder.mkdir()
     with pytest.raises(TerrainError, match=r"ground\.csv: Is a directory"):

@@ -1,4 +1,4 @@
-"""The library's reward terms against numbers worked by hand; the paper's are in tests/env."""
+"""The further reward terms against numbers worked by hand; the paper's are in tests/env."""
 
 import math
 from dataclasses import replace
@@ -34,16 +34,18 @@ def state(
 
 
 def transition(after: RobotState, before: RobotState | None = None, **more: Any) -> Transition:
-    given = {"profile": FLAT, "robot": ROBOT, "action": (0, 0), "pitches": np.zeros(2), **more}
-    return Transition(before or state(), after, **given)
+    fields = {"profile": FLAT, "robot": ROBOT, "action": (0, 0), "pitches": np.zeros(2), **more}
+    return Transition(before or state(), after, **fields)
 
 
 # Progress
 
 
-@pytest.mark.parametrize(("way", "value"), [(0.05, 0.25), (-0.1, -0.5), (0.3, 1.0), (-0.3, -1.0)])
-def test_progress_pays_the_way_forward(way: float, value: float) -> None:
-    moved = transition(state(1.0 + way), state(1.0))
+@pytest.mark.parametrize(
+    ("distance", "value"), [(0.05, 0.25), (-0.1, -0.5), (0.3, 1.0), (-0.3, -1.0)]
+)
+def test_progress_pays_the_distance_forward(distance: float, value: float) -> None:
+    moved = transition(state(1.0 + distance), state(1.0))
     assert paid("progress", moved, distance=0.2) == pytest.approx(value)
 
 
@@ -53,12 +55,12 @@ def test_progress_pays_the_way_forward(way: float, value: float) -> None:
     [
         (-2.0, -1.88, None, 0.0308),
         (-1.88, -2.0, None, 0.9 * -0.2 + 0.188),
-        (-2.0, -1.88, Outcome.STUCK, 0.2),  # Φ = 0 behind every outcome, good or bad
-        (-12.0, -11.0, None, 0.1),  # both farther away than counts: -0.9 + 1
-        (0.5, 0.6, None, 0.0),  # all edges lie behind
+        (-2.0, -1.88, Outcome.STUCK, 0.2),  # Φ = 0 after every outcome, good or bad
+        (-12.0, -11.0, None, 0.1),  # both farther away than 10 m: -0.9 + 1
+        (0.5, 0.6, None, 0.0),  # past all edges
     ],
 )
-def test_shaped_progress_is_the_gain_in_nearness(
+def test_shaped_progress_is_the_change_of_potential(
     begin: float, end: float, outcome: Outcome | None, value: float
 ) -> None:
     moved = transition(state(end), state(begin), outcome=outcome)
@@ -77,7 +79,9 @@ def test_shaped_progress_is_the_gain_in_nearness(
         (math.pi / 6, math.pi / 12, -1.0),
     ],
 )
-def test_travel_is_what_both_pairs_turned(front: float, rear: float, value: float) -> None:
+def test_travel_is_the_angle_that_both_pairs_turned(
+    front: float, rear: float, value: float
+) -> None:
     turned = transition(state(front=0.1 + front, rear=rear - 0.2), state(front=0.1, rear=-0.2))
     assert paid("travel", turned) == pytest.approx(value)
 
@@ -86,19 +90,19 @@ def test_travel_is_what_both_pairs_turned(front: float, rear: float, value: floa
     ("before", "now", "value"),
     [
         ((0, 0), (0, 0), 0.0),
-        ((1, -1), (1, -1), 0.0),  # turning on costs nothing
+        ((1, -1), (1, -1), 0.0),  # turning at a constant rate costs nothing
         ((0, 0), (1, 0), -0.25),
         ((1, 1), (0, 0), -0.5),
         ((1, -1), (-1, 1), -1.0),
     ],
 )
-def test_smoothness_is_how_much_the_action_differs(
+def test_smoothness_is_the_change_of_the_action(
     before: tuple[int, int], now: tuple[int, int], value: float
 ) -> None:
     assert paid("smoothness", transition(state(), action=now, previous_action=before)) == value
 
 
-# Impact: 5 m/s² are free, 30 m/s² more cost 1.
+# Impact: up to 5 m/s² there is no penalty, 30 m/s² more cost 1.
 
 
 def path(*heights: float) -> np.ndarray:
@@ -150,18 +154,18 @@ def test_stability_is_the_distance_to_the_nearer_end_of_the_support(
 
 
 @pytest.mark.parametrize(("x", "value"), [(-0.1, -0.5), (-0.02, -0.9), (0.1, -1.0), (-1.0, 0.0)])
-def test_there_is_no_support_beyond_a_brink(x: float, value: float) -> None:
+def test_there_is_no_support_past_an_edge(x: float, value: float) -> None:
     brink = Profile([(-5.0, 1.0), (0.0, 1.0), (0.0, 0.0)])
     t = transition(state(x, 1.1, front=UP, rear=UP), profile=brink)
     assert paid("stability", t, enough=0.2, touch=1e-6) == pytest.approx(value, abs=1e-6)
 
 
-def test_who_flies_has_no_margin() -> None:
+def test_in_the_air_there_is_no_margin() -> None:
     assert paid("stability", transition(state(z=1.0))) == -1.0
 
 
-# Nose up by 0.3 with the front pair straight ahead and the rear pair level: the chassis' rear end
-# carries and the rear tip, 0.336 m further back; the centre of mass is in front of both.
+# Nose up by 0.3 rad with the front pair straight ahead and the rear pair level: the chassis' rear
+# end and the rear tip, 0.336 m behind it, support the robot; the centre of mass is ahead of both.
 def test_a_lifted_nose_rests_on_rear_end_and_rear_flippers() -> None:
     pitch = 0.3
     lifted = state(0.0, 0.1 + 0.28 * math.sin(pitch), pitch=pitch, rear=pitch)
@@ -182,7 +186,7 @@ def test_clearance_is_the_gap_over_a_bump(height: float, value: float) -> None:
     assert paid("clearance", t, bump=0.15) == 0.0
 
 
-# Nose up by 0.1 over the same block, the lowest point of the underside is over its rear corner:
+# Nose up by 0.1 rad over the same block, the gap is smallest over its rear corner:
 # in frame R it lies at 0.1 cos 0.1 - 0.3 cos 0.1 + 0.1 sin 0.1 ... = -(0.2 cos 0.1 - 0.1 sin 0.1).
 def test_the_gap_is_measured_across_the_pitched_chassis() -> None:
     block = Profile([(-0.1, 0.0), (-0.1, 0.1), (0.1, 0.1), (0.1, 0.0)])
@@ -198,7 +202,7 @@ def test_flat_ground_is_clear_at_any_slope(slope: float) -> None:
     assert paid("clearance", transition(lying, profile=ramp)) == 0.0
 
 
-def test_terms_look_at_the_end_of_the_decision() -> None:
+def test_stability_is_that_at_the_end_of_the_decision() -> None:
     t = transition(state(z=0.1, front=UP, rear=UP), state(z=1.0))
     assert paid("stability", t) == 0.0
     assert paid("stability", replace(t, before=t.after, after=t.before)) == -1.0

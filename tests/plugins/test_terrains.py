@@ -1,4 +1,4 @@
-"""The terrain families' outlines, by numbers worked by hand."""
+"""The outlines of the terrain families against numbers worked by hand."""
 
 import math
 
@@ -23,7 +23,7 @@ FAMILIES = (
 
 
 def drawn(name: str, seed: int = 0, **fields: object) -> Profile:
-    """A profile; a field given as ``height=0.3`` is both its ``_low`` and its ``_high``."""
+    """Return a profile; ``height=0.3`` sets both ``height_low`` and ``height_high``."""
     cls = resolver.get("terrain", name, "terrain")
     settings = {}
     for field, value in fields.items():
@@ -43,14 +43,14 @@ def test_a_ramp_of_30_degrees_rises_by_half_its_length_and_leads_back() -> None:
     assert drawn("ramp", back=False).points.shape == (2, 2)
 
 
-def test_an_uplift_and_a_gap_are_each_other_upside_down() -> None:
+def test_a_gap_is_an_uplift_upside_down() -> None:
     block = drawn("uplift", height=0.3, width=0.4).points
     assert block.tolist() == [[0, 0], [0, 0.3], [0.4, 0.3], [0.4, 0]]
     trench = drawn("gap", depth=0.3, width=0.4).points
     assert trench.tolist() == (block * (1, -1)).tolist()
 
 
-def test_a_wave_has_its_crests_half_a_length_behind_its_troughs() -> None:
+def test_a_wave_has_its_crests_half_a_length_past_its_troughs() -> None:
     profile = drawn("wave", length=0.8, height=0.3, fewest=2, most=2)
     assert profile.end == pytest.approx(1.6)
     for x, z in ((0.0, 0.0), (0.2, 0.15), (0.4, 0.3), (0.8, 0.0), (1.2, 0.3), (1.6, 0.0)):
@@ -64,7 +64,7 @@ def test_a_rail_grows_by_the_sine_of_the_angle_at_which_it_is_crossed() -> None:
     assert drawn("rail", side=0.2, angle=90, most=1).end == pytest.approx(0.2)
 
 
-def test_hurdles_are_alike_and_piles_are_not() -> None:
+def test_hurdles_are_equal_and_piles_are_not() -> None:
     hurdles = drawn("pallet", fewest=3, most=3).points
     assert len(set(hurdles[1::4, 1])) == 1
     assert hurdles[2::4, 0] - hurdles[1::4, 0] == pytest.approx(hurdles[2, 0] - hurdles[1, 0])
@@ -74,7 +74,7 @@ def test_hurdles_are_alike_and_piles_are_not() -> None:
         assert set(points[0::4, 1]) == set(points[3::4, 1]) == {0.0}
 
 
-def test_a_pavement_has_its_curb_in_front_or_behind() -> None:
+def test_a_pavement_has_its_curb_at_either_end() -> None:
     found = set()
     for seed in range(10):
         profile = drawn("curb_and_ramp", seed, height=0.2, slope=45, width=1.0)
@@ -103,7 +103,7 @@ def test_rubble_leaves_no_gap_between_its_blocks() -> None:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_a_family_stays_within_its_ranges_and_differs_from_draw_to_draw(name: str) -> None:
+def test_a_family_stays_within_its_ranges_and_every_profile_differs(name: str) -> None:
     profiles = [drawn(name, seed) for seed in range(30)]
     assert len({p.points.tobytes() for p in profiles}) == 30
     assert {p.label for p in profiles} == {name}
@@ -114,6 +114,6 @@ def test_a_family_stays_within_its_ranges_and_differs_from_draw_to_draw(name: st
         assert profile.points[0] == pytest.approx([0, 0])
 
 
-def test_a_range_the_wrong_way_round_is_named() -> None:
+def test_a_reversed_range_is_named() -> None:
     with pytest.raises(Exception, match=r"width_low \(0\.9\) must not exceed width_high \(0\.5\)"):
         resolver.create("terrain", {"name": "uplift", "width_low": 0.9}, "terrain")

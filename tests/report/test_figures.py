@@ -1,4 +1,4 @@
-"""Figures are drawn from what people have, and are written whole or not at all."""
+"""Figures of terrains, learning curves and episodes, and writing them to files."""
 
 from __future__ import annotations
 
@@ -93,12 +93,12 @@ def test_small_pictures_fill_their_rows(draws: int, columns: int) -> None:
     assert figure.axes[1].get_subplotspec().get_gridspec().ncols == columns
 
 
-def test_small_pictures_are_named_as_they_are_told() -> None:
+def test_labels_name_the_small_pictures() -> None:
     figure = terrain_figure([STEP, STEP], "step, seed 7", ROBOT, ["seed 7", "seed 8"])
     assert figure.axes[1].get_title() == "seed 8: 2.00 × 0.30 m"
 
 
-def test_very_long_ground_is_drawn_higher_and_says_so() -> None:
+def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
     long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
     assert terrain_figure([long], "long", ROBOT).axes[0].get_ylabel().startswith("z [m], × ")
     figure = episode_figure(trace(200.0, 401), long, ROBOT)
@@ -112,7 +112,7 @@ def test_terrain_needs_a_profile() -> None:
         terrain_figure([], "none", ROBOT)
 
 
-def test_learning_has_a_panel_each_and_the_scale_of_epsilon() -> None:
+def test_learning_has_four_panels_and_an_axis_of_epsilon() -> None:
     figure = learning_figure(rows(200), VALIDATIONS, "run")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert [label.split("[")[0].split("$")[0].strip() for label in labels] == [
@@ -131,7 +131,7 @@ def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
     save(learning_figure(rows(episodes), [], "run"), tmp_path / "run.svg")
 
 
-def test_a_mean_of_a_hundred_is_told_of_a_hundred_only() -> None:
+def test_a_mean_of_fewer_than_a_hundred_is_labelled_so() -> None:
     figure = learning_figure(rows(3), VALIDATIONS, "run")
     labels = [str(line.get_label()) for line in figure.axes[1].get_lines()]
     assert labels == ["episode", "mean of all episodes so far, fewer than 100", "validation"]
@@ -145,7 +145,7 @@ def test_the_loss_is_empty_before_the_first_update() -> None:
     assert "no update yet" in texts(learning_figure(unlearned, [], "run"))
 
 
-def test_dots_of_few_and_of_many_episodes_are_seen() -> None:
+def test_dots_of_few_and_of_many_episodes_are_visible() -> None:
     for episodes, smallest in ((5, 5.0), (300, 3.0), (3000, 1.6)):
         dots = learning_figure(rows(episodes), [], "run").axes[1].get_lines()[0]
         assert dots.get_markersize() >= smallest
@@ -213,7 +213,7 @@ def test_save_refuses_an_unknown_suffix(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_save_says_why_a_path_cannot_be_written(tmp_path: Path) -> None:
+def test_save_states_why_a_path_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     (tmp_path / "folder.png").mkdir()
     for path, why in (

@@ -1,4 +1,4 @@
-"""What the conformance suite finds, and what an author reads then."""
+"""The faults that the conformance suite finds, and the messages that an author reads."""
 
 import random
 import unittest
@@ -20,13 +20,13 @@ from flipperctl.testing.variants import variants
 
 
 class TestInherited(Conformance):
-    """The two lines of the tutorial."""
+    """The test class of the tutorial."""
 
     plugin = api.registry["terrain", "flat"]
 
 
 def failure(cls: type[api.Plugin], name: str) -> str:
-    """What the check of this name says of a plugin that is registered for this test only."""
+    """Return the error of the named check of a plugin that is registered for this test only."""
     cls.plugin_name = "mine"
     api.registry[cls.kind, "mine"] = cls
     (one,) = [c for c in checks(cls) if c.name == name]
@@ -68,7 +68,7 @@ def box(height: float, length: float = 1.0) -> Profile:
     ],
 )
 @pytest.mark.usefixtures("registry")
-def test_a_terrain_that_fails_says_how(check: str, draw: Draw, words: list[str]) -> None:
+def test_a_terrain_that_fails_is_described(check: str, draw: Draw, words: list[str]) -> None:
     text = failure(terrain(draw), check)
     assert text.startswith("terrain 'mine' with ")
     assert [word for word in words if word not in text] == [], text
@@ -77,7 +77,7 @@ def test_a_terrain_that_fails_says_how(check: str, draw: Draw, words: list[str])
 @pytest.mark.usefixtures("registry")
 def test_a_difficulty_stays_between_0_and_1() -> None:
     class Harder(terrain(lambda h, rng: box(h))):
-        """Twice as hard each time."""
+        """A terrain whose difficulty doubles each time."""
 
         def next_difficulty(self, difficulty: float, reached: bool) -> float:
             return 2 * difficulty
@@ -111,7 +111,7 @@ calls: list[int] = []
     ],
 )
 @pytest.mark.usefixtures("registry")
-def test_a_reward_that_fails_says_at_which_outcome(
+def test_a_reward_that_fails_is_described_with_the_outcome(
     check: str, pay: Callable[[api.Transition], object], words: list[str]
 ) -> None:
     transitions.cache_clear()
@@ -125,7 +125,7 @@ def test_every_outcome_is_recorded() -> None:
 
 
 class Linear(torch.nn.Linear):
-    """Observations of 18 numbers to 9 Q-values."""
+    """A linear layer from 18 observations to 9 Q-values."""
 
     def __init__(self, change: Callable[["Linear", torch.Tensor], torch.Tensor]) -> None:
         super().__init__(18, 9)
@@ -160,7 +160,7 @@ def plain(module: torch.nn.Linear, x: torch.Tensor) -> torch.Tensor:
     ],
 )
 @pytest.mark.usefixtures("registry")
-def test_a_network_that_fails_says_where(
+def test_a_network_that_fails_is_described(
     check: str, change: Callable[[Linear, torch.Tensor], torch.Tensor], words: list[str]
 ) -> None:
     text = failure(network(change), check)
@@ -187,7 +187,7 @@ def driving(act: Callable[[api.Perception], object]) -> type[Controller]:
     ],
 )
 @pytest.mark.usefixtures("registry")
-def test_a_controller_that_fails_says_when(
+def test_a_controller_that_fails_is_described(
     check: str,
     act: Callable[[api.Perception], object],
     words: list[str],
@@ -228,7 +228,7 @@ def test_fields_are_documented_and_kept(
     assert [word for word in words if word not in text] == [], text
 
 
-def test_a_plugin_is_tried_at_each_bound_and_choice_that_its_validators_allow() -> None:
+def test_variants_are_the_bounds_and_choices_that_the_validators_allow() -> None:
     labels = [v.label for v in variants(api.registry["terrain", "stair"])]
     assert labels[0] == "its defaults"
     assert {"rise=0.5", "rise=5e-324", "tread=2", "most=50", "direction=up"} <= set(labels)

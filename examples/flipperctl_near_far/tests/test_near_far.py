@@ -1,10 +1,10 @@
-"""``near_far`` keeps to flipperctl's contract."""
+"""Test that ``near_far`` keeps to flipperctl's contract."""
 
 from flipperctl.testing import Conformance
 from flipperctl_near_far import NearFar
 
 
 class TestNearFar(Conformance):
-    """At its defaults and at the bounds of each of its fields."""
+    """Check the plugin at its defaults and at the bounds of each field."""
 
     plugin = NearFar

@@ -11,7 +11,7 @@ from flipperctl.api import ObservationLayout
 
 
 class NearFarModule(nn.Module):
-    """Two views of the terrain, joined with the robot's angles."""
+    """Encode near and far terrain bins separately, then fuse both with the robot's angles."""
 
     scale: torch.Tensor
 
@@ -23,7 +23,10 @@ class NearFarModule(nn.Module):
         widths: tuple[int, int, int],
         n_actions: int,
     ) -> None:
-        """``near``, ``far``: bins of each view, either of which may be empty."""
+        """``near`` and ``far`` are the indices of each view's bins; one of them may be empty.
+
+        ``widths`` are those of the near features, the far features and the fused layer.
+        """
         super().__init__()
         self.register_buffer("scale", torch.tensor(layout.scale, dtype=torch.float32))
         self.views = [list(view) for view in (near, far) if view]
@@ -38,8 +41,8 @@ class NearFarModule(nn.Module):
         )
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """(B, N + 3) → (B, n_actions)."""
+        """Map observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
         scaled = observation / self.scale
-        seen = [eye(scaled[:, view]) for eye, view in zip(self.eyes, self.views, strict=True)]
-        q: torch.Tensor = self.head(torch.cat([*seen, scaled[:, self.bins :]], dim=1))
+        features = [eye(scaled[:, view]) for eye, view in zip(self.eyes, self.views, strict=True)]
+        q: torch.Tensor = self.head(torch.cat([*features, scaled[:, self.bins :]], dim=1))
         return q

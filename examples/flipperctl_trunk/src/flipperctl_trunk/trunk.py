@@ -10,14 +10,14 @@ from flipperctl.api import Profile, Terrain, terrain
 
 @terrain("trunk")
 class Trunk(Terrain):
-    """Fallen trees across the track: round, of drawn diameter and spacing, sunk into the soil."""
+    """Fallen trees across the track, sunk into the soil, of random diameter and spacing."""
 
     fewest: int = Field(1, ge=1, le=10, description="smallest number of trunks [-]")
     most: int = Field(3, ge=1, le=10, description="largest number of trunks [-]")
     thinnest: float = Field(0.15, ge=0.05, le=0.6, description="smallest diameter [m]")
     thickest: float = Field(0.35, ge=0.05, le=0.6, description="largest diameter [m]")
-    gap: float = Field(0.5, ge=0, le=5, description="largest clear way between two trunks [m]")
-    sunk: float = Field(0.2, ge=0, le=0.5, description="share of the diameter in the soil [-]")
+    gap: float = Field(0.5, ge=0, le=5, description="largest gap between two trunks [m]")
+    sunk: float = Field(0.2, ge=0, le=0.5, description="fraction of the diameter in the soil [-]")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -27,7 +27,7 @@ class Trunk(Terrain):
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Arcs with level ground between them; what overhangs below the middle is filled in."""
+        """Return arcs with level ground between them; overhangs below the axis are filled in."""
         points: list[tuple[float, float]] = []
         x = 0.0
         for _ in range(rng.integers(self.fewest, self.most + 1)):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from flipperctl.bench.spread import in_turn, quantity, ratio
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 
 
 def test_a_quantity_keeps_its_raw_numbers() -> None:
@@ -17,7 +17,7 @@ def test_quartiles_lie_between_neighbours() -> None:
     assert (found["low"], found["median"], found["high"]) == (1.25, 1.5, 1.75)
 
 
-def test_a_run_that_did_not_get_there_counts_as_longer_than_any() -> None:
+def test_an_unfinished_run_counts_as_longer_than_any() -> None:
     found = quantity([10.0, None, 30.0, None, 20.0], "s")
     assert found["median"] == 30.0
     assert found["low"] == 20.0
@@ -31,7 +31,7 @@ def test_a_ratio_is_of_medians_and_its_spread_of_pairs() -> None:
     assert (found["low"], found["high"], found["rounds"]) == (1.5, 2.5, 3)
 
 
-def test_a_ratio_of_runs_that_did_not_get_there() -> None:
+def test_a_ratio_of_unfinished_runs() -> None:
     assert ratio([None], [5.0]) == {"ratio": None, "low": None, "high": None, "rounds": 1}
     assert ratio([None], [None])["rounds"] == 0
     assert ratio([5.0], [None])["low"] == 0.0
@@ -43,8 +43,8 @@ def test_contestants_take_turns() -> None:
     def runner(name: str):
         return lambda: order.append(name) or float(len(order))
 
-    shares: list[float] = []
-    found = in_turn({"a": runner("a"), "b": runner("b")}, 3, shares.append)
+    fractions: list[float] = []
+    found = measure_in_turn({"a": runner("a"), "b": runner("b")}, 3, fractions.append)
     assert order == ["a", "b", "a", "b", "a", "b"]
     assert found == {"a": [1.0, 3.0, 5.0], "b": [2.0, 4.0, 6.0]}
-    assert shares[-1] == 1.0
+    assert fractions[-1] == 1.0

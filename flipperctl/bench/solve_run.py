@@ -1,4 +1,4 @@
-"""One attempt at solving the task: its clock, its validations, and when it is over."""
+"""One run of a learner until it solves the task: its clock, its validations and its end."""
 
 from __future__ import annotations
 
@@ -19,84 +19,85 @@ from flipperctl.rollout.seeds import episode_seed
 
 
 @dataclass
-class Attempt:
-    """One run, while it goes on and afterwards. Its clock starts when it is made."""
+class SolveRun:
+    """Validations of one run, during the run and after it. Its clock starts at construction."""
 
     seed: int
     settings: BenchSettings
     validations: list[dict[str, float]] = field(default_factory=list)
-    """``decision``, ``seconds`` since the start, ``success_rate``."""
-    validating: float = 0.0
+    """``decision``, ``seconds`` since the start and ``success_rate`` of each validation."""
+    validation_seconds: float = 0.0
     """Time spent in validations [s]."""
-    begun: float = field(default_factory=lambda: time.perf_counter())
+    started: float = field(default_factory=lambda: time.perf_counter())
+    """Reading of the performance counter at the start [s]."""
 
     @property
     def elapsed(self) -> float:
-        """Time since the start [s]."""
-        return time.perf_counter() - self.begun
+        """Time since the start of the run [s]."""
+        return time.perf_counter() - self.started
 
     @property
     def solved(self) -> bool:
-        """The last validations were all perfect."""
+        """Whether the required number of last validations succeeded in every episode."""
         wanted = self.settings.in_a_row
         last = self.validations[-wanted:]
         return len(last) == wanted and all(v["success_rate"] == 1.0 for v in last)
 
     @property
-    def over(self) -> bool:
-        """Solved, or out of time."""
+    def finished(self) -> bool:
+        """Whether the task is solved or the time limit is exceeded."""
         return self.solved or self.elapsed > self.settings.limit
 
-    def validated(self, decision: int, success_rate: float, took: float) -> None:
-        """Note a validation that has just ended and took so long [s]."""
-        if self.over:
+    def add_validation(self, decision: int, success_rate: float, took: float) -> None:
+        """Add a validation that has just ended and took ``took`` [s]."""
+        if self.finished:
             return
-        self.validating += took
+        self.validation_seconds += took
         self.validations.append(
             {"decision": decision, "seconds": self.elapsed, "success_rate": success_rate}
         )
 
     def report(self) -> dict[str, Any]:
-        """The run as plain data; ``seconds`` are None if it was not solved."""
+        """Return the run as plain data; if unsolved, its times and decisions are None."""
         last = self.validations[-1] if self.solved else None
         return {
             "seed": self.seed,
             "solved": self.solved,
             "seconds": last and last["seconds"],
-            "training_seconds": last and last["seconds"] - self.validating,
+            "training_seconds": last and last["seconds"] - self.validation_seconds,
             "decisions": last and last["decision"],
             "validations": self.validations,
         }
 
 
-class Listens:
-    """Tells an attempt of the trainer's validations.
+class ValidationRecorder:
+    """Listen to a trainer and add its validations to a run.
 
-    The trainer validates straight after an episode, so the time since that is the validation's.
+    The trainer validates directly after an episode, so a validation takes the time since then.
     """
 
-    def __init__(self, attempt: Attempt) -> None:
-        self._attempt = attempt
-        self._last = attempt.elapsed
+    def __init__(self, run: SolveRun) -> None:
+        self._run = run
+        self._last = run.elapsed
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """A training episode ended."""
-        self._last = self._attempt.elapsed
+        """Note the time at which a training episode ended."""
+        self._last = self._run.elapsed
 
     def validation(self, row: Mapping[str, Any]) -> None:
-        """A validation ended."""
-        took = self._attempt.elapsed - self._last
-        self._attempt.validated(int(row["decision"]), row["success_rate"], took)
+        """Add a validation that has just ended."""
+        took = self._run.elapsed - self._last
+        self._run.add_validation(int(row["decision"]), row["success_rate"], took)
 
     def note(self, text: str) -> None:
-        """Not this one's business."""
+        """Ignore the text."""
 
     def close(self) -> None:
-        """The run ended."""
+        """Release nothing."""
 
 
 class Validation:
-    """The trainer's validation, for a policy of another learner."""
+    """Validate the policy of another learner on the episodes of the trainer's validation."""
 
     def __init__(self, config: TrainConfig) -> None:
         self._env = FlipperEnv(config=config.environment())
@@ -104,7 +105,7 @@ class Validation:
         self._episodes = config.train.validation_episodes
 
     def __call__(self, module: torch.nn.Module) -> float:
-        """Return the fraction of the episodes that reach the finish, 0 to 1."""
+        """Return the success rate, the fraction of episodes that reach the finish [-]."""
         policy = TrainedPolicy(module)
         seeds = (episode_seed("validation", self._seed, i) for i in range(self._episodes))
         return success_rate([play(self._env, policy, seed) for seed in seeds])
