@@ -85,7 +85,7 @@ def describe(
 
     chosen: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     chosen += config.rewards.values()
-    used = [part for plugin in chosen for part in resolver.nested(plugin)]
+    used = [part for plugin in chosen for part in resolver.nested_plugins(plugin)]
     return Document(
         format=documents.FORMAT,
         kind=kind,

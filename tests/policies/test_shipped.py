@@ -22,7 +22,7 @@ def test_there_is_a_generalist() -> None:
 def test_a_shipped_policy_is_that_of_its_experiment_and_drives(name: str, path: Path) -> None:
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
-    config_store.offer_defaults()
+    config_store.register_defaults()
     (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()
