@@ -1,7 +1,7 @@
-"""Finds plugins and imports them, which registers them.
+"""Find plugins and import them; importing a plugin registers it.
 
 In: the entry-point group ``flipperctl.plugins``, ``FLIPPERCTL_PLUGINS`` and paths given on the
-command line. Out: ``api.registry`` filled. ``config.resolver`` makes instances of what is in it.
+command line. Out: ``api.registry``, from whose classes ``config.resolver`` makes instances.
 """
 
 from __future__ import annotations
@@ -27,17 +27,18 @@ _loaded: set[str] = set()
 
 
 def load(paths: Iterable[str | Path] = ()) -> None:
-    """Import every installed plugin, those of ``FLIPPERCTL_PLUGINS``, and those at ``paths``.
+    """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
 
     ``paths`` (``.py`` files or folders) are added to the variable, so that worker processes
-    find them too. Calling it again imports only what is new.
+    find them too. A repeated call imports only new plugins.
 
     Raises:
-        PluginError: a plugin is missing, does not import, registers nothing, or takes a name.
+        PluginError: a plugin is missing, does not import, registers nothing, or uses a
+            name that is taken.
     """
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
         if entry.value not in _loaded:
-            _importing(entry.value, f"entry point {entry.name!r}", None, entry.load)
+            _import(entry.value, f"entry point {entry.name!r}", None, entry.load)
     named = [*configured_paths(), *(str(Path(p).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
@@ -80,32 +81,34 @@ def _load_file(file: Path) -> None:
         spec.loader.exec_module(module)
         return module
 
-    _importing(name, str(file), file, run)
+    _import(name, str(file), file, run)
 
 
-def _importing(name: str, shown: str, file: Path | None, run: Callable[[], object]) -> None:
+def _import(name: str, label: str, file: Path | None, run: Callable[[], object]) -> None:
     before = dict(registry)
     fresh = name not in sys.modules
     try:
         run()
-    except BaseException as error:  # SystemExit too: to leave is not a plugin's business
+    except BaseException as error:  # SystemExit too: a plugin must not end the process
         registry.clear()
         registry.update(before)
         sys.modules.pop(name, None)
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(f"plugin {shown} does not import: {_where(error, file)}") from error
+        raise PluginError(
+            f"plugin {label} does not import: {_describe_failure(error, file)}"
+        ) from error
     if fresh and len(registry) == len(before):
         sys.modules.pop(name, None)
         raise PluginError(
-            f"plugin {shown} registers nothing; "
+            f"plugin {label} registers nothing; "
             "decorate a class with @terrain, @reward, @network or @controller"
         )
     _loaded.add(name)
 
 
-def _where(error: BaseException, file: Path | None) -> str:
-    """File and line of the plugin's own that led to the error, and the error."""
+def _describe_failure(error: BaseException, file: Path | None) -> str:
+    """Return the file and line in the plugin that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
     found = guard.import_place(error, file)

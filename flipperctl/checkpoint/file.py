@@ -86,7 +86,7 @@ def describe(
 
     plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     plugged += config.rewards.values()
-    used = [part for plugin in plugged for part in resolver.nested(plugin)]
+    used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]
     return Document(
         format=documents.FORMAT,
         kind=kind,

@@ -72,17 +72,17 @@ def bench(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    measures, overrides = split(arguments or [])
+    measures, overrides = split_arguments(arguments or [])
     from flipperctl import plugins as loader
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
-    from flipperctl.cli.measured import tables
+    from flipperctl.cli.bench_output import tables
     from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
     if repeats is not None:
         overrides.append(f"{SECTION}repeats={repeats}")
-    config, settings = composed(overrides, small=small)
+    config, settings = compose_bench(overrides, small=small)
     folder = make_folder(output) if output else None
     document: dict[str, Any] = {
         "machine": machine(),
@@ -90,11 +90,11 @@ def bench(
         "overrides": overrides,
         "measures": {},
     }
-    commands = commands_of(context)
-    given = tuple(o for o in overrides if not o.startswith(SECTION))
+    commands = startup_commands(context)
+    training_overrides = tuple(o for o in overrides if not o.startswith(SECTION))
     for measure in measures:
-        with _progress(measure) as tell:
-            found = _measure(measure, Bench(config, settings, tell, given), commands)
+        with _progress(measure) as report:
+            found = _measure(measure, Bench(config, settings, report, training_overrides), commands)
         document["measures"][measure] = {**found, "load_average": load()}
         for text in found.get("missing", ()):
             print(f"{measure}: {text}", file=sys.stderr)
@@ -109,7 +109,7 @@ def bench(
         console().print(table)
 
 
-def split(arguments: list[str]) -> tuple[list[str], list[str]]:
+def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
     """The measures, in the order of ``MEASURES``, and the overrides.
 
     Raises:
@@ -130,7 +130,7 @@ def split(arguments: list[str]) -> tuple[list[str], list[str]]:
     return [m for m in MEASURES if every or m in names], overrides
 
 
-def composed(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSettings]:
+def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSettings]:
     """The training configuration, and the benchmark's own settings.
 
     Raises:
@@ -139,25 +139,25 @@ def composed(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSe
     from flipperctl.bench.settings import sizes
     from flipperctl.cli import compose, config_store
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import values
+    from flipperctl.cli.overrides import override_values
     from flipperctl.config import resolver
 
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
     with convert_hydra_errors():
-        changes = values(own)
+        changes = override_values(own)
     try:
         settings = sizes(small=small, changes=changes)
     except ConfigError as error:
         raise ConfigError(f"{SECTION}{error}") from error
     resolver.get("controller", settings.controller, f"{SECTION}controller")
-    config_store.offer_defaults()
+    config_store.register_defaults()
     configs = compose.compose_train([o for o in overrides if not o.startswith(SECTION)])
     if len(configs) > 1:
         raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
     return configs[0], settings
 
 
-def commands_of(context: typer.Context) -> list[tuple[str, ...]]:
+def startup_commands(context: typer.Context) -> list[tuple[str, ...]]:
     """What startup measures: every subcommand's help, and two that do a little work."""
     helps: list[tuple[str, ...]] = []
 
@@ -170,12 +170,12 @@ def commands_of(context: typer.Context) -> list[tuple[str, ...]]:
     return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
 
 
-def _measure(name: str, handed: Bench, commands: list[tuple[str, ...]]) -> dict[str, Any]:
+def _measure(name: str, settings: Bench, commands: list[tuple[str, ...]]) -> dict[str, Any]:
     from importlib import import_module
 
     module = import_module(f"flipperctl.bench.{name}")
     found: dict[str, Any] = (
-        module.measure(handed, commands) if name == "startup" else module.measure(handed)
+        module.measure(settings, commands) if name == "startup" else module.measure(settings)
     )
     return found
 
@@ -183,7 +183,7 @@ def _measure(name: str, handed: Bench, commands: list[tuple[str, ...]]) -> dict[
 @contextmanager
 def _progress(measure: str) -> Iterator[Callable[[str, float], None]]:
     """A bar with the time left on a terminal, a line now and then elsewhere."""
-    from flipperctl.cli.measured import Bar, Lines
+    from flipperctl.cli.bench_output import Bar, Lines
 
     shown = Bar(measure) if sys.stderr.isatty() else Lines(measure)
     try:

@@ -12,7 +12,7 @@ from typing import cast
 from hydra.core.override_parser.types import IntervalSweep
 
 from flipperctl.cli.config_store import CHOICES
-from flipperctl.cli.overrides import check_mappings, parsed
+from flipperctl.cli.overrides import check_mappings, parse_overrides
 from flipperctl.errors import ConfigError
 
 
@@ -25,7 +25,7 @@ def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
     """
     check_mappings(overrides)
     choices: list[list[str]] = []
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         if override.key_or_group in CHOICES and str(override.input_line).endswith("=null"):
             raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
         if override.is_interval_sweep():
@@ -45,7 +45,7 @@ def interval_probes(overrides: Sequence[str]) -> list[list[str]]:
     The value between finds intervals of real numbers for settings that are whole.
     """
     found = []
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         interval = override.value()
         if isinstance(interval, IntervalSweep):
             start, end = cast("tuple[float, float]", (interval.start, interval.end))

@@ -14,7 +14,7 @@ from typing import Any
 
 from hydra.core.utils import JobReturn
 
-from flipperctl.cli.training import shown
+from flipperctl.cli.training import quote_path
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import write_bytes
 from flipperctl.training.run_folder import SUMMARY
@@ -60,7 +60,7 @@ class SweepRun:
         }
 
 
-def outcome(job: JobReturn) -> tuple[Any, Exception | None]:
+def job_result(job: JobReturn) -> tuple[Any, Exception | None]:
     """What a job returned, or the error that ended it.
 
     ``return_value`` raises that error, and writes a line to stderr before: the error is shown
@@ -81,14 +81,14 @@ def sweep_run(job: JobReturn, number: int, swept: dict[str, str]) -> SweepRun:
         summary = json.loads((folder / SUMMARY).read_text())
     except (OSError, ValueError):  # it failed before it wrote one, or lies on another machine
         summary = {}
-    return SweepRun(number, swept, folder, outcome(job)[1], summary)
+    return SweepRun(number, swept, folder, job_result(job)[1], summary)
 
 
 def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
     """Write ``sweep.csv`` into the sweep's ``folder`` and print the table to stderr."""
     if not runs:
         return
-    rows = _earlier(folder / FILE, runs) + [run.row() for run in runs]
+    rows = _earlier_rows(folder / FILE, runs) + [run.row() for run in runs]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
     writer.writeheader()
@@ -97,13 +97,13 @@ def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
     _print(folder, runs)
 
 
-def _earlier(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
-    """The rows of an earlier sweep into the same folder, but those of runs that are told anew."""
+def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
+    """The rows of an earlier sweep into the same folder, but those of runs that are replaced."""
     if not path.is_file():
         return []
-    told = {str(run.folder) for run in runs}
+    replaced = {str(run.folder) for run in runs}
     with path.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if row.get("folder") not in told]
+        return [row for row in csv.DictReader(file) if row.get("folder") not in replaced]
 
 
 def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
@@ -112,7 +112,7 @@ def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
     from rich.table import Table
 
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))
-    table = Table(title=f"{shown(folder)}: {len(runs)} runs", title_justify="left")
+    table = Table(title=f"{quote_path(folder)}: {len(runs)} runs", title_justify="left")
     for key in keys:
         table.add_column(escape(key))
     for heading in ("success", "θ̂_R [rad]", "t_cost [s]", "decisions", "seconds"):
@@ -133,7 +133,7 @@ def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
     console.print(table)
     left = len(runs) - _ROWS
     more = f"{left} more runs and the table" if left > 0 else "the table"
-    console.print(f"{more}: {shown(folder / FILE)}", highlight=False, markup=False)
+    console.print(f"{more}: {quote_path(folder / FILE)}", highlight=False, markup=False)
 
 
 def _number(value: float | None, form: str) -> str:

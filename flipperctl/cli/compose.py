@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli import conditions
 from flipperctl.cli.combinations import combinations
-from flipperctl.cli.config_store import BY_CHECKPOINT, BY_EXPORT, BY_RULE, CONFIGS
+from flipperctl.cli.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
 from flipperctl.cli.hydra_errors import (
     convert_hydra_errors,
     missing_choice,
@@ -29,7 +29,7 @@ from flipperctl.errors import ConfigError
 Composed = TypeVar("Composed")
 
 
-def validated(composed: DictConfig) -> TrainConfig:
+def parse_training(composed: DictConfig) -> TrainConfig:
     """Return the training configuration that Hydra composed."""
     return parse(TrainConfig, _plain(composed))
 
@@ -44,13 +44,13 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
 
 
 def compose_eval(
-    overrides: Sequence[str], primary: str = BY_RULE
+    overrides: Sequence[str], primary: str = EVAL_CONTROLLER
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """Return the configuration of each combination, and the controller's settings, if any."""
     found = []
     for combination, plain in _compositions(primary, overrides):
         settings = plain.pop("controller", None)
-        plain["conditions"] = conditions.chosen(combination)
+        plain["conditions"] = conditions.chosen_name(combination)
         config = parse(EvalConfig, plain)
         conditions.check_effect(config, combination)
         found.append((config, settings))
@@ -59,11 +59,11 @@ def compose_eval(
 
 def compose_environment(overrides: Sequence[str]) -> EnvConfig:
     """Return the environment of an evaluation with these overrides."""
-    config, _ = only(compose_eval(overrides))
+    config, _ = only_one(compose_eval(overrides))
     return config
 
 
-def only(found: Sequence[Composed]) -> Composed:
+def only_one(found: Sequence[Composed]) -> Composed:
     """Return the one configuration, for commands that look at one.
 
     Raises:
@@ -84,8 +84,13 @@ def _compositions(
     check_words(overrides)
     with convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in combinations(overrides):
-            if primary != BY_CHECKPOINT and conditions.chosen(combination) == conditions.TRAINED:
-                raise ConfigError(conditions.no_training(exported=primary == BY_EXPORT))
+            if (
+                primary != EVAL_CHECKPOINT
+                and conditions.chosen_name(combination) == conditions.TRAINED
+            ):
+                raise ConfigError(
+                    conditions.explain_missing_training(exported=primary == EVAL_EXPORT)
+                )
             try:
                 yield combination, _plain(compose(primary, combination))
             except MissingConfigException as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 
-from flipperctl.cli.overrides import parsed
+from flipperctl.cli.overrides import parse_overrides
 from flipperctl.config import EvalConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
@@ -13,10 +13,10 @@ from flipperctl.evaluation.conditions import Conditions
 NOMINAL, TRAINED = "nominal", "trained"
 
 
-def chosen(overrides: Sequence[str]) -> str:
+def chosen_name(overrides: Sequence[str]) -> str:
     """The name of the conditions that the overrides choose."""
     name = NOMINAL
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         if override.key_or_group == "conditions":
             name = NOMINAL if override.is_delete() else str(override.value() or NOMINAL)
     return name
@@ -28,7 +28,7 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
     Raises:
         ConfigError: with the range that it is drawn from.
     """
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         for section, name, ends in config.randomise.ranges():
             # The nominal turning rate stays the one that decisions are timed by.
             if override.key_or_group == f"{section}.{name}" and name != "flipper_speed":
@@ -39,7 +39,7 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
                 )
 
 
-def no_training(exported: bool) -> str:
+def explain_missing_training(exported: bool) -> str:
     """What to say where the conditions of a training are asked for, and there are none."""
     cause = (
         "an exported file does not hold those of its training; evaluate the checkpoint instead"
@@ -51,7 +51,7 @@ def no_training(exported: bool) -> str:
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
 
 
-def lines(scenes: Iterable[tuple[str, int, Conditions]]) -> Iterator[str]:
+def condition_lines(scenes: Iterable[tuple[str, int, Conditions]]) -> Iterator[str]:
     """Yield a line for each set of conditions: name, seed, hashes, and the settings in words.
 
     ``scenes``: each scene's terrain, seed and conditions.

@@ -26,7 +26,11 @@ from flipperctl.config import (
 )
 
 CONFIGS = str(files("flipperctl.configs"))
-BY_RULE, BY_CHECKPOINT, BY_EXPORT = "eval", "flipperctl_eval_trained", "flipperctl_eval_exported"
+EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
+    "eval",
+    "flipperctl_eval_trained",
+    "flipperctl_eval_exported",
+)
 """Primary configurations of an evaluation."""
 GROUPS = (
     *("terrain", "rewards", "network", "collector"),
@@ -39,7 +43,7 @@ _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 
 
-def offer_defaults() -> None:
+def register_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
     for (kind, name), cls in registry.items():
@@ -55,7 +59,7 @@ def offer_defaults() -> None:
         store.store(name=primary, node=sections)
 
 
-def offer_trained(config: TrainConfig | EvalConfig) -> str:
+def register_trained(config: TrainConfig | EvalConfig) -> str:
     """Offer an evaluation of a policy as the primary configuration; return its name.
 
     The policy brings its terrain, rewards, robot and observation layout, and how often it is
@@ -70,9 +74,9 @@ def offer_trained(config: TrainConfig | EvalConfig) -> str:
         store.store(group=group, name=_TRAINED, node=own.pop(group))
     kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
     nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
-    primary = BY_EXPORT
+    primary = EVAL_EXPORT
     if isinstance(config, TrainConfig):
-        primary = BY_CHECKPOINT
+        primary = EVAL_CHECKPOINT
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
         node = {"defaults": choices, **own}
         store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
@@ -86,7 +90,7 @@ def offer_trained(config: TrainConfig | EvalConfig) -> str:
     return primary
 
 
-def offer_sweepers() -> None:
+def register_sweepers() -> None:
     """Offer ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
 
     Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are given here, for

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from flipperctl.cli.streams import spelt
+from flipperctl.cli.streams import spell_plainly
 
 NATURAL = 10_000
 """Columns of an output that is no terminal: tables take the width that they need."""
@@ -20,7 +20,7 @@ class PlainConsole(Console):
 
     def render_str(self, text: str, **options: Any) -> Text:
         """As rich does, with a text that the stream can show."""
-        return super().render_str(spelt(text, self.encoding), **options)
+        return super().render_str(spell_plainly(text, self.encoding), **options)
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -34,4 +34,4 @@ def console(*, stderr: bool = False) -> Console:
 
 def plain(text: str, of: Console) -> str:
     """Return the text as the console's stream shows it, for a ``rich.text.Text``."""
-    return spelt(text, of.encoding)
+    return spell_plainly(text, of.encoding)

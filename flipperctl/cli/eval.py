@@ -85,8 +85,8 @@ def run(
 
     loader.load(plugins or ())
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
-    given = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
-    found = scenes(given, checkpoint, controller)
+    arguments = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
+    found = scenes(arguments, checkpoint, controller)
     against = PolicySource.of_plugin(baseline, "--baseline") if baseline else None
     names = [name for name in (passable or "").split(",") if name]
     references = [PolicySource.of_plugin(name, "--passable") for name in names]
@@ -104,12 +104,14 @@ def run(
 
 
 def _print(result: EvaluationResult) -> None:
-    from flipperctl.cli.conditions import lines
+    from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
     from flipperctl.cli.eval_tables import comparison, table
 
     console().print(table(result))
     if any(scene.baseline for scene in result.scenes):
         console().print(comparison(result))
-    for line in lines((scene.terrain, scene.seed, scene.conditions) for scene in result.scenes):
+    for line in condition_lines(
+        (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
+    ):
         console().print(line, highlight=False, markup=False, soft_wrap=True)

@@ -76,15 +76,18 @@ def _cells(name: str, summary: Summary) -> list[str]:
     return [
         name,
         str(summary.episodes),
-        _shown(summary.success, 3),
-        *([str(fair.episodes), _shown(fair.success, 3)] if fair else []),
+        _format_interval(summary.success, 3),
+        *([str(fair.episodes), _format_interval(fair.success, 3)] if fair else []),
         " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count),
-        _shown(summary.t_cost, 1),
-        _shown(summary.pitch_variation),
-        _shown(summary.pitch_variation_100hz),
-        _shown(summary.max_pitch),
-        _shown(summary.flipper_travel),
-        *(_shown(summary.further[measure.name], measure.digits) for measure in _further()),
+        _format_interval(summary.t_cost, 1),
+        _format_interval(summary.pitch_variation),
+        _format_interval(summary.pitch_variation_100hz),
+        _format_interval(summary.max_pitch),
+        _format_interval(summary.flipper_travel),
+        *(
+            _format_interval(summary.further[measure.name], measure.digits)
+            for measure in _further()
+        ),
     ]
 
 
@@ -98,13 +101,13 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
     return [
         name,
         str(pairs.episodes if pairs else 0),
-        _shown(other.success, 3),
-        _shown(difference.t_cost, 1),
-        _shown(pairs),
+        _format_interval(other.success, 3),
+        _format_interval(difference.t_cost, 1),
+        _format_interval(pairs),
     ]
 
 
-def _shown(interval: Interval | None, digits: int = 2) -> str:
+def _format_interval(interval: Interval | None, digits: int = 2) -> str:
     if interval is None:
         return "–"
     numbers = (interval.mean, interval.low, interval.high)

@@ -24,12 +24,12 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.config_store import CHOICES, GROUPS
-from flipperctl.cli.overrides import parsed, quoted
+from flipperctl.cli.overrides import parse_overrides, quote_override
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.messages import close_match
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_CALLED = {
+_ENTRY_NAMES = {
     "rewards": "preset",
     "conditions": "set",
 }  # what an entry of a group is called, if not as the group
@@ -46,12 +46,12 @@ def convert_hydra_errors() -> Iterator[None]:
         key, _, value = str(error.override).partition("=")
         raise ConfigError(
             f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
-            f"stands, quote it: {quoted(key, value)}"
+            f"stands, quote it: {quote_override(key, value)}"
         ) from error
     except MissingConfigException as error:
         raise missing_choice(error) from error
     except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(_flat(error)) from error
+        raise ConfigError(_one_line(error)) from error
 
 
 def missing_choice(error: MissingConfigException) -> RequestError:
@@ -60,14 +60,14 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     group, option = group.strip("/"), option.removesuffix(".yaml")
     options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
     if not group:
-        return ConfigError(_flat(error))
+        return ConfigError(_one_line(error))
     if group == "hydra/launcher" and option in _LAUNCHER_EXTRAS:
         extra = _LAUNCHER_EXTRAS[option]
         return MissingExtraError(
             f"{group}={option} needs the package hydra-{extra}-launcher; "
             f"install flipperctl[{extra}]"
         )
-    what = f"{group} plugin" if registered_names(group) else _CALLED.get(group, group)
+    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
     return ConfigError(
         f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
         f"known: {', '.join(sorted(options)) or 'none'}"
@@ -76,13 +76,13 @@ def missing_choice(error: MissingConfigException) -> RequestError:
 
 def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
     """Return the error for a config group whose choice is no name, as in ``terrain=3``."""
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         key, value = override.get_key_element(), override.value()
         names = value if isinstance(value, list) else [value]
         optional = key == "experiment" and value is None
         if key in (*GROUPS, "experiment") and not optional and not _all_names(names):
             return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
-    return ConfigError(_flat(error))
+    return ConfigError(_one_line(error))
 
 
 def unknown_key(
@@ -94,13 +94,13 @@ def unknown_key(
     others = [o for o in overrides if o not in choices]
     refused = _first_refused(primary, choices, others)
     if refused is None or not _names_no_key(*refused):
-        return ConfigError(_flat(error))
+        return ConfigError(_one_line(error))
     override, cause = refused[0], refused[1].__cause__
     key = override.key_or_group
     if override.is_delete() and _is_group(override) and override.value() and not override.package:
         key = f"{key}={override.value()}"
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
-        return ConfigError(f"{key}: {_flat(cause)}")  # in Hydra's own section
+        return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
     *parents, leaf = key.split(".")
     inside = ""  # the innermost section on the way to the key that is there
     for parent in parents:
@@ -122,7 +122,7 @@ def _first_refused(
 
     Hydra applies those of config groups before those of keys.
     """
-    ordered = sorted(parsed(others), key=lambda o: not _is_group(o))
+    ordered = sorted(parse_overrides(others), key=lambda o: not _is_group(o))
     accepted = list(choices)
     for override in ordered:
         accepted.append(str(override.input_line))
@@ -158,5 +158,5 @@ def _all_names(values: Iterable[object]) -> bool:
     return all(isinstance(value, str) for value in values)
 
 
-def _flat(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())

@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     error = output.flush()
     if error is not None and code == 0:
         code = FlipperctlError.exit_code
-        if reason := output.refused(error):
-            code = _output_refused(reason)
+        if reason := output.failure_reason(error):
+            code = _report_output_failure(reason)
     sys.exit(code)
 
 
@@ -71,36 +71,38 @@ def _run(arguments: list[str]) -> int:
     except FlipperctlError as error:
         if debug:
             raise
-        _say(str(error))
+        _print_error(str(error))
         return error.exit_code
     except TyperException as error:
         if debug:
             raise
         if words := error.format_message().rstrip("."):  # else no arguments: the help is shown
-            _say(f"{words}; see flipperctl --help")
+            _print_error(f"{words}; see flipperctl --help")
         return RequestError.exit_code
     except (typer.Abort, KeyboardInterrupt):
-        _say("interrupted")
+        _print_error("interrupted")
         return InterruptedRunError.exit_code
     except BrokenPipeError:
         return FlipperctlError.exit_code  # nobody reads what is left
     except SystemExit:
         raise  # Hydra's own options leave so; a plugin's is an error of the plugin by now
     except BaseException as error:
-        if isinstance(error, Exception) and (reason := output.refused(error)):
-            return _output_refused(reason)
+        if isinstance(error, Exception) and (reason := output.failure_reason(error)):
+            return _report_output_failure(reason)
         if debug:
             raise
-        _say(f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)")
+        _print_error(
+            f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)"
+        )
         return 1
 
 
-def _output_refused(reason: str) -> int:
-    _say(f"standard output cannot be written: {reason}")
+def _report_output_failure(reason: str) -> int:
+    _print_error(f"standard output cannot be written: {reason}")
     return FlipperctlError.exit_code
 
 
-def _say(text: str) -> None:
+def _print_error(text: str) -> None:
     with contextlib.suppress(OSError):  # standard error cannot be written either
         print(f"error: {text}", file=sys.stderr)
 

@@ -21,7 +21,7 @@ Overrides = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
-def no_options(arguments: list[str], known: list[str]) -> None:
+def reject_options(arguments: list[str], known: list[str]) -> None:
     """Refuse what looks like an option among overrides.
 
     Raises:

@@ -23,10 +23,10 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from pydantic import ValidationError
 
-from flipperctl.cli.comparison import compare, outcome
+from flipperctl.cli.comparison import compare, job_result
 from flipperctl.cli.search import SearchSettings, search_space
-from flipperctl.cli.sweeps import SweepLauncher, leaves_naming
-from flipperctl.cli.training import shown
+from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
+from flipperctl.cli.training import quote_path
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -47,7 +47,7 @@ _FAILED = "failed"  # marks a trial whose training failed of itself; Optuna's ow
 
 
 def prepare(
-    given: Mapping[str, Any],
+    sweeper_settings: Mapping[str, Any],
     *,
     hydra_context: HydraContext,
     task_function: TaskFunction,
@@ -57,7 +57,7 @@ def prepare(
 
     Raises:
         MissingExtraError: Optuna is not installed.
-        ConfigError: one of the settings ``given`` is of the wrong type or out of bounds.
+        ConfigError: one of the settings ``sweeper_settings`` is of the wrong type or out of bounds.
     """
     try:
         import optuna
@@ -66,14 +66,14 @@ def prepare(
             "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
         ) from error
     try:
-        settings = SearchSettings(**given)
+        settings = SearchSettings(**sweeper_settings)
     except ValidationError as error:
         raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     launcher: Launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
-    jobs = SweepLauncher(launcher, named=leaves_naming(config))
+    jobs = SweepLauncher(launcher, named=uses_default_naming(config))
     return OptunaSearch(settings, jobs, Path(config.hydra.sweep.dir))
 
 
@@ -113,14 +113,14 @@ class OptunaSearch:
             if not trial.state.is_finished():  # of a process that was killed
                 _stop(study, trial.number)
         if known := len(_finished(study)):
-            _say(f"the study {study.study_name!r} has {known} finished trials already")
+            _print_message(f"the study {study.study_name!r} has {known} finished trials already")
         while (count := len(_finished(study))) < self.settings.n_trials:
             study.sampler = self._sampler(count)
             size = min(self.settings.n_jobs, self.settings.n_trials - count)
             trials = [study.ask(space) for _ in range(size)]
             jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
             returns = self.jobs.launch(jobs, initial_job_idx=trials[0].number)
-            self._tell_all(study, trials, returns)
+            self._record_results(study, trials, returns)
 
     def _study(self, arguments: Sequence[str]) -> Study:
         import optuna
@@ -153,11 +153,11 @@ class OptunaSearch:
         seed = int(np.random.SeedSequence([self.settings.seed, count]).generate_state(1)[0])
         return (TPESampler if self.settings.sampler == "tpe" else RandomSampler)(seed=seed)
 
-    def _tell_all(
+    def _record_results(
         self, study: Study, trials: Sequence[Trial], returns: Sequence[JobReturn]
     ) -> None:
         problems = [
-            self._tell(study, trial, job)
+            self._record_result(study, trial, job)
             for trial, job in zip(trials, returns, strict=False)  # fewer after an interrupt
         ]
         for trial in trials[len(returns) :]:
@@ -170,16 +170,16 @@ class OptunaSearch:
                 ) from problem
             raise problem
 
-    def _tell(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
+    def _record_result(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
         """Record what became of a trial; returns the error that stops the search, if any."""
         from optuna.trial import TrialState
 
-        value, error = outcome(job)
+        value, error = job_result(job)
         if error is not None:
             if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
                 trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
                 study.tell(trial, state=TrialState.FAIL)
-                _say(f"trial {trial.number} failed: {error}")
+                _print_message(f"trial {trial.number} failed: {error}")
                 return None
             _stop(study, trial.number)
             return error
@@ -190,7 +190,7 @@ class OptunaSearch:
         trial.set_user_attr("run", str(composed.hydra.runtime.output_dir))
         study.tell(trial, value)
         best = study.best_trial
-        _say(
+        _print_message(
             f"trial {trial.number}: objective {value:.5f}; "
             f"best {best.value:.5f} (trial {best.number})"
         )
@@ -208,9 +208,9 @@ class OptunaSearch:
         }
         OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
         drawn = " ".join(f"{key}={value}" for key, value in best.params.items())
-        _say(
+        _print_message(
             f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.5f}.\n"
-            f"Evaluate: flipperctl eval --checkpoint {shown(Path(best.user_attrs['run']))}"
+            f"Evaluate: flipperctl eval --checkpoint {quote_path(Path(best.user_attrs['run']))}"
         )
 
 
@@ -230,5 +230,5 @@ def _stop(study: Study, number: int) -> None:
     study.tell(number, state=TrialState.FAIL)
 
 
-def _say(text: str) -> None:
+def _print_message(text: str) -> None:
     print(text, file=sys.stderr)

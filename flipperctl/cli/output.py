@@ -11,7 +11,7 @@ from typing import TextIO
 _BROKEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 
 
-def refused(error: Exception) -> str:
+def failure_reason(error: Exception) -> str:
     """Why standard output took no more, if that is what ``error`` says; else nothing.
 
     Our own files are written by ``run.files``, whose errors are flipperctl's.

@@ -15,7 +15,7 @@ from flipperctl.errors import ConfigError
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
-def parsed(overrides: Iterable[str]) -> list[Override]:
+def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Return the overrides as Hydra reads them.
 
     Raises:
@@ -25,7 +25,7 @@ def parsed(overrides: Iterable[str]) -> list[Override]:
     return found
 
 
-def values(overrides: Iterable[str]) -> dict[str, Any]:
+def override_values(overrides: Iterable[str]) -> dict[str, Any]:
     """Return the value of each key, for what takes overrides of values and composes nothing.
 
     Raises:
@@ -33,7 +33,7 @@ def values(overrides: Iterable[str]) -> dict[str, Any]:
         ConfigError: one is no plain ``key=value``, as a list of values is not.
     """
     found = {}
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         plain = not (override.is_delete() or override.is_add() or override.is_force_add())
         if not plain or override.is_sweep_override():
             raise ConfigError(f"{override.input_line}: one value is allowed here, as in key=value")
@@ -48,7 +48,7 @@ def check_folders(overrides: Iterable[str]) -> None:
         OverrideParseException: Hydra cannot read one of the overrides.
         ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
     """
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         key = override.get_key_element()
         if key in _FOLDERS and override.value() in ("", None):
             raise ConfigError(
@@ -64,7 +64,7 @@ def check_mappings(overrides: Iterable[str]) -> None:
         OverrideParseException: Hydra cannot read one of the overrides.
         ConfigError: with what drops what is there.
     """
-    for override in parsed(overrides):
+    for override in parse_overrides(overrides):
         if not override.is_delete() and override.value() == {}:
             key = override.get_key_element()
             drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
@@ -89,14 +89,16 @@ def check_words(overrides: Sequence[str]) -> None:
             hint = ""
             if before:
                 key, _, value = before.partition("=")
-                hint = f"; if it belongs to {before!r}, write {quoted(key, f'{value} {word}')}"
+                hint = (
+                    f"; if it belongs to {before!r}, write {quote_override(key, f'{value} {word}')}"
+                )
             raise ConfigError(
                 f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
             )
         before = word
 
 
-def quoted(key: str, value: str) -> str:
+def quote_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes as it is, quoted for the shell too."""
     escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
     return shlex.quote(f'{key}="{escaped}"')

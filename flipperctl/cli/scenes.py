@@ -25,14 +25,14 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
         CheckpointError: there is no such policy, or its observation layout is another one.
         ConfigError: an override is wrong.
     """
-    config_store.offer_defaults()
+    config_store.register_defaults()
     if checkpoint is None:
         resolver.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, PolicySource(settings=settings)) for config, settings in found]
     file = checkpoints.find(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
-    primary = config_store.offer_trained(trained)
+    primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:

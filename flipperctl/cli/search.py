@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field
 
 from flipperctl.api import Settings
-from flipperctl.cli.overrides import parsed
+from flipperctl.cli.overrides import parse_overrides
 from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -36,15 +36,15 @@ class SearchSettings(Settings):
 def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
     """What a sweeper makes as large as it can, from a run's best validation.
 
-    The success rate, less a share of one episode's worth that grows with θ̂_R [rad]:
+    The success rate, less a penalty of one episode's worth that grows with θ̂_R [rad]:
     ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by
     success, then by θ̂_R.
     """
     if best is None:
         return None
     swing = float(best["pitch_variation"] or 0.0)
-    share = swing / (1.0 + swing) if math.isfinite(swing) else 1.0
-    return float(best["success_rate"]) - share / episodes
+    penalty = swing / (1.0 + swing) if math.isfinite(swing) else 1.0
+    return float(best["success_rate"]) - penalty / episodes
 
 
 def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution], list[str]]:
@@ -61,7 +61,7 @@ def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution],
 
     space: dict[str, BaseDistribution] = {}
     fixed = []
-    for override in parsed(arguments):
+    for override in parse_overrides(arguments):
         key = override.get_key_element()
         if override.is_interval_sweep():
             sweep: Any = override.value()

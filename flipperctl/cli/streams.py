@@ -14,7 +14,7 @@ import unicodedata
 PLAIN = "flipperctl.plain"
 """Name of the error handler for codecs."""
 
-_SPELT = {
+_SPELLINGS = {
     "θ": "theta", "ε": "eps", "λ": "lambda", "γ": "gamma", "μ": "mu", "Δ": "d", "Σ": "sum",
     "\u0302": "^", "≥": ">=", "≤": "<=", "≈": "~", "×": "x", "·": "*", "±": "+-", "−": "-",
     "–": "-", "—": "-", "→": "->", "↑": "^", "°": "deg", "√": "sqrt", "π": "pi", "σ": "sigma",
@@ -39,7 +39,7 @@ def log_to_stderr() -> None:
     log.handlers[:] = [logging.StreamHandler()]
 
 
-def spelt(text: str, encoding: str) -> str:
+def spell_plainly(text: str, encoding: str) -> str:
     """Return the text as a stream of this encoding shows it."""
     return text.encode(encoding, PLAIN).decode(encoding, "surrogateescape")
 
@@ -54,7 +54,7 @@ def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
     parts = unicodedata.normalize("NFKD", character)  # é is e and an accent, … three dots
     plain = "".join(part for part in parts if part.isascii())
     unknown = "" if unicodedata.combining(character) else "?"
-    return _SPELT.get(character) or plain or unknown, error.start + 1
+    return _SPELLINGS.get(character) or plain or unknown, error.start + 1
 
 
 codecs.register_error(PLAIN, _spell)

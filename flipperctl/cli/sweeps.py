@@ -17,7 +17,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli.comparison import SweepRun, compare, sweep_run
-from flipperctl.cli.overrides import parsed
+from flipperctl.cli.overrides import parse_overrides
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import make_folder
 from flipperctl.training.lock import hold
@@ -46,7 +46,7 @@ def _short(value: str) -> str:
         return value
 
 
-def leaves_naming(config: DictConfig) -> bool:
+def uses_default_naming(config: DictConfig) -> bool:
     """Whether ``hydra.sweep.subdir`` is train.yaml's still."""
     sweep: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
     return bool(sweep["subdir"] == UNNAMED)
@@ -80,7 +80,7 @@ class SweepLauncher:
         return returns
 
     def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
-        swept = [self._varied(job) for job in jobs]
+        swept = [self._swept_values(job) for job in jobs]
         if self._named and self.swept:
             names = [folder_name(first + i, values) for i, values in enumerate(swept)]
             jobs = [
@@ -94,7 +94,7 @@ class SweepLauncher:
         ]
         return returns
 
-    def _varied(self, job: Sequence[str]) -> dict[str, str]:
+    def _swept_values(self, job: Sequence[str]) -> dict[str, str]:
         values = dict(override.partition("=")[::2] for override in job)
         return {key.lstrip("+~"): values[key] for key in self.swept if key in values}
 
@@ -118,8 +118,8 @@ class ListSweep:
         self._sweeper = cast("Any", BasicSweeper(**settings))
         self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
         self._folder = Path(str(config.hydra.sweep.dir))
-        self._jobs = SweepLauncher(self._sweeper.launcher, named=leaves_naming(config))
-        self._sweeper.launcher = _Raising(self._jobs)
+        self._jobs = SweepLauncher(self._sweeper.launcher, named=uses_default_naming(config))
+        self._sweeper.launcher = _RaisingLauncher(self._jobs)
 
     def run(self, arguments: list[str]) -> None:
         """Train every combination.
@@ -128,8 +128,10 @@ class ListSweep:
             FlipperctlError: the first of the jobs' errors, after all jobs had their turn.
             RunHeldError: another process works in the sweep's folder.
         """
-        given = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
-        self._jobs.swept = [o.get_key_element() for o in parsed(given) if o.is_sweep_override()]
+        overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
+        self._jobs.swept = [
+            o.get_key_element() for o in parse_overrides(overrides) if o.is_sweep_override()
+        ]
         with hold(make_folder(self._folder), "sweep"):
             try:
                 self._sweeper.sweep(arguments)
@@ -137,7 +139,7 @@ class ListSweep:
                 compare(self._folder, self._jobs.runs)
 
 
-class _Raising:
+class _RaisingLauncher:
     """Raises the first error of the jobs as it is, before Hydra's sweeper adds words to it."""
 
     def __init__(self, jobs: SweepLauncher) -> None:

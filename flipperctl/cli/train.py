@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import Overrides, PluginPaths, no_options
+from flipperctl.cli.options import Overrides, PluginPaths, reject_options
 
 if TYPE_CHECKING:
     from flipperctl.config import TrainConfig
@@ -60,7 +60,7 @@ def train(
     from flipperctl import plugins as loader
 
     arguments = list(overrides or [])
-    no_options(arguments, [*HYDRA_OPTIONS, "--resume", "--plugins"])
+    reject_options(arguments, [*HYDRA_OPTIONS, "--resume", "--plugins"])
     loader.load(plugins or ())
     if resume is not None:
         _resume(resume, arguments)
@@ -80,12 +80,12 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from flipperctl import plugins as loader
     from flipperctl.cli import config_store
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.training import shown
+    from flipperctl.cli.training import quote_path
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
 
-    config_store.offer_defaults()
-    config_store.offer_sweepers()
+    config_store.register_defaults()
+    config_store.register_sweepers()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
     _check(overrides, compose=check)
@@ -98,7 +98,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
-            directory = shown(Path(HydraConfig.get().runtime.output_dir))
+            directory = quote_path(Path(HydraConfig.get().runtime.output_dir))
             stopped = InterruptedRunError(
                 f"interrupted. Go on with: flipperctl train --resume {directory}"
             )
@@ -107,7 +107,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             return None
 
     configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
-    given, sys.argv = sys.argv, ["flipperctl train", *arguments]
+    previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
         # Hydra passes exceptions on, instead of printing them itself.
         with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
@@ -123,7 +123,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             raise
         raise failure(Path(error.filename), error) from error
     finally:
-        sys.argv = given
+        sys.argv = previous_argv
         if several:
             _shut_ray_down()
 
@@ -166,12 +166,12 @@ def _task(composed: Any, paths: list[str]) -> float | None:
     from hydra.core.hydra_config import HydraConfig
 
     from flipperctl import plugins as loader
-    from flipperctl.cli.compose import validated
+    from flipperctl.cli.compose import parse_training
     from flipperctl.cli.search import objective
     from flipperctl.cli.training import start
 
     loader.load(paths)
-    config = validated(composed)
+    config = parse_training(composed)
     _check_device(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
     best = start(config, directory, lambda: _keep_hydra_files(composed, directory))["best"]
@@ -227,8 +227,8 @@ def _check_network(config: TrainConfig) -> None:
 
 def _resume(run: Path, overrides: list[str]) -> None:
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import values
-    from flipperctl.cli.training import go_on
+    from flipperctl.cli.overrides import override_values
+    from flipperctl.cli.training import resume_run
     from flipperctl.errors import ConfigError
 
     for override in overrides:
@@ -238,5 +238,5 @@ def _resume(run: Path, overrides: list[str]) -> None:
                 "only train.<field>=… and device=… can be given with --resume"
             )
     with convert_hydra_errors():
-        changes = values(overrides)
-    go_on(run, changes, _check_device)
+        changes = override_values(overrides)
+    resume_run(run, changes, _check_device)

@@ -40,7 +40,7 @@ def start(
         if run_folder.holds_run(directory):
             raise OutputError(
                 f"{directory} already holds a run; go on with: flipperctl train --resume "
-                f"{shown(directory)}, or choose another hydra.run.dir"
+                f"{quote_path(directory)}, or choose another hydra.run.dir"
             )
         run_folder.clear_leftovers(directory)
         trainer = Trainer(config, directory)
@@ -49,7 +49,7 @@ def start(
         return _train(trainer, None)
 
 
-def go_on(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
+def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
     """Go on with a run from its last full checkpoint, or from its start if it has none.
 
     ``changes`` are merged into its configuration; ``check`` may refuse what comes of it.
@@ -108,21 +108,21 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     if not summary["finished"]:
         raise InterruptedRunError(
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
-            f"Go on with: flipperctl train --resume {shown(directory)}"
+            f"Go on with: flipperctl train --resume {quote_path(directory)}"
         )
     best = summary["best"]
     print(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"θ̂_R {best['pitch_variation']:.2f} rad, {best['t_cost']:.1f} s. "
         f"{summary['decisions']} decisions in {summary['seconds']:.0f} s.\n"
-        f"Evaluate: flipperctl eval --checkpoint {shown(directory)}\n"
-        f"Export:   flipperctl export onnx --checkpoint {shown(directory)}",
+        f"Evaluate: flipperctl eval --checkpoint {quote_path(directory)}\n"
+        f"Export:   flipperctl export onnx --checkpoint {quote_path(directory)}",
         file=sys.stderr,
     )
     return summary
 
 
-def shown(directory: Path) -> str:
+def quote_path(directory: Path) -> str:
     """A path as one types it here: relative to the working directory, quoted for the shell."""
     here = Path.cwd()
     short = directory.relative_to(here) if directory.is_relative_to(here) else directory

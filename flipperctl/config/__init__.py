@@ -1,7 +1,7 @@
 """The composed configuration as frozen pydantic models.
 
-``sections`` holds the settings, ``randomise`` what is drawn for each episode, ``models`` whole
-configurations; ``resolver`` makes them from names and overrides.
+``sections`` holds the settings, ``randomise`` the ranges sampled for each episode, ``models``
+whole configurations; ``resolver`` builds them from names and overrides.
 """
 
 from flipperctl.config.models import (

@@ -1,4 +1,4 @@
-"""Every setting of a configuration in words: path, value, default, bounds, unit, meaning.
+"""Describe every setting of a configuration: path, value, default, bounds, unit, meaning.
 
 In: frozen settings, plugins among them at any depth. Out: one ``Setting`` for each field.
 """
@@ -12,11 +12,11 @@ from typing import Any, Literal, get_args, get_origin
 
 from flipperctl.api import Plugin, Robot, Settings
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
-from flipperctl.config.randomise import PLACES
+from flipperctl.config.randomise import SECTION_OF
 from flipperctl.messages import bounds, meaning, unit
 
 _CHOICE = "name"
-"""The field by which a section says which of several it is."""
+"""The field that names the variant of a section, such as ``local`` for the collector."""
 
 
 @dataclass(frozen=True)
@@ -26,29 +26,29 @@ class Field:
     name: str
     type: str
     default: Any
-    """As plain data; None where there is none."""
+    """The default as plain data; None if the field has none."""
     bounds: str
-    """As in ``> 0, ≤ 0.4``, or the values that are allowed; empty without any."""
+    """Bounds such as ``> 0, ≤ 0.4``, or the allowed values; empty if there are none."""
     unit: str
-    """Empty without one, ``-`` for what has no dimension."""
+    """Unit of the value; ``-`` for a dimensionless number, empty if there is no unit."""
     description: str
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A field where it stands in a configuration, with its value there."""
+    """A field at its place in a configuration, with its value there."""
 
     section: str
-    """The path of what it belongs to; empty at the top."""
+    """Path of the section or plugin that the field belongs to; empty at the top level."""
     path: str
-    """What an override calls it; items of a list, which are overridden as a whole, have ``[i]``."""
+    """Key used by overrides; items of a list, which are overridden as a whole, have ``[i]``."""
     value: Any
-    """As plain data."""
+    """The value as plain data."""
     field: Field
 
 
 def fields(cls: type[Settings]) -> list[Field]:
-    """The fields of a class of settings."""
+    """Return the fields of a class of settings."""
     complete = not any(info.is_required() for info in cls.model_fields.values())
     defaults = _plain(cls()) if complete else {}
     found = []
@@ -61,16 +61,16 @@ def fields(cls: type[Settings]) -> list[Field]:
 
 
 def settings(config: Settings, path: str = "") -> Iterator[Setting]:
-    """Every setting of ``config``, which stands at ``path``.
+    """Yield every setting of ``config``, which stands at ``path``.
 
-    First its own fields; then what lies within it, plugins and those within plugins too. What is
-    one of several (a plugin, a collector) begins with a setting that says which.
+    Its own fields come first, then those of the sections and plugins inside it, at any depth. A
+    plugin or a collector begins with a setting that holds its name.
     """
     plain = _plain(config)
     inside: list[tuple[str, Settings]] = []
     for field in fields(type(config)):
         if field.name == _CHOICE and not isinstance(config, Plugin):
-            continue  # said by the setting of the choice
+            continue  # the setting of the choice holds it
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
         nested = list(_nested(value, where))
         if not nested or isinstance(value, tuple | list):
@@ -82,7 +82,7 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
 
 
 def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
-    """The settings in a field's value, and where."""
+    """Yield the settings in a field's value, each with its path."""
     if isinstance(value, Settings):
         yield path, value
     elif isinstance(value, Mapping):
@@ -94,7 +94,7 @@ def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
 
 
 def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
-    """Which of several ``chosen`` is, where there are several."""
+    """Yield the setting that names ``chosen``, if it is a plugin or one of several variants."""
     cls = type(chosen)
     summary = (cls.__doc__ or "").strip().partition("\n")[0]
     if isinstance(chosen, Plugin):
@@ -106,9 +106,9 @@ def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
 
 
 def _allowed(cls: type[Settings], name: str) -> str:
-    """The bounds of a field, or the values that it may take."""
-    if issubclass(cls, Randomise) and name in PLACES:
-        section = PLACES[name]
+    """Return the bounds of a field, or its allowed values."""
+    if issubclass(cls, Randomise) and name in SECTION_OF:
+        section = SECTION_OF[name]
         drawn_from = Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
         return bounds(drawn_from, name)
     info = cls.model_fields[name]
@@ -118,7 +118,7 @@ def _allowed(cls: type[Settings], name: str) -> str:
 
 
 def _values(annotation: Any) -> Iterator[str]:
-    """The values of the literals and enumerations in an annotation."""
+    """Yield the values of the literals and enumerations in an annotation."""
     if get_origin(annotation) is Literal:
         yield from map(str, get_args(annotation))
     elif isinstance(annotation, type) and issubclass(annotation, Enum):

@@ -21,7 +21,7 @@ from flipperctl.api import (
     Shaping,
     Terrain,
 )
-from flipperctl.config.randomise import Randomise, replaced
+from flipperctl.config.randomise import Randomise, replace_settings
 from flipperctl.config.resolver import container, create
 from flipperctl.config.sections import (
     Agent,
@@ -44,15 +44,15 @@ def _network(value: object) -> object:
 
 
 def _engine(value: object) -> object:
-    return create("sim", _named(value), "sim")
+    return create("sim", _with_default_name(value), "sim")
 
 
 def _sensor(value: object) -> object:
-    return create("perception", _named(value), "perception")
+    return create("perception", _with_default_name(value), "perception")
 
 
-def _named(value: object) -> object:
-    """The settings with a name; files of version 0.1 have none."""
+def _with_default_name(value: object) -> object:
+    """Return the settings with a name; files of version 0.1 have none."""
     if isinstance(value, Mapping) and "name" not in value:
         return {"name": DEFAULT_ENGINE, **value}
     return value
@@ -63,7 +63,7 @@ def _rewards(value: object) -> object:
         raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
     complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
     for key in value:
-        if str(key) not in complete:  # a field of a term that is not there
+        if str(key) not in complete:  # a field of a term that does not exist
             raise ConfigError(
                 f"rewards.{key}: there is no such term{close_match(str(key), complete)}; "
                 f"known: {', '.join(complete)}; a new one needs a name"
@@ -84,12 +84,12 @@ AnyRewards = Annotated[
 ]
 
 DEFAULT_ENGINE = "planar"
-"""Name of the engine and of the sensor that are used if none is chosen."""
+"""Name of the default engine and of the default sensor."""
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
 class EnvConfig(Settings):
-    """Everything the environment is made of."""
+    """The configuration of an environment."""
 
     terrain: ConfiguredTerrain
     rewards: AnyRewards = Field(
@@ -103,7 +103,7 @@ class EnvConfig(Settings):
     randomise: Randomise = Randomise()
 
     @model_validator(mode="after")
-    def _draws_are_allowed(self) -> EnvConfig:
+    def _check_randomise(self) -> EnvConfig:
         for section, name, ends in self.randomise.ranges():
             settings = getattr(self, section)
             model = type(settings)
@@ -128,28 +128,28 @@ class EnvConfig(Settings):
                 )
         return self
 
-    def drawn(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
-        """Engine, robot and perception of an episode in which ``values`` were drawn."""
+    def with_drawn_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
+        """Return the engine, robot and sensor of an episode with the sampled ``values``."""
         sections = {"sim": self.sim, "robot": self.robot, "perception": self.perception}
-        found = replaced(sections, values)
+        found = replace_settings(sections, values)
         return found["sim"], found["robot"], found["perception"]
 
     def environment(self) -> EnvConfig:
-        """The part that the environment is made of."""
+        """Return the part of the configuration that defines the environment."""
         return EnvConfig(**{name: getattr(self, name) for name in EnvConfig.model_fields})
 
 
 class EvalConfig(EnvConfig):
-    """An evaluation: the environment, how often, and what its conditions are called."""
+    """The configuration of an evaluation: environment, episodes and the conditions' name."""
 
     conditions: str = Field(
-        "nominal", description="the named conditions that overrides were laid over [-]"
+        "nominal", description="the named conditions to which overrides were applied [-]"
     )
     eval: Eval = Eval()
 
 
 class TrainConfig(EnvConfig):
-    """A training run, complete."""
+    """The complete configuration of a training run."""
 
     network: AnyNetwork
     agent: Agent = Agent()
@@ -160,7 +160,7 @@ class TrainConfig(EnvConfig):
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
     @model_validator(mode="after")
-    def _one_place_to_play(self) -> TrainConfig:
+    def _check_collector(self) -> TrainConfig:
         if self.train.mode == "exact" and self.collector.name != "local":
             raise ConfigError(
                 "train.mode: exact plays in the learner's process; "
@@ -169,7 +169,7 @@ class TrainConfig(EnvConfig):
         return self
 
     @model_validator(mode="after")
-    def _something_is_paid(self) -> TrainConfig:
+    def _check_rewards(self) -> TrainConfig:
         if not any(term.weight for term in self.rewards.values()):
             there = ", ".join(self.rewards) if self.rewards else "none"
             raise ConfigError(
@@ -179,7 +179,7 @@ class TrainConfig(EnvConfig):
         return self
 
     @model_validator(mode="after")
-    def _shaping_changes_no_policy(self) -> TrainConfig:
+    def _check_shaping(self) -> TrainConfig:
         agent = self.agent
         for name, term in self.rewards.items():
             if not isinstance(term, Shaping):

@@ -1,7 +1,7 @@
-"""Randomisation of an episode's physics and sensing: which settings are drawn, and from where.
+"""Randomisation of an episode's physics and sensing: which settings are sampled, in which range.
 
-In: the section ``randomise`` of a configuration and a generator. Out: values that take the place
-of the settings that they are named after, for one episode.
+In: the section ``randomise`` of a configuration and a generator. Out: values that replace
+the settings of the same names for one episode.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
 
 
 Range = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)] | None
-"""Drawn uniformly between both; None leaves the setting as it is."""
+"""Bounds of a uniform distribution; None leaves the setting as it is."""
 
-PLACES = {
+SECTION_OF = {
     "friction": "sim",
     "chassis_mass": "robot",
     "flipper_mass": "robot",
@@ -45,11 +45,11 @@ PLACES = {
     "flipper_bias": "perception",
     "delay": "perception",
 }
-"""Section of the setting that each draw replaces; the order of the draws."""
+"""Section of each randomised setting; values are sampled in this order."""
 
 
 class Randomise(Settings):
-    """What is drawn anew for every episode, of a training or of an evaluation.
+    """The settings that are sampled anew for every episode of a training or an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
     and must lie within its bounds. The start is drawn by ``episode.start_noise`` and
@@ -75,25 +75,25 @@ class Randomise(Settings):
     delay: Range = Field(None, description="of perception.delay [s]")
 
     def ranges(self) -> Iterator[tuple[str, str, tuple[float, float]]]:
-        """Section, setting and range of all that is drawn."""
-        for name, section in PLACES.items():
+        """Yield the section, name and range of each sampled setting."""
+        for name, section in SECTION_OF.items():
             if (found := getattr(self, name)) is not None:
                 yield section, name, found
 
     @property
     def names(self) -> list[str]:
-        """The settings that are drawn."""
+        """Names of the sampled settings."""
         return [name for _, name, _ in self.ranges()]
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """A value of each setting that is drawn."""
+        """Sample a value of each randomised setting, in SI units."""
         return {name: float(rng.uniform(*found)) for _, name, found in self.ranges()}
 
 
-def replaced(sections: Mapping[str, Any], drawn: Mapping[str, float]) -> dict[str, Any]:
-    """The sections with the drawn values in place of their own."""
+def replace_settings(sections: Mapping[str, Any], drawn: Mapping[str, float]) -> dict[str, Any]:
+    """Return the sections with the sampled values in place of their own."""
     result = dict(sections)
     for name, value in drawn.items():
-        section = PLACES[name]
+        section = SECTION_OF[name]
         result[section] = result[section].model_copy(update={name: value})
     return result

@@ -1,8 +1,8 @@
-"""From names and overrides to validated settings, and back to plain data.
+"""Convert names and overrides to validated settings, and settings to plain data.
 
 In: a plugin's name or mapping, a composed container, overrides. Out: frozen settings with plugin
-instances inside. Whatever composes a configuration (Hydra, a checkpoint, keyword arguments,
-``--resume``) comes through ``parse``.
+instances inside. Every composed configuration (by Hydra, from a checkpoint, from keyword arguments,
+by ``--resume``) passes through ``parse``.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
     except BaseException as error:
         own_title = cls.model_config.get("title") or cls.__name__
         if isinstance(error, ValidationError) and error.title == own_title:
-            raise  # not that of another model that the plugin's code made
+            raise  # an error of another model in the plugin's code is the plugin's fault
         raise guard.fault(error, cls, "its construction", PluginError) from error
 
 
@@ -95,16 +95,18 @@ def parse(model: type[SettingsT], container: Mapping[str, Any]) -> SettingsT:
 
 
 def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
-    """Return ``config`` with overrides, whose keys may be nested or dotted, laid over it.
+    """Return ``config`` with overrides applied; their keys may be nested or dotted.
 
-    A reward term set to None is dropped, and so are all by an empty mapping of rewards.
+    A reward term set to None is dropped; an empty mapping of rewards drops all terms.
 
     Raises:
         ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
     """
     result = container(config)
     for key, value in overrides.items():
-        if key == "rewards" and value == {}:  # nothing to lay over what is there
+        if (
+            key == "rewards" and value == {}
+        ):  # an empty mapping replaces the terms instead of merging into them
             result[key] = {}
             continue
         *parents, leaf = key.split(".")
@@ -113,17 +115,17 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
                 raise ConfigError(f"{key}: {parent} is a value, no section; it is {node!r}")
-        _lay_over(node, leaf, value)
+        _merge(node, leaf, value)
     if isinstance(rewards := result.get("rewards"), dict):
         result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
     return parse(type(config), result)
 
 
-def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
+def _merge(node: dict[str, Any], key: str, value: Any) -> None:
     old = node.get(key)
     if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
         for inner, item in value.items():
-            _lay_over(old, inner, item)
+            _merge(old, inner, item)
     else:  # a copy, since a later override may lie inside it
         node[key] = dict(value) if isinstance(value, Mapping) else value
 
@@ -131,7 +133,8 @@ def _lay_over(node: dict[str, Any], key: str, value: Any) -> None:
 def container(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
     """Return the plain data from which ``create`` or ``parse`` makes equal settings.
 
-    ``brief``: a plugin within a plugin that has all its defaults is its name alone.
+    ``brief``: a plugin inside a plugin is written as its name alone if all its fields have their
+    defaults.
 
     Raises:
         PluginError: a field of a plugin cannot be written as JSON.
@@ -140,25 +143,23 @@ def container(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
         try:
             return mapping(settings, brief=brief)
         except BaseException as error:
-            raise guard.fault(
-                _unwrapped(error), settings, "its serialisation", PluginError
-            ) from error
+            raise guard.fault(_unwrap(error), settings, "its serialisation", PluginError) from error
     try:
         return settings.model_dump(mode="json", context={"brief": brief})
     except PydanticSerializationError as error:
-        if isinstance(cause := _unwrapped(error), FlipperctlError):
+        if isinstance(cause := _unwrap(error), FlipperctlError):
             raise cause from error
         raise
 
 
-def _unwrapped(error: BaseException) -> BaseException:
-    """Return what a plugin's serialiser raised, which pydantic wraps."""
+def _unwrap(error: BaseException) -> BaseException:
+    """Return the error of a plugin's serialiser, which pydantic wraps."""
     wrapped = isinstance(error, PydanticSerializationError) and error.__cause__
     return wrapped or error
 
 
 def defaults(cls: type[Plugin]) -> dict[str, Any]:
-    """Return the brief container of a plugin that is given nothing but its name.
+    """Return the brief container of a plugin at its defaults.
 
     Raises:
         ConfigError: a field has no default, or a default that is not valid.
@@ -173,13 +174,13 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
         ) from error
 
 
-def nested(plugin: Plugin) -> list[Plugin]:
+def nested_plugins(plugin: Plugin) -> list[Plugin]:
     """Return the plugin and those in its fields, at any depth."""
     found, waiting = [plugin], [getattr(plugin, name) for name in type(plugin).model_fields]
     while waiting:
         value = waiting.pop(0)
         if isinstance(value, Plugin):
-            found += nested(value)
+            found += nested_plugins(value)
         elif isinstance(value, tuple | list):
             waiting += value
         elif isinstance(value, Mapping):
@@ -188,5 +189,5 @@ def nested(plugin: Plugin) -> list[Plugin]:
 
 
 def source(cls: type[Plugin]) -> str:
-    """Return where a plugin was defined: its file, or its module for what has none."""
+    """Return the file in which a plugin is defined, or its module if there is no file."""
     return guard.definition(cls)

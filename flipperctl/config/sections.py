@@ -1,6 +1,6 @@
 """The sections of a configuration: every setting, its default, bounds and unit.
 
-A description that says "paper silent" marks a choice of ours.
+"Paper silent" in a description marks a value that the paper does not give.
 """
 
 from __future__ import annotations
@@ -20,19 +20,28 @@ class Episode(Settings):
         1.0, ge=0, le=10, description="chassis centre before the first edge at the start [m]"
     )
     run_out: float = Field(
-        1.0, ge=0, le=10, description="chassis centre behind the last edge at the finish [m]"
+        1.0, ge=0, le=10, description="chassis centre past the last edge at the finish [m]"
     )
     start_noise: float = Field(
-        0.05, ge=0, le=0.5, description="the start shifts uniformly by up to this, both ways [m]"
+        0.05,
+        ge=0,
+        le=0.5,
+        description="the start is shifted uniformly by up to ± this distance [m]",
     )
     start_angle_noise: float = Field(
-        0.0, ge=0, le=0.5, description="the same for each flipper's start angle [rad]"
+        0.0,
+        ge=0,
+        le=0.5,
+        description="each flipper's start angle is shifted by up to ± this [rad]",
     )
     start_angle: float = Field(
         0.0, ge=-1.5, le=1.5, description="flipper angles at the start; paper silent [rad]"
     )
     overturn: float = Field(
-        math.pi / 3, gt=0, le=math.pi / 2, description="pitch that ends as overturned [rad]"
+        math.pi / 3,
+        gt=0,
+        le=math.pi / 2,
+        description="absolute pitch that ends as overturned [rad]",
     )
     clearance: float = Field(
         0.1,
@@ -45,13 +54,17 @@ class Episode(Settings):
         3.0,
         gt=1,
         le=100,
-        description="t_max as a multiple of the time the level drive needs; paper silent [-]",
+        description="t_max as a multiple of the time that the same distance takes on level ground; "
+        "paper silent [-]",
     )
     stuck_window: int = Field(
-        20, ge=2, le=1000, description="decisions over which progress counts; paper silent [-]"
+        20, ge=2, le=1000, description="decisions over which progress is measured; paper silent [-]"
     )
     stuck_progress: float = Field(
-        0.1, ge=0, le=10, description="less progress in the window is stuck; paper silent [m]"
+        0.1,
+        ge=0,
+        le=10,
+        description="less progress than this in the window ends as stuck; paper silent [m]",
     )
 
 
@@ -64,36 +77,48 @@ class Agent(Settings):
     )
     gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
     n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
-    batch_size: int = Field(128, ge=2, le=65536, description="transitions an update [-]")
-    replay_size: int = Field(100_000, ge=100, le=10_000_000, description="transitions kept [-]")
+    batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
+    replay_size: int = Field(
+        100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
+    )
     learning_starts: int = Field(
         1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
     )
-    update_every: int = Field(2, ge=1, le=1000, description="decisions an update [-]")
+    update_every: int = Field(2, ge=1, le=1000, description="decisions per update [-]")
     updates_together: int = Field(
         4,
         ge=1,
         le=64,
-        description="updates made in one go, their targets computed in one pass before the first; "
-        "1 is the textbook's way [-]",
+        description="updates in a row whose targets are computed in one pass before the first; "
+        "1 is the textbook algorithm [-]",
     )
     target_rate: float = Field(
-        0.005, gt=0, le=1, description="share of the online weights that enters the target [-]"
+        0.005,
+        gt=0,
+        le=1,
+        description="fraction of the online weights mixed into the target per update [-]",
     )
     epsilon_start: float = Field(
         1.0,
         ge=0,
         le=1,
-        description="random actions at the start; 0, with epsilon_end, suits networks that explore "
-        "by noise of their own [-]",
+        description="fraction of random actions at the start; 0, with epsilon_end=0, suits "
+        "networks that explore by their own noise [-]",
     )
-    epsilon_end: float = Field(0.05, ge=0, le=1, description="random actions at the end [-]")
+    epsilon_end: float = Field(
+        0.05, ge=0, le=1, description="fraction of random actions at the end [-]"
+    )
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
     )
-    gradient_norm: float = Field(10.0, gt=0, le=1e6, description="gradients are clipped to it [-]")
+    gradient_norm: float = Field(
+        10.0, gt=0, le=1e6, description="gradients are clipped to this norm [-]"
+    )
     reward_scale: float = Field(
-        0.1, gt=0, le=1e6, description="rewards are multiplied by it inside the learner [-]"
+        0.1,
+        gt=0,
+        le=1e6,
+        description="rewards are multiplied by this factor inside the learner [-]",
     )
     act_with: Literal["target", "online"] = Field(
         "target",
@@ -101,7 +126,7 @@ class Agent(Settings):
         "or the online network [-]",
     )
     bootstrap_outcomes: tuple[Outcome, ...] = Field(
-        (), description="outcomes behind which the value goes on instead of ending [-]"
+        (), description="outcomes after which the target bootstraps [-]"
     )
 
 
@@ -115,18 +140,23 @@ class Train(Settings):
         "newest weights [-]",
     )
     workers: int = Field(
-        1, ge=1, le=1024, description="processes that play when the mode is fast [-]"
+        1, ge=1, le=1024, description="worker processes that play episodes in mode fast [-]"
     )
-    decisions: int = Field(60_000, ge=1, le=1_000_000_000, description="the budget [-]")
+    decisions: int = Field(
+        60_000, ge=1, le=1_000_000_000, description="decisions of the whole training [-]"
+    )
     validate_every: int = Field(5000, ge=1, description="decisions between validations [-]")
     validation_episodes: int = Field(
-        40, ge=1, le=10_000, description="episodes a validation, always the same draws [-]"
+        40,
+        ge=1,
+        le=10_000,
+        description="episodes per validation, always with the same terrains and starts [-]",
     )
-    validation_seed: int = Field(0, ge=0, description="seed of the validation draws [-]")
+    validation_seed: int = Field(0, ge=0, description="seed of the validation episodes [-]")
     checkpoint_every: int = Field(
         10_000,
         ge=1,
-        description="decisions between full checkpoints, beside those at validations [-]",
+        description="decisions between full checkpoints, in addition to those at validations [-]",
     )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
 
@@ -142,23 +172,26 @@ class RayCollector(Settings):
 
     name: Literal["ray"] = "ray"
     address: str | None = Field(
-        None, description="of the cluster, such as auto or host:port; null starts a local one [-]"
+        None,
+        description="cluster's address, such as auto or host:port; null starts a local one [-]",
     )
-    workers: int = Field(2, ge=1, le=100_000, description="actors, each on a CPU of its own [-]")
+    workers: int = Field(2, ge=1, le=100_000, description="actors, each on its own CPU [-]")
     max_lag: int = Field(
         20_000,
         ge=1,
-        description="an episode is dropped if the learner is more decisions further than when it "
-        "was ordered [-]",
+        description="an episode is dropped if the learner has advanced by more decisions since it "
+        "was requested [-]",
     )
     patience: float = Field(
-        300.0, gt=0, description="time without any episode after which the run fails [s]"
+        300.0, gt=0, description="longest time without an episode before the run fails [s]"
     )
 
 
 class Eval(Settings):
     """The evaluation."""
 
-    episodes: int = Field(100, ge=1, le=1_000_000, description="episodes a scene [-]")
-    seed: int = Field(0, ge=0, description="seed of the draws, unseen in training [-]")
-    jobs: int = Field(1, ge=1, le=1024, description="processes [-]")
+    episodes: int = Field(100, ge=1, le=1_000_000, description="episodes per scene [-]")
+    seed: int = Field(
+        0, ge=0, description="seed of the terrains and starts, never those of training [-]"
+    )
+    jobs: int = Field(1, ge=1, le=1024, description="processes that play episodes [-]")

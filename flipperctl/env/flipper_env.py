@@ -126,7 +126,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         config, episode = self.config, self.config.episode
         drawn = config.randomise.draw(randomise_rng)
-        sections = config.drawn(drawn)
+        sections = config.with_drawn_values(drawn)
         _, self.robot, perception = sections
         self.profile = self._draw(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(

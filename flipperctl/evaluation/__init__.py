@@ -1,1 +1,1 @@
-"""Evaluation: any policy on any scene; typed results, statistics, files, audits of rewards."""
+"""Evaluation: results of any policy on any scene, statistics, files and reward audits."""

@@ -1,7 +1,7 @@
-"""The audit of a reward: what each term pays over rollouts.
+"""Audit a reward: what each term pays over rollouts.
 
-It shows the mistakes that earlier re-implementations made: a term too weak to matter, and a term
-that saturates at most steps.
+The audit reveals two common mistakes: a term that is too weak to matter, and a term that saturates
+at most steps.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ class TermAudit:
     lowest: float
     highest: float
     share: float
-    """Its fraction of the sum of all terms' absolute values, 0 to 1."""
+    """Fraction of the sum of all terms' absolute values, 0 to 1."""
     saturated: float | None
-    """Fraction of decisions at its declared lower bound, 0 to 1; None if it declares none, or its
-    weight is 0."""
+    """Fraction of decisions at the declared lower bound, 0 to 1; None if the term declares no bound
+    or its weight is 0."""
 
 
 @dataclass(frozen=True)
 class AuditResult:
-    """What a policy was paid on a terrain."""
+    """The rewards of a policy on a terrain, term by term."""
 
     controller: str
     """Label of the policy."""
@@ -47,7 +47,7 @@ class AuditResult:
     episodes: int
     decisions: int
     mean_return: float
-    """Sum of all weighted terms, a mean over the episodes [-]."""
+    """Sum of all weighted terms over an episode, averaged over the episodes [-]."""
     terms: Mapping[str, TermAudit]
     seed: int
     """Seed of the evaluation."""
@@ -76,8 +76,8 @@ def audit(
 ) -> AuditResult:
     """Play the first episodes of an evaluation and sum up each term.
 
-    ``report`` is called with the number of episodes done, a search before an episode as a fraction
-    of it.
+    ``report`` is called with the number of finished episodes; a controller's search before an
+    episode counts as a fraction of it.
 
     Raises:
         FlipperctlError: the policy cannot be built or failed.

@@ -1,7 +1,7 @@
-"""The conditions of an evaluation: what decides its ground and its physics, and a short hash of it.
+"""The conditions of an evaluation: the settings that decide ground and physics, and their hash.
 
-In: an evaluation's configuration. Out: plain data for files, a line for people, and eight digits
-that are equal where two evaluations are comparable.
+In: an evaluation's configuration. Out: plain data for files, a line of text, and a hash of eight
+digits that is equal for comparable evaluations.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Conditions:
     """The named conditions to which overrides were applied."""
     settings: Mapping[str, Any]
     """``terrain`` with all its fields, ``robot``, ``sim``, ``perception``, ``episode`` and
-    ``randomise``, without what has no influence."""
+    ``randomise``, without settings that have no influence."""
     defaults: Mapping[str, Settings]
-    """Each section at its defaults, as the engine and the sensor that were chosen have them."""
+    """Each section at its defaults, for the chosen engine and sensor."""
 
     @classmethod
     def of(cls, config: EvalConfig) -> Conditions:
@@ -39,7 +39,7 @@ class Conditions:
         whole = container(config.environment())
         left_out = {
             "sim": config.sim.without_effect,
-            "perception": set(ObservationLayout.model_fields),  # that is the policy's own
+            "perception": set(ObservationLayout.model_fields),  # the policy brings it
         }
         sections = {
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
@@ -52,9 +52,9 @@ class Conditions:
     def hash(self) -> str:
         """Eight hexadecimal digits, the first of the SHA-256 of the settings as canonical JSON.
 
-        Keys are sorted, nothing is between the tokens, characters beyond ASCII are escaped. Equal
-        hashes mean episodes of the same distribution; with equal seeds too, episode by episode the
-        same ground, start and physics, whichever policy drives.
+        Keys are sorted, there is no white space, and non-ASCII characters are escaped. Equal hashes
+        mean episodes of the same distribution. With equal seeds as well, each episode has the same
+        ground, start and physics for every policy.
         """
         text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
@@ -64,12 +64,12 @@ class Conditions:
         return {"name": self.name, "hash": self.hash, **self.settings}
 
     def line(self) -> str:
-        """Return one line: what is randomised and where the settings differ from the defaults.
+        """Return one line: the randomised settings and those that differ from the defaults.
 
-        The line does not hold the terrain, which tables name.
+        The terrain is left out, since the tables name it.
         """
         drawn = [
-            _shown(Randomise, name, value)
+            _format_setting(Randomise, name, value)
             for name, value in self.settings["randomise"].items()
             if value is not None
         ]
@@ -95,10 +95,12 @@ class Conditions:
         changed = [k for k, v in values.items() if v != plain[k] and k not in apart]
         model = type(default)
         chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
-        return ", ".join([*chosen, *(_shown(model, name, values[name]) for name in changed)])
+        return ", ".join(
+            [*chosen, *(_format_setting(model, name, values[name]) for name in changed)]
+        )
 
 
-def _shown(model: type[Settings], name: str, value: Any) -> str:
+def _format_setting(model: type[Settings], name: str, value: Any) -> str:
     ends = value if isinstance(value, list | tuple) else [value]
     number = " to ".join(f"{end:.4g}" if isinstance(end, int | float) else str(end) for end in ends)
     of = unit(model, name)

@@ -1,4 +1,4 @@
-"""What one episode of an evaluation gave.
+"""The result of one episode of an evaluation.
 
 In: the flat row that ``rollout.episode.play`` returns. Out: the same numbers, by name and type.
 """
@@ -13,7 +13,7 @@ from flipperctl.api import Outcome
 from flipperctl.env import measures
 
 _REWARD = "reward_"
-"""What a row puts before the name of a reward term."""
+"""Prefix of the columns of reward terms."""
 
 
 @dataclass(frozen=True)
@@ -21,19 +21,19 @@ class EpisodeResult:
     """The outcome, the measures and the sampled values of one episode."""
 
     episode: int
-    """Its index in the evaluation, from 0."""
+    """Index of the episode in the evaluation, from 0."""
     seed: int
-    """Equal seeds give equal ground and an equal start, whichever policy drives."""
+    """Seed of the episode; equal seeds give equal ground and an equal start for every policy."""
     outcome: Outcome
     terrain: str
-    """Label of the sampled profile: of a mix, the part that was chosen."""
+    """Label of the sampled profile; for a mix, that of the chosen part."""
     decisions: int
     t_cost: float
     """Time to the end of the episode [s]."""
     pitch_variation: float
     """θ̂_R, the sum of the pitch's absolute changes between decisions [rad] (paper Eq. 8)."""
     pitch_variation_100hz: float
-    """The same sum, between samples that are 10 ms apart [rad]."""
+    """Sum of the pitch's absolute changes between samples 10 ms apart [rad]."""
     max_pitch: float
     """Largest absolute pitch [rad]."""
     flipper_travel: float
@@ -43,16 +43,16 @@ class EpisodeResult:
     rewards: Mapping[str, float]
     """Each term's weighted part of the return [-]."""
     sampled: Mapping[str, float]
-    """Values sampled for the episode: the start's, and those that ``randomise`` names; SI units."""
+    """Values sampled for the start and for the settings of ``randomise``, by name; SI units."""
     further: Mapping[str, float] = field(default_factory=dict)
     """Measures of ``env.measures.MEASURES`` beyond those above, by name, in their own units."""
     crossed_by: str | None = None
-    """Label of a policy that reached the finish with this seed; empty if none did, None where no
-    other policy was asked."""
+    """Label of a policy that reached the finish with this seed; empty if none did, None if no other
+    policy tried."""
 
     @classmethod
     def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
-        """Return the result that a row of ``rollout.episode.play`` holds.
+        """Return the result from a row of ``rollout.episode.play``.
 
         Raises:
             KeyError: the row lacks a measure.
@@ -103,5 +103,5 @@ class EpisodeResult:
 
 
 def further_measures() -> list[type[measures.Measure]]:
-    """Return the measures that ``EpisodeResult`` has no field for."""
+    """Return the measures for which ``EpisodeResult`` has no field."""
     return [m for m in measures.MEASURES if m.name not in EpisodeResult.__dataclass_fields__]

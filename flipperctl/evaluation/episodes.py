@@ -1,7 +1,7 @@
-"""The episodes of an evaluation, one after the other, in one process or several.
+"""Play the episodes of an evaluation in order, in one process or several.
 
-In: an environment configuration and a policy's source. Out: one result an episode, the same
-whatever the number of processes.
+In: an environment configuration and a policy's source. Out: one result per episode,
+independent of the number of processes.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class EpisodeRunner:
     ) -> None:
         """Build the environment and the policy.
 
-        ``seed`` is that of the evaluation. ``report_progress`` is called with the fraction of an
-        episode's search that is done.
+        ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
+        fraction of an episode's search.
 
         Raises:
-            FlipperctlError: the policy cannot be built, as ``PolicySource.build`` says.
+            FlipperctlError: the policy cannot be built (see ``PolicySource.build``).
         """
         self._env = FlipperEnv(config=config)
         self._report_progress = report_progress
@@ -55,7 +55,7 @@ class EpisodeRunner:
         return EpisodeResult.of(index, row)
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
-        """Play one episode; return the states at all T + 1 decisions, and the ground below."""
+        """Play one episode; return the states at all T + 1 decisions, and the ground."""
         seed = episode_seed("evaluation", self._seed, index)
         transitions = [d.transition for d in decisions(self._env, self._policy, seed)]
         return [transitions[0].before, *(t.after for t in transitions)], self._env.profile
@@ -72,9 +72,9 @@ def play_episodes(
 ) -> Iterator[EpisodeResult]:
     """Yield the results of the episodes, in order, each as soon as it is known.
 
-    ``episodes``: how many, from 0, or which. ``jobs``: the number of processes; a worker that dies
-    is replaced. ``report_progress`` is called with the fraction of an episode's search that is
-    done, where one process plays them all.
+    ``episodes`` is their number, counted from 0, or their indices. ``jobs`` is the number of
+    processes; a worker that dies is replaced. ``report_progress`` is called with the finished
+    fraction of an episode's search if one process plays all episodes.
 
     Raises:
         FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
@@ -95,7 +95,7 @@ def play_episodes(
 
 
 def _result(workers: WorkerPool, job: PendingCall, index: int) -> EpisodeResult:
-    """Wait for an episode; play it again if its worker died, since equal seeds give equal ones."""
+    """Wait for an episode; play it again if its worker died, since equal seeds repeat it."""
     for _ in range(workers.count + 2):  # all may have died at once
         try:
             result: EpisodeResult = workers.result(job)
@@ -106,7 +106,7 @@ def _result(workers: WorkerPool, job: PendingCall, index: int) -> EpisodeResult:
     raise FlipperctlError(f"episode {index} of the evaluation killed its worker again and again")
 
 
-_runner: EpisodeRunner | FlipperctlError | None = None  # one a worker process
+_runner: EpisodeRunner | FlipperctlError | None = None  # one per worker process
 
 
 def _start_worker(

@@ -1,4 +1,4 @@
-"""The files of an evaluation: ``episodes.csv``, a row an episode, and ``summary.json``."""
+"""The files of an evaluation: ``episodes.csv`` with a row per episode, and ``summary.json``."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from flipperctl.files import write_bytes, write_json
 
 
 def write(folder: Path, result: EvaluationResult) -> None:
-    """Write both files into a folder that is there, each whole or not at all.
+    """Write both files into an existing folder, each completely or not at all.
 
     Raises:
         OutputError: a file cannot be written.
-        WriteError: writing failed half way; the file that was there before is untouched.
+        WriteError: writing failed half way; an earlier file is untouched.
     """
     rows = list(episode_rows(result))
     text = io.StringIO()
@@ -29,7 +29,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
-    """Yield a flat row an episode: of each scene those of the policy, then its baseline's."""
+    """Yield a flat row per episode: for each scene the policy's, then its baseline's."""
     for scene in result.scenes:
         conditions = {
             "conditions": scene.conditions.name,

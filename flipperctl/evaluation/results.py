@@ -1,6 +1,6 @@
-"""The results of an evaluation, from an interval to the whole; each as plain data for JSON.
+"""The results of an evaluation as typed values, each with its plain data for JSON.
 
-The keys of ``container()`` are those of ``eval --json`` and ``summary.json``, in their order.
+``container()`` has the keys of ``eval --json`` and ``summary.json``, in their order.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ class Measure(Interval):
     """A measure over episodes: times [s], angles [rad], returns [-]."""
 
     range: float
-    """Largest value less the smallest."""
+    """Largest value minus the smallest."""
 
 
 @dataclass(frozen=True)
 class PairedDifference(Interval):
-    """The mean difference, a policy's value less its baseline's, over equal seeds."""
+    """The mean difference, a policy's value minus its baseline's, over equal seeds."""
 
     episodes: int
-    """Seeds with which both reached the finish."""
+    """Number of seeds with which both reached the finish."""
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """How many episodes ended in which way."""
+    """The number of episodes with each outcome."""
 
     reached: int
     overturned: int
@@ -61,7 +61,7 @@ class Outcomes:
         return cls(**{str(outcome): counts[outcome] for outcome in Outcome})
 
     def container(self) -> dict[str, int]:
-        """Return the counts by outcome, those of 0 too."""
+        """Return the counts by outcome, including zeros."""
         return asdict(self)
 
 
@@ -70,9 +70,9 @@ class Passable:
     """Success over the episodes that some policy is known to cross."""
 
     episodes: int
-    """How many episodes these are."""
+    """Number of these episodes."""
     success_rate: float | None
-    """None if there is no such episode."""
+    """Fraction of them that the policy crossed, 0 to 1; None if there is no such episode."""
     success: Interval | None
 
     def container(self) -> dict[str, Any]:
@@ -86,10 +86,10 @@ class Passable:
 
 @dataclass(frozen=True)
 class Summary:
-    """The episodes of one policy on one terrain, summed up.
+    """The summary of one policy's episodes on one terrain.
 
-    ``t_cost``, ``pitch_variation``, ``pitch_variation_100hz`` and ``flipper_travel`` are of the
-    episodes that reached the finish, and None if none did.
+    ``t_cost``, ``pitch_variation``, ``pitch_variation_100hz`` and ``flipper_travel`` are taken over
+    the episodes that reached the finish, and are None if none did.
     """
 
     terrain: str
@@ -98,23 +98,23 @@ class Summary:
     success: Interval
     outcomes: Outcomes
     t_cost: Measure | None
-    """[s]"""
+    """Time from start to finish [s]."""
     pitch_variation: Measure | None
     """θ̂_R at decisions [rad]."""
     pitch_variation_100hz: Measure | None
     """θ̂_R at samples 10 ms apart [rad]."""
     flipper_travel: Measure | None
-    """[rad]"""
+    """Angle that both flipper pairs turned [rad]."""
     max_pitch: Measure
-    """[rad]"""
+    """Largest absolute pitch [rad]."""
     episode_return: Measure
-    """[-]"""
+    """Sum of all weighted reward terms over the episode [-]."""
     passable: Passable | None
-    """None if no other policy was asked to cross what this one did not."""
+    """Success on passable episodes; None if no reference policy was used."""
     further: Mapping[str, Measure | None]
-    """Measures beyond those above, by name."""
+    """Further measures by name, in their own units."""
     parts: Mapping[str, Summary]
-    """Where several kinds of terrain were sampled, the summary of each by its label; else empty."""
+    """Where several kinds of terrain were sampled, the summary of each by label; else empty."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -138,16 +138,16 @@ class Summary:
 
 @dataclass(frozen=True)
 class Differences:
-    """A policy less its baseline, seed by seed; None where both reached the finish with none."""
+    """A policy minus its baseline, seed by seed; None if no seed let both reach the finish."""
 
     t_cost: PairedDifference | None
-    """[s]"""
+    """Time from start to finish [s]."""
     pitch_variation: PairedDifference | None
     """θ̂_R at decisions [rad]."""
     pitch_variation_100hz: PairedDifference | None
     """θ̂_R at samples 10 ms apart [rad]."""
     parts: Mapping[str, Differences]
-    """Where several kinds of terrain were sampled, those of each by its label; else empty."""
+    """Where several kinds of terrain were sampled, the differences of each by label; else empty."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -161,7 +161,7 @@ class Differences:
 
 @dataclass(frozen=True)
 class BaselineResult:
-    """A baseline in the same episodes of a scene, and the policy's differences to it."""
+    """A baseline on the same episodes of a scene, and the policy's differences to it."""
 
     controller: str
     summary: Summary
@@ -228,5 +228,5 @@ def _data(interval: Interval | None) -> dict[str, float] | None:
 
 
 def _parts(parts: Mapping[str, Summary] | Mapping[str, Differences]) -> dict[str, Any]:
-    """Return the entry ``parts``, which is there only if there are any."""
+    """Return the entry ``parts``, or nothing if there are no parts."""
     return {"parts": {label: p.container() for label, p in parts.items()}} if parts else {}

@@ -1,7 +1,7 @@
-"""The evaluation of a policy on scenes, beside a baseline and references.
+"""Evaluate a policy on scenes, together with a baseline and references.
 
-In: a configuration and a policy's source for each scene. Out: an ``EvaluationResult``, which the
-command line, reports and other programs read; nothing is printed or written here.
+In: a configuration and a policy's source for each scene. Out: an ``EvaluationResult`` for
+the command line, reports and other programs; nothing is printed or written here.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.policies.source import PolicySource
 
 Scene = tuple[EvalConfig, PolicySource]
-"""``config.eval`` says how many episodes, of which seed, in how many processes."""
+"""``config.eval`` holds the number of episodes, the seed and the number of processes."""
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
-"""Opens the progress of some episodes, by a label and their number; yields what is called with the
-number of episodes done, a search before an episode as a fraction of it."""
+"""Opens the progress of some episodes, from a label and their number. The context manager yields a
+function of the number of finished episodes; a search counts as a fraction of its episode."""
 
 
 @contextmanager
@@ -99,7 +99,7 @@ def _crossed_by_references(
     episodes: Sequence[EpisodeResult],
     progress: Progress,
 ) -> list[EpisodeResult]:
-    """Return the episodes with who crossed them: the policy itself, or a reference after it."""
+    """Return the episodes with ``crossed_by`` set: the policy's label, a reference's, or empty."""
     crossed_by = {e.episode: source.label() if e.reached else "" for e in episodes}
     for reference in references:
         left = [index for index, label in crossed_by.items() if not label]
@@ -117,7 +117,7 @@ def _play(
     progress: Progress,
     indices: Sequence[int] | None = None,
 ) -> list[EpisodeResult]:
-    """Play the episodes of these indices, or all of the evaluation, and show how far it is."""
+    """Play the episodes with these indices, or all of the evaluation, and show the progress."""
     settings = config.eval
     chosen = range(settings.episodes) if indices is None else indices
     results: list[EpisodeResult] = []

@@ -38,7 +38,7 @@ def interval(values: Sequence[float]) -> Interval:
         raise ValueError("an interval needs at least one value")
     array = np.asarray(values, dtype=np.float64)
     rng = np.random.default_rng(0)
-    # In slices, so that 10,000 resamples of a long list stay small in memory.
+    # In slices, so that 10,000 resamples of a long list need little memory.
     means = np.concatenate(
         [rng.choice(array, (100, len(array))).mean(axis=1) for _ in range(RESAMPLES // 100)]
     )
@@ -111,7 +111,7 @@ def _success(episodes: Sequence[EpisodeResult]) -> Interval:
 def _passable(episodes: Sequence[EpisodeResult], reached: int) -> Passable | None:
     if all(e.crossed_by is None for e in episodes):
         return None
-    # An episode that no policy is known to cross says nothing about this one.
+    # An episode that no policy is known to cross is no evidence against this one.
     fair = [e for e in episodes if e.crossed_by]
     if not fair:
         return Passable(0, None, None)
@@ -133,7 +133,7 @@ def _measure(values: Sequence[float]) -> Measure | None:
 
 
 def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
-    """Return the mean differences of the paper's measures, ours less theirs, at equal seeds."""
+    """Return the mean differences of the paper's measures, ours minus theirs, at equal seeds."""
     parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
     return _differences(paired(ours, theirs), parts)
 

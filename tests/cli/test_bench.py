@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.bench.settings import SMALL, BenchSettings
-from flipperctl.cli import bench, measured
+from flipperctl.cli import bench, bench_output
 from tests.cli.call import call
 from tests.cli.test_errors import refused
 
@@ -58,8 +58,12 @@ def test_a_wrong_request_is_refused(arguments: list[str], words: list[str], tmp_
 
 def test_measures_and_overrides_come_in_any_order() -> None:
     given = ["solve", "seed=2", "physics", "~rewards.pitch"]
-    assert bench.split(given) == (["physics", "solve"], ["seed=2", "~rewards.pitch"])
-    assert bench.split([])[0] == bench.split(["all", "solve"])[0] == list(bench.MEASURES)
+    assert bench.split_arguments(given) == (["physics", "solve"], ["seed=2", "~rewards.pitch"])
+    assert (
+        bench.split_arguments([])[0]
+        == bench.split_arguments(["all", "solve"])[0]
+        == list(bench.MEASURES)
+    )
 
 
 def test_the_help_names_every_setting() -> None:
@@ -76,7 +80,7 @@ def test_an_unsolved_run_is_told_as_such() -> None:
             "solve": {"about": "a", "quantities": {"sb3.seconds": unsolved}, "ratios": {}}
         },
     }
-    (table,) = measured.tables(document)
+    (table,) = bench_output.tables(document)
     assert list(table.columns[1].cells) == ["not within 600 s"]
 
 
@@ -84,4 +88,4 @@ def test_an_unsolved_run_is_told_as_such() -> None:
     ("value", "text"), [(0, "0"), (12345.6, "12,346"), (1.2345, "1.23"), (0.01234, "0.0123")]
 )
 def test_numbers_have_three_digits(value: float, text: str) -> None:
-    assert measured.number(value) == text
+    assert bench_output.number(value) == text

@@ -10,7 +10,7 @@ from flipperctl.sim.planar import PlanarSensor
 
 @pytest.fixture(autouse=True)
 def defaults() -> None:
-    config_store.offer_defaults()
+    config_store.register_defaults()
 
 
 def test_every_combination_of_a_sweep_is_composed() -> None:
@@ -38,7 +38,7 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
         "eval.episodes": 7,
     }
     trained = with_overrides(base, changes)
-    primary = config_store.offer_trained(trained)
+    primary = config_store.register_trained(trained)
     ((nominal, controller),) = compose.compose_eval([], primary)
     assert controller is None
     assert nominal.conditions == "nominal"
@@ -99,7 +99,7 @@ def test_the_tuned_shaping_follows_the_agents_discount() -> None:
 
 def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     (trained,) = compose.compose_train(["rewards=tuned", "rewards.pitch.lambda_2=5"])
-    primary = config_store.offer_trained(trained)
+    primary = config_store.register_trained(trained)
     ((own, _),) = compose.compose_eval([], primary)
     assert own.rewards == trained.rewards
     ((changed, _),) = compose.compose_eval(["rewards.pitch.window=4"], primary)

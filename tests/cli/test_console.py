@@ -8,7 +8,7 @@ from rich.cells import cell_len
 
 from flipperctl.cli.console import console
 from flipperctl.cli.main import main
-from flipperctl.cli.streams import plain_streams, spelt
+from flipperctl.cli.streams import plain_streams, spell_plainly
 
 EVAL = ("eval", "--controller", "level", "--episodes", "1", "terrain=flat")
 
@@ -56,8 +56,8 @@ def test_help_and_errors_are_spelt_plainly(monkeypatch: pytest.MonkeyPatch) -> N
     ],
 )
 def test_spelling(text: str, plain: str) -> None:
-    assert spelt(text, "ascii") == plain
-    assert spelt(text, "utf-8") == text
+    assert spell_plainly(text, "ascii") == plain
+    assert spell_plainly(text, "utf-8") == text
 
 
 def test_bytes_of_a_file_name_come_out_as_they_went_in(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.cli.call import call
 
 
-def described(*overrides: str, cwd: Path) -> dict[str, dict[str, Any]]:
+def list_settings(*overrides: str, cwd: Path) -> dict[str, dict[str, Any]]:
     done = call("inspect", "config", "--describe", "--json", *overrides, cwd=cwd)
     assert done.code == 0, done.err
     found = json.loads(done.out)
@@ -21,7 +21,7 @@ def described(*overrides: str, cwd: Path) -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize("experiment", ["quick", "generalist"])
 def test_it_lists_every_setting_of_the_configuration(experiment: str, tmp_path: Path) -> None:
     changes = [f"experiment={experiment}", "collector=ray"]
-    found = described(*changes, cwd=tmp_path)
+    found = list_settings(*changes, cwd=tmp_path)
     done = call("inspect", "config", *changes, "--json", cwd=tmp_path)
     for path, value in leaves(json.loads(done.out)):
         assert found[path]["value"] == value
@@ -48,7 +48,7 @@ def leaves(node: Any, path: str = "") -> list[tuple[str, Any]]:
 
 def test_values_defaults_and_bounds_of_sections_plugins_and_ranges(tmp_path: Path) -> None:
     changes = ["terrain=mix", "terrain.parts=[{name:ramp,slope_high:20}]", "sim.friction=0.8"]
-    found = described(*changes, "rewards=smooth", "randomise.noise=[0,0.01]", cwd=tmp_path)
+    found = list_settings(*changes, "rewards=smooth", "randomise.noise=[0,0.01]", cwd=tmp_path)
 
     def shown(path: str) -> tuple[object, ...]:
         return tuple(found[path][key] for key in ("value", "default", "bounds", "unit"))

@@ -146,6 +146,6 @@ def test_a_delay_must_fit_into_a_decision() -> None:
 
 
 def test_sections_are_as_the_episode_drew_them() -> None:
-    sim, robot, perception = config().drawn({"friction": 0.5, "delay": 0.1})
+    sim, robot, perception = config().with_drawn_values({"friction": 0.5, "delay": 0.1})
     assert (sim, robot) == (Planar(friction=0.5), Robot())
     assert perception == PlanarSensor(delay=0.1)

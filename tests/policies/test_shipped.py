@@ -24,7 +24,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_th
 ) -> None:
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
-    config_store.offer_defaults()
+    config_store.register_defaults()
     (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()

@@ -49,11 +49,11 @@ def show(
     from flipperctl.config import container
 
     loader.load(plugins or ())
-    config_store.offer_defaults()
-    config = compose.only(compose.compose_train(overrides or []))
+    config_store.register_defaults()
+    config = compose.only_one(compose.compose_train(overrides or []))
     if describe:
         (default,) = compose.compose_train([])
-        found = described(config, default)
+        found = list_settings(config, default)
         if as_json:
             print(json.dumps(found, indent=2))
         else:
@@ -63,7 +63,7 @@ def show(
     print(json.dumps(plain, indent=2) if as_json else OmegaConf.to_yaml(plain).rstrip())
 
 
-def described(config: TrainConfig, default: TrainConfig) -> list[dict[str, Any]]:
+def list_settings(config: TrainConfig, default: TrainConfig) -> list[dict[str, Any]]:
     """Every setting as plain data; the choices of ``default`` are the choices' defaults."""
     from flipperctl.config.describe import settings
 
@@ -97,7 +97,7 @@ def _print(found: Iterable[dict[str, Any]]) -> None:
         for heading in ("setting", "value", "default", "bounds", "unit", "meaning"):
             table.add_column(heading, overflow="fold")
         for s in settings:
-            value, default = _shown(s["value"]), _shown(s["default"])
+            value, default = _format_value(s["value"]), _format_value(s["default"])
             path = s["path"].removeprefix(f"{section}.")
             table.add_row(
                 Text(path),
@@ -109,11 +109,11 @@ def _print(found: Iterable[dict[str, Any]]) -> None:
         console.print()
 
 
-def _shown(value: object) -> str:
+def _format_value(value: object) -> str:
     if value is None:
         return "–"
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
+        return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, dict):
         return str(value.get("name", value))  # a plugin's fields have rows of their own
     return f"{value:.4g}" if isinstance(value, float) else str(value)

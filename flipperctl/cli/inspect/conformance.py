@@ -20,7 +20,7 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
     Raises:
         ConformanceError: a check failed; the text names plugins and checks.
     """
-    from flipperctl.cli.measured import Bar, Lines
+    from flipperctl.cli.bench_output import Bar, Lines
 
     todo = checks(*plugins, pictures=pictures)
     shown = Bar("check") if sys.stderr.isatty() else Lines("check")
@@ -28,7 +28,7 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
         rows = []
         for index, one in enumerate(todo):
             shown(str(one), index / len(todo))
-            rows.append(run(one))
+            rows.append(run_check(one))
     finally:
         shown.close()
     if as_json:
@@ -42,7 +42,7 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
         )
 
 
-def run(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
+def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
     """What came of one check: ``ok``, ``skipped`` and why, and the time that it took [s]."""
     begun, text, ok, skipped = clock(), "", True, False
     try:

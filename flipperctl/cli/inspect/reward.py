@@ -48,14 +48,14 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
-    from flipperctl.cli.compose import only
+    from flipperctl.cli.compose import only_one
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.audit import audit
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
-    config, source = only(scenes(list(overrides or []), checkpoint, chosen))
+    config, source = only_one(scenes(list(overrides or []), checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
     with episodes_progress(label, episodes) as report:
         found = audit(config, source, episodes=episodes, report=report)
@@ -69,7 +69,7 @@ def _print(found: AuditResult) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from flipperctl.cli.conditions import lines
+    from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
 
     title = (
@@ -91,5 +91,5 @@ def _print(found: AuditResult) -> None:
             "–" if term.saturated is None else f"{term.saturated:.1%}",
         )
     console().print(table)
-    for line in lines([(found.terrain, found.seed, found.conditions)]):
+    for line in condition_lines([(found.terrain, found.seed, found.conditions)]):
         print(line)

@@ -47,7 +47,7 @@ def show(
 
     loader.load(plugins or ())
     resolver.get("terrain", name, "terrain")
-    config_store.offer_defaults()
+    config_store.register_defaults()
     config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
     env = FlipperEnv(config=config)
     profiles, drawn = [], []

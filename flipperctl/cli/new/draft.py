@@ -16,7 +16,7 @@ from flipperctl.config.resolver import source
 from flipperctl.errors import OutputError, PluginError
 from flipperctl.files import failure, make_folder
 
-_USES = {
+_USAGE = {
     "terrain": (
         "flipperctl inspect terrain {name}{plugins} --output {name}.png",
         "flipperctl train terrain={name} hydra.run.dir=runs/{name}/first{plugins}",
@@ -76,7 +76,7 @@ class Draft:
             with path.open("x", encoding="utf-8") as file:
                 file.write(self._text(f"{self.kind}.py"))
         except FileExistsError as error:
-            raise _there(path) from error
+            raise _already_exists(path) from error
         except OSError as error:
             path.unlink(missing_ok=True)
             raise failure(path, error) from error
@@ -90,7 +90,7 @@ class Draft:
         """
         path = folder / self.package
         if path.exists():
-            raise _there(path)
+            raise _already_exists(path)
         part = Path(mkdtemp(prefix=f".{self.package}.", dir=make_folder(folder)))
         try:
             for name, text in self.package_files().items():
@@ -124,24 +124,24 @@ class Draft:
             cls=self.cls,
             package=self.package,
             project=self.package.replace("_", "-"),
-            commands="\n".join(uses(self)),
+            commands="\n".join(usage_commands(self)),
         )
 
 
-def uses(draft: Draft, plugins: str = "") -> list[str]:
+def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
     """What to do with it once ``flipperctl`` finds it; ``plugins``: an option to help it."""
     check = "flipperctl inspect plugins {name} --check{plugins}"
-    given = {"name": draft.name, "plugins": plugins}
-    return [command.format(**given) for command in (check, *_USES[draft.kind])]
+    fields = {"name": draft.name, "plugins": plugins}
+    return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
 
 
 def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
     """What to type next."""
     where = shlex.quote(str(made))
     if package:
-        return [f"pip install -e {where}", *uses(draft), f"python -m pytest {where}"]
-    return uses(draft, f" --plugins {where}")
+        return [f"pip install -e {where}", *usage_commands(draft), f"python -m pytest {where}"]
+    return usage_commands(draft, f" --plugins {where}")
 
 
-def _there(path: Path) -> OutputError:
+def _already_exists(path: Path) -> OutputError:
     return OutputError(f"{path} is there already; nothing was written")

@@ -32,9 +32,9 @@ class Bar:
         self._task = self._progress.add_task("", total=1.0)
         self._progress.start()
 
-    def __call__(self, what: str, share: float) -> None:
+    def __call__(self, what: str, fraction: float) -> None:
         """Move the bar."""
-        self._progress.update(self._task, completed=share, description=escape(what))
+        self._progress.update(self._task, completed=fraction, description=escape(what))
 
     def close(self) -> None:
         """Leave the terminal clean."""
@@ -48,14 +48,14 @@ class Lines:
         self._measure = measure
         self._begun = self._last = time.perf_counter()
 
-    def __call__(self, what: str, share: float) -> None:
+    def __call__(self, what: str, fraction: float) -> None:
         """Print a line if the last is ten seconds old."""
         now = time.perf_counter()
         if now - self._last < _PLAIN_EVERY:
             return
         self._last = now
-        left = f", {(now - self._begun) * (1 / share - 1):.0f} s left" if share > 0 else ""
-        print(f"{self._measure}: {share:.0%}{left}  {what}", file=sys.stderr, flush=True)
+        left = f", {(now - self._begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""
+        print(f"{self._measure}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Nothing to leave."""
