@@ -9,7 +9,6 @@ from __future__ import annotations
 import codecs
 import io
 import sys
-import unicodedata
 
 PLAIN = "flipperctl.plain"
 """Name of the error handler for codecs."""
@@ -48,6 +47,8 @@ def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
     """Return a plain spelling of the first character that has no code, and where to go on."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
+    import unicodedata  # only where a character is missing
+
     character = error.object[error.start]
     if "\udc80" <= character <= "\udcff":  # a byte of a file's name that is no text
         return bytes([ord(character) - 0xDC00]), error.start + 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -73,6 +72,8 @@ def _summary(
 
 
 def _print(found: dict[str, Any]) -> None:
+    import shlex
+
     from rich.markup import escape
     from rich.table import Table
 
