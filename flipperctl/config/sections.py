@@ -54,7 +54,7 @@ class Episode(Settings):
         3.0,
         gt=1,
         le=100,
-        description="t_max as a multiple of the time that driving the same distance on level ground takes; paper silent [-]",
+        description="t_max in multiples of the time for the drive on level ground; paper silent [-]",
     )
     stuck_window: int = Field(
         20, ge=2, le=1000, description="decisions over which progress is measured; paper silent [-]"
@@ -101,8 +101,8 @@ class Agent(Settings):
         1.0,
         ge=0,
         le=1,
-        description="fraction of random actions at the start; 0, with epsilon_end=0, suits networks "
-        "that explore by their own noise [-]",
+        description="fraction of random actions at the start; 0, with epsilon_end=0, suits "
+        "networks that explore by their own noise [-]",
     )
     epsilon_end: float = Field(
         0.05, ge=0, le=1, description="fraction of random actions at the end [-]"
