@@ -1,1 +1,1 @@
-"""The command line: one small file a subcommand; heavy imports happen inside the command."""
+"""The command line: one small file per subcommand; heavy imports happen inside the command."""

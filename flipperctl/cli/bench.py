@@ -24,13 +24,13 @@ SECTION = "bench."
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of its substep;
-[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen draws
+[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes
 succeed, against it too;
 [bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
 [bold]discovery[/] of installed plugins;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
-OVERRIDES are those of train, and bench.<key>=…: repeats, seed, controller, episodes, starts,
+OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
 updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
 in_a_row, calls, decisions, commands, modules.
 
@@ -60,7 +60,7 @@ def bench(
         ),
     ] = None,
     small: Annotated[
-        bool, typer.Option("--small", help="Everything in seconds, to see that it works.")
+        bool, typer.Option("--small", help="Run everything in seconds, to test that it works.")
     ] = False,
     repeats: Annotated[
         str | None, typer.Option(metavar="N", help="Rounds in which contestants take turns [10].")
@@ -99,7 +99,9 @@ def bench(
         for text in found.get("missing", ()):
             print(f"{measure}: {text}", file=sys.stderr)
         if folder:
-            write_json(folder / "bench.json", document)  # each time: the next may take an hour
+            write_json(
+                folder / "bench.json", document
+            )  # after each, since the next may take an hour
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
         return
@@ -110,10 +112,10 @@ def bench(
 
 
 def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """The measures, in the order of ``MEASURES``, and the overrides.
+    """Return the measures, in the order of ``MEASURES``, and the overrides.
 
     Raises:
-        RequestError: a word is neither.
+        RequestError: a word is neither of them.
     """
     from flipperctl.messages import close_match
 
@@ -131,7 +133,7 @@ def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
 
 
 def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSettings]:
-    """The training configuration, and the benchmark's own settings.
+    """Return the training configuration and the benchmark's own settings.
 
     Raises:
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
@@ -158,7 +160,7 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
 
 
 def startup_commands(context: typer.Context) -> list[tuple[str, ...]]:
-    """What startup measures: every subcommand's help, and two that do a little work."""
+    """Return the commands that startup measures: every subcommand's help and two short ones."""
     helps: list[tuple[str, ...]] = []
 
     def visit(command: Any, path: tuple[str, ...]) -> None:
@@ -182,7 +184,7 @@ def _measure(name: str, settings: Bench, commands: list[tuple[str, ...]]) -> dic
 
 @contextmanager
 def _progress(measure: str) -> Iterator[Callable[[str, float], None]]:
-    """A bar with the time left on a terminal, a line now and then elsewhere."""
+    """Show a bar with the time left on a terminal, occasional lines elsewhere."""
     from flipperctl.cli.bench_output import Bar, Lines
 
     shown = Bar(measure) if sys.stderr.isatty() else Lines(measure)

@@ -1,4 +1,4 @@
-"""How ``flipperctl bench`` shows what it does and what it found."""
+"""Progress and result tables of ``flipperctl bench``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PLAIN_EVERY = 10.0  # [s]
 
 
 class Bar:
-    """A rich progress bar, with what is measured beside it."""
+    """A rich progress bar with the current step of a measure."""
 
     def __init__(self, measure: str) -> None:
         self._progress = Progress(
@@ -37,12 +37,12 @@ class Bar:
         self._progress.update(self._task, completed=fraction, description=escape(what))
 
     def close(self) -> None:
-        """Leave the terminal clean."""
+        """Remove the bar from the terminal."""
         self._progress.stop()
 
 
 class Lines:
-    """A line every ten seconds."""
+    """Progress as a line every ten seconds."""
 
     def __init__(self, measure: str) -> None:
         self._measure = measure
@@ -58,11 +58,11 @@ class Lines:
         print(f"{self._measure}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """Nothing to leave."""
+        """Do nothing; lines need no clean-up."""
 
 
 def tables(document: dict[str, Any]) -> Iterator[Table]:
-    """One table a measure: medians with quartiles, then ratios."""
+    """Yield one table per measure: medians with quartiles, then ratios."""
     limit = document["settings"]["limit"]
     for name, found in document["measures"].items():
         table = Table(title=f"{name}: {found['about']}", title_justify="left", min_width=60)
@@ -82,7 +82,7 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
 
 
 def number(value: float) -> str:
-    """Three digits that matter, whole from a hundred on."""
+    """Return a number with three significant digits, as an integer from 100 upwards."""
     if value == 0:
         return "0"
     if abs(value) >= 100:

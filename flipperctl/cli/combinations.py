@@ -1,4 +1,4 @@
-"""Sweeps among the overrides: their combinations, and probes of their intervals.
+"""Expand the sweeps among the overrides: combinations of lists, probes of intervals.
 
 In: overrides as the user typed them. Out: lists of overrides without lists.
 """
@@ -17,7 +17,7 @@ from flipperctl.errors import ConfigError
 
 
 def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
-    """Yield every combination of the values in lists; an interval is left out.
+    """Yield every combination of the values in lists; intervals are left out.
 
     Raises:
         OverrideParseException: Hydra cannot read one of the overrides.
@@ -29,7 +29,7 @@ def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
         if override.key_or_group in CHOICES and str(override.input_line).endswith("=null"):
             raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
         if override.is_interval_sweep():
-            continue  # a sweeper draws from it; the job checks what was drawn
+            continue  # a sweeper samples it; the job checks the sampled value
         if override.is_sweep_override():
             key = override.get_key_element()
             choices.append([f"{key}={value}" for value in override.sweep_string_iterator()])
@@ -40,9 +40,9 @@ def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
 
 
 def interval_probes(overrides: Sequence[str]) -> list[list[str]]:
-    """Return, for each interval, its ends and a value between, each set on its own.
+    """Return, for each interval, overrides with its ends and with a value between them.
 
-    The value between finds intervals of real numbers for settings that are whole.
+    The value between them reveals an interval of real numbers for an integer setting.
     """
     found = []
     for override in parse_overrides(overrides):

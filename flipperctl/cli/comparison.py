@@ -1,4 +1,4 @@
-"""What a sweep ends with: a table that compares its runs, and ``sweep.csv`` with all of them."""
+"""Compare the runs of a sweep: a table at its end, and ``sweep.csv`` with all of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from flipperctl.training.run_folder import SUMMARY
 
 FILE = "sweep.csv"
 _ROWS = 40
-"""Runs that the table shows at most; the file has all."""
+"""Largest number of runs in the table; the file holds all."""
 
 
 @dataclass(frozen=True)
@@ -30,21 +30,21 @@ class SweepRun:
 
     job: int
     swept: dict[str, str]
-    """Key → value of what the sweep varies."""
+    """The swept overrides, key → value."""
     folder: Path
     error: Exception | None
     summary: dict[str, Any]
-    """``summary.json``; empty if there is none."""
+    """Contents of ``summary.json``; empty if there is none."""
 
     @property
     def state(self) -> str:
-        """What became of the run, in a word; the error has its own column."""
+        """One of finished, interrupted and failed; the error has its own column."""
         if self.summary.get("finished"):
             return "finished"
         return "interrupted" if isinstance(self.error, InterruptedRunError) else "failed"
 
     def row(self) -> dict[str, Any]:
-        """The run as a row of ``sweep.csv``; the measures are those of its best validation."""
+        """Return the row of ``sweep.csv``; the measures are those of the best validation."""
         best = self.summary.get("best") or {}
         measures = ("success_rate", "pitch_variation", "t_cost")
         return {
@@ -61,10 +61,10 @@ class SweepRun:
 
 
 def job_result(job: JobReturn) -> tuple[Any, Exception | None]:
-    """What a job returned, or the error that ended it.
+    """Return the value that a job returned, or the error that ended it.
 
-    ``return_value`` raises that error, and writes a line to stderr before: the error is shown
-    once, by the command.
+    ``return_value`` writes a line to stderr before it raises the error. That line is hidden,
+    since the command shows the error itself.
     """
     with contextlib.redirect_stderr(io.StringIO()):
         try:
@@ -74,12 +74,12 @@ def job_result(job: JobReturn) -> tuple[Any, Exception | None]:
 
 
 def sweep_run(job: JobReturn, number: int, swept: dict[str, str]) -> SweepRun:
-    """The run that a job trained."""
+    """Return the run that a job trained."""
     composed: Any = job.hydra_cfg
     folder = Path(composed.hydra.runtime.output_dir)
     try:
         summary = json.loads((folder / SUMMARY).read_text())
-    except (OSError, ValueError):  # it failed before it wrote one, or lies on another machine
+    except (OSError, ValueError):  # the run failed before it wrote one, or is on another machine
         summary = {}
     return SweepRun(number, swept, folder, job_result(job)[1], summary)
 
@@ -98,7 +98,7 @@ def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
 
 
 def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
-    """The rows of an earlier sweep into the same folder, but those of runs that are replaced."""
+    """Return the rows of an earlier sweep in the folder, without those that ``runs`` replace."""
     if not path.is_file():
         return []
     replaced = {str(run.folder) for run in runs}

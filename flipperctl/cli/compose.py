@@ -1,7 +1,7 @@
-"""Composition: from overrides to validated configurations, by Hydra.
+"""Compose validated configurations from overrides, with Hydra.
 
 In: overrides as the user typed them. Out: ``TrainConfig`` and ``EvalConfig``, one for each
-combination of the lists among the overrides. The defaults stand in ``config_store``.
+combination of the lists among the overrides. ``config_store`` holds the defaults.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Composed = TypeVar("Composed")
 
 
 def parse_training(composed: DictConfig) -> TrainConfig:
-    """Return the training configuration that Hydra composed."""
+    """Return the validated training configuration of what Hydra composed."""
     return parse(TrainConfig, _plain(composed))
 
 
@@ -64,7 +64,7 @@ def compose_environment(overrides: Sequence[str]) -> EnvConfig:
 
 
 def only_one(found: Sequence[Composed]) -> Composed:
-    """Return the one configuration, for commands that look at one.
+    """Return the only configuration, for commands that take just one.
 
     Raises:
         ConfigError: lists among the overrides gave several.
@@ -97,7 +97,10 @@ def _compositions(
                 raise missing_choice(error) from error
             except ConfigCompositionException as error:
                 raise unknown_key(error, primary, combination) from error
-            except (TypeError, ValueError) as error:  # from Hydra: a group's choice is no name
+            except (
+                TypeError,
+                ValueError,
+            ) as error:  # Hydra's errors for a group whose choice is not a name
                 raise wrong_choice(error, combination) from error
 
 
@@ -106,5 +109,5 @@ def _plain(composed: DictConfig) -> dict[str, Any]:
         plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     if not isinstance(plain, dict):
         raise ConfigError("the configuration is no mapping")
-    # Without a key, the model's defaults would take the place of what ~rewards dropped.
+    # Without the key, the model's defaults would replace the terms that ~rewards dropped.
     return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}

@@ -1,4 +1,4 @@
-"""The group ``conditions`` on the command line: which were chosen, and the lines below a table."""
+"""The group ``conditions`` on the command line: the chosen set, and the lines below a table."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOMINAL, TRAINED = "nominal", "trained"
 
 
 def chosen_name(overrides: Sequence[str]) -> str:
-    """The name of the conditions that the overrides choose."""
+    """Return the name of the conditions that the overrides choose."""
     name = NOMINAL
     for override in parse_overrides(overrides):
         if override.key_or_group == "conditions":
@@ -23,14 +23,14 @@ def chosen_name(overrides: Sequence[str]) -> str:
 
 
 def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
-    """Refuse an override of a setting that is drawn anew for every episode.
+    """Refuse an override of a setting that is sampled anew for every episode.
 
     Raises:
-        ConfigError: with the range that it is drawn from.
+        ConfigError: an override sets a randomised setting; the text has the range.
     """
     for override in parse_overrides(overrides):
         for section, name, ends in config.randomise.ranges():
-            # The nominal turning rate stays the one that decisions are timed by.
+            # The nominal turning rate still sets the decision period.
             if override.key_or_group == f"{section}.{name}" and name != "flipper_speed":
                 shown = "[{:g},{:g}]".format(*ends)
                 raise ConfigError(
@@ -40,7 +40,7 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
 
 
 def explain_missing_training(exported: bool) -> str:
-    """What to say where the conditions of a training are asked for, and there are none."""
+    """Return the error text for ``conditions=trained`` without a training."""
     cause = (
         "an exported file does not hold those of its training; evaluate the checkpoint instead"
         if exported
@@ -54,7 +54,7 @@ def explain_missing_training(exported: bool) -> str:
 def condition_lines(scenes: Iterable[tuple[str, int, Conditions]]) -> Iterator[str]:
     """Yield a line for each set of conditions: name, seed, hashes, and the settings in words.
 
-    ``scenes``: each scene's terrain, seed and conditions.
+    ``scenes`` holds each scene's terrain, seed and conditions.
     """
     groups: dict[tuple[str, int, str], list[str]] = {}
     for terrain, seed, conditions in scenes:

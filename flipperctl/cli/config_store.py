@@ -1,4 +1,4 @@
-"""What Hydra composes from: the defaults of plugins and sections, in its ConfigStore.
+"""Register the defaults of plugins and sections in Hydra's ConfigStore.
 
 In: the registry, the models' defaults, a checkpoint's configuration, the sweepers. Out: entries of
 config groups and primary configurations.
@@ -31,14 +31,14 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
     "flipperctl_eval_trained",
     "flipperctl_eval_exported",
 )
-"""Primary configurations of an evaluation."""
+"""Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 GROUPS = (
     *("terrain", "rewards", "network", "collector"),
     *("sim", "perception", "conditions"),
 )
-"""Config groups whose choice stands under a key of the same name."""
+"""Config groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
-"""Keys whose value brings other keys."""
+"""Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 
@@ -60,11 +60,11 @@ def register_defaults() -> None:
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
-    """Offer an evaluation of a policy as the primary configuration; return its name.
+    """Register an evaluation of a policy as a primary configuration; return its name.
 
-    The policy brings its terrain, rewards, robot and observation layout, and how often it is
-    evaluated. Its other sections are ``conditions=trained``, unless it is an exported file
-    (``config`` is then an ``EvalConfig``), which does not hold them.
+    The policy brings its terrain, rewards, robot, observation layout and evaluation settings. Its
+    other sections are ``conditions=trained``, unless it is an exported file
+    (``config`` is then an ``EvalConfig``), which lacks them.
     """
     store = ConfigStore.instance()
     own = container(config.environment())
@@ -80,7 +80,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
         node = {"defaults": choices, **own}
         store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
-    # What is laid over others comes after them.
+    # Later entries override earlier ones.
     defaults = [
         *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
@@ -91,10 +91,10 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
 
 
 def register_sweepers() -> None:
-    """Offer ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
+    """Register ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
 
-    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are given here, for
-    this process alone, so that other Hydra applications keep their own ``basic`` and ``optuna``.
+    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
+    for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
     """
     Plugins.instance()  # Hydra's own entries are made at discovery, and ours come after them
     settings: dict[str, dict[str, Any]] = {

@@ -12,19 +12,19 @@ from rich.text import Text
 from flipperctl.cli.streams import spell_plainly
 
 NATURAL = 10_000
-"""Columns of an output that is no terminal: tables take the width that they need."""
+"""Columns of an output that is not a terminal, so that tables take the width they need."""
 
 
 class PlainConsole(Console):
-    """Spells plainly what the stream lacks before the layout, so that columns stay aligned."""
+    """A console that replaces characters the stream lacks before layout: columns stay aligned."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """As rich does, with a text that the stream can show."""
+        """Render a text as rich does, with characters that the stream can show."""
         return super().render_str(spell_plainly(text, self.encoding), **options)
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console as wide as COLUMNS says, else as the terminal, else as its tables."""
+    """Return a console with the width of COLUMNS, else of the terminal, else of its tables."""
     file = sys.stderr if stderr else sys.stdout
     columns = os.environ.get("COLUMNS", "")
     wanted = int(columns) if columns.isdecimal() else 0

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
 OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
-A checkpoint is evaluated on the terrain it was trained on unless terrain=… says otherwise, and so
-is an exported .onnx file, as the robot would run it.
+A checkpoint, or an exported .onnx file run as on the robot, is evaluated on its training terrain
+unless terrain=… names another.
 
-conditions=… says under which physics, sensing, start and randomisation: nominal (the default, for
-policies and rules alike), varied, or trained (those of the checkpoint). Overrides lie on top.
+conditions=… chooses physics, sensing, start and randomisation: nominal (the default, for policies
+and rules alike), varied, or trained (those of the checkpoint). Overrides are applied on top.
 
 [bold]Examples[/]
 
@@ -50,20 +50,20 @@ def run(
     ] = None,
     baseline: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="A controller to compare with, on the same draws."),
+        typer.Option(metavar="NAME", help="A controller to compare with on the same episodes."),
     ] = None,
     passable: Annotated[
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Controllers, such as okada,level,planner, that try in turn what was not crossed: "
-            "success is then also told of the draws that any of them crosses.",
+            help="Controllers, such as okada,level,planner, that try in turn the episodes not "
+            "crossed; success is then also reported over the episodes that any of them crosses.",
         ),
     ] = None,
     episodes: Annotated[
-        str | None, typer.Option(metavar="N", help="Episodes a scene [100].")
+        str | None, typer.Option(metavar="N", help="Episodes per scene [100].")
     ] = None,
-    seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the draws [0].")] = None,
+    seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")] = None,
     jobs: Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")] = None,
     output: Annotated[
         Path | None,

@@ -24,7 +24,7 @@ from flipperctl.evaluation.results import (
 
 
 def table(result: EvaluationResult) -> Table:
-    """Return a table with a row a scene, and a dim one for each part of a mix."""
+    """Return a table with a row per scene, and a dim row for each part of a mix."""
     found = Table(title=result.controller, title_justify="left")
     passable = any(scene.summary.passable for scene in result.scenes)
     success = ["success", *(["passable", "of these"] if passable else [])]
@@ -63,7 +63,7 @@ def comparison(result: EvaluationResult) -> Table:
 
 
 def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
-    """Yield each scene and its terrain; with the hash of its conditions where several are on it."""
+    """Yield each scene and its terrain, with the conditions' hash if the terrain has several."""
     counts = Counter(scene.terrain for scene in result.scenes)
     for scene in result.scenes:
         alone = counts[scene.terrain] == 1
@@ -92,7 +92,7 @@ def _cells(name: str, summary: Summary) -> list[str]:
 
 
 def _further() -> list[type[Measure]]:
-    """Return the measures beyond those that have a column of their own."""
+    """Return the further measures that have a heading."""
     return [measure for measure in further_measures() if measure.heading]
 
 

@@ -13,8 +13,8 @@ from flipperctl.cli.options import AsJson, PluginPaths
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
 
-The file is compared with torch on at least 1,000 observations of real rollouts before it takes
-its name; a mismatch fails.
+Before the file is saved under its name, it is compared with torch on at least 1,000 observations
+of real rollouts; a mismatch is an error.
 
 [bold]Examples[/]
 
@@ -25,7 +25,7 @@ its name; a mismatch fails.
 
 
 class Kind(StrEnum):
-    """File formats of a policy."""
+    """File formats of an exported policy."""
 
     onnx = "onnx"
     pt2 = "pt2"

@@ -1,7 +1,7 @@
-"""Words for Hydra's errors: the key or choice that is wrong, what is known, a close match.
+"""Explain Hydra's errors: the wrong key or choice, the known ones, a close match.
 
-In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. Nothing here
-reads the text of an exception: the override at fault is the first that Hydra refuses.
+In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. The text
+of an exception is never parsed: the override at fault is the first that Hydra refuses.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _ENTRY_NAMES = {
     "rewards": "preset",
     "conditions": "set",
-}  # what an entry of a group is called, if not as the group
+}  # the noun for an entry, where it is not the group's name
 
 
 @contextmanager
 def convert_hydra_errors() -> Iterator[None]:
-    """Turn Hydra's and OmegaConf's errors into one of ours, in one line."""
+    """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
     try:
         yield
     except FlipperctlError:
@@ -75,7 +75,7 @@ def missing_choice(error: MissingConfigException) -> RequestError:
 
 
 def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
-    """Return the error for a config group whose choice is no name, as in ``terrain=3``."""
+    """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
     for override in parse_overrides(overrides):
         key, value = override.get_key_element(), override.value()
         names = value if isinstance(value, list) else [value]
@@ -88,7 +88,7 @@ def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
 def unknown_key(
     error: ConfigCompositionException, primary: str, overrides: Sequence[str]
 ) -> ConfigError:
-    """Return the error for an override of a key that is not there, or ``error`` in one line."""
+    """Return the error for an override of an unknown key, or ``error`` in one line."""
     choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
     node: Any = OmegaConf.to_container(compose(primary, choices), resolve=True)
     others = [o for o in overrides if o not in choices]
@@ -102,7 +102,7 @@ def unknown_key(
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
         return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
     *parents, leaf = key.split(".")
-    inside = ""  # the innermost section on the way to the key that is there
+    inside = ""  # the innermost existing section on the path to the key
     for parent in parents:
         if not isinstance(node.get(parent), dict):
             leaf = parent
@@ -120,7 +120,7 @@ def _first_refused(
 ) -> tuple[Override, ConfigCompositionException] | None:
     """Return the first of ``others`` that does not compose, and why.
 
-    Hydra applies those of config groups before those of keys.
+    Hydra applies overrides of config groups before overrides of keys.
     """
     ordered = sorted(parse_overrides(others), key=lambda o: not _is_group(o))
     accepted = list(choices)
@@ -134,7 +134,7 @@ def _first_refused(
 
 
 def _names_no_key(override: Override, error: ConfigCompositionException) -> bool:
-    """Whether ``error`` is about the override's key, rather than about its value."""
+    """Return whether ``error`` is about the override's key, rather than about its value."""
     added = override.is_add() or override.is_force_add()
     if not override.key_or_group:
         return False
@@ -142,14 +142,14 @@ def _names_no_key(override: Override, error: ConfigCompositionException) -> bool
         return not added
     if override.package is not None:
         return False
-    if error.__cause__ is None:  # nothing to delete, or something where the key is to be added
+    if error.__cause__ is None:  # the key to delete is missing, or the key to add exists
         return True
     no_such_key = isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError)
     return no_such_key and not added and not override.is_delete()
 
 
 def _is_group(override: Override) -> bool:
-    """Whether Hydra takes the override for the choice of a config group."""
+    """Return whether Hydra treats the override as the choice of a config group."""
     options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
     return bool(options) and not isinstance(override.value(), dict)
 

@@ -1,4 +1,4 @@
-"""The ``flipperctl`` command: its subcommands, and how an error looks to the user."""
+"""The ``flipperctl`` command: its subcommands, exit codes and error messages."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ DEBUG = "FLIPPERCTL_DEBUG"
 COMMANDS = ("train", "eval", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
-# Flags that were not given count as False. Typer would bring in pydantic to check that an absent
-# flag is one, which costs every subcommand's help 65 ms.
+# Absent flags default to False. Otherwise Typer would import pydantic to validate an absent
+# flag, which costs every subcommand's help 65 ms.
 _ABSENT = {"help": False, "install_completion": False, "show_completion": False}
 
 app = typer.Typer(
     name="flipperctl",
-    help="Train, judge, export and explain flipper policies of tracked rescue robots.",
+    help="Train, evaluate, export and explain flipper policies of tracked rescue robots.",
     no_args_is_help=True,
     add_completion=True,
     rich_markup_mode="rich",
@@ -36,7 +36,7 @@ app = typer.Typer(
 
 @app.callback()
 def root(version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
-    """Train, judge, export and explain flipper policies of tracked rescue robots."""
+    """Train, evaluate, export and explain flipper policies of tracked rescue robots."""
 
 
 for _name in COMMANDS:
@@ -76,16 +76,18 @@ def _run(arguments: list[str]) -> int:
     except TyperException as error:
         if debug:
             raise
-        if words := error.format_message().rstrip("."):  # else no arguments: the help is shown
+        if words := error.format_message().rstrip(
+            "."
+        ):  # empty without arguments, where the help is shown
             _print_error(f"{words}; see flipperctl --help")
         return RequestError.exit_code
     except (typer.Abort, KeyboardInterrupt):
         _print_error("interrupted")
         return InterruptedRunError.exit_code
     except BrokenPipeError:
-        return FlipperctlError.exit_code  # nobody reads what is left
+        return FlipperctlError.exit_code  # the reader closed the pipe
     except SystemExit:
-        raise  # Hydra's own options leave so; a plugin's is an error of the plugin by now
+        raise  # Hydra's own options exit so; a plugin's is already a PluginError
     except BaseException as error:
         if isinstance(error, Exception) and (reason := output.failure_reason(error)):
             return _report_output_failure(reason)

@@ -22,10 +22,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdou
 
 
 def reject_options(arguments: list[str], known: list[str]) -> None:
-    """Refuse what looks like an option among overrides.
+    """Refuse unknown options among the overrides.
 
     Raises:
-        RequestError: with a close match.
+        RequestError: an argument begins with - and is not in ``known``.
     """
     for argument in arguments:
         name = argument.split("=")[0]

@@ -1,10 +1,9 @@
-"""``hydra/sweeper=optuna``: a search over intervals and lists that goes on after any stop.
+"""``hydra/sweeper=optuna``: a search over intervals and lists that resumes after any stop.
 
 In: overrides, of which some are ``interval(…)``, ``tag(log,interval(…))`` or lists. Out: one
 training for each trial, the study in ``storage``, ``optimization_results.yaml`` in the sweep's
 folder. Optuna proposes, Hydra's launcher trains. (Hydra's own plugin, hydra-optuna-sweeper 1.3,
-needs an Optuna before 3, whose storage fails with SQLAlchemy 2; started again, it repeats every
-trial.)
+needs Optuna 2, whose storage fails with SQLAlchemy 2, and repeats every trial after a restart.)
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial, Trial
 
-_FAILED = "failed"  # marks a trial whose training failed of itself; Optuna's own FAIL means less
+_FAILED = "failed"  # marks a trial whose training failed; Optuna's FAIL also marks interrupted ones
 
 
 def prepare(
@@ -53,11 +52,11 @@ def prepare(
     task_function: TaskFunction,
     config: DictConfig,
 ) -> OptunaSearch:
-    """Return the search that Hydra's configuration asks for, with Hydra's launcher.
+    """Return the search that Hydra's configuration describes, with Hydra's launcher.
 
     Raises:
         MissingExtraError: Optuna is not installed.
-        ConfigError: one of the settings ``sweeper_settings`` is of the wrong type or out of bounds.
+        ConfigError: one of ``sweeper_settings`` is of the wrong type or out of bounds.
     """
     try:
         import optuna
@@ -79,16 +78,16 @@ def prepare(
 
 @dataclass(frozen=True)
 class OptunaSearch:
-    """Asks Optuna for trials until the study has ``n_trials`` finished ones.
+    """A search that asks Optuna for trials until ``n_trials`` are finished.
 
-    The proposals depend on the seed and on the finished trials only, so a search that was stopped
-    and started again finds what an uninterrupted one finds.
+    The proposals depend only on the seed and the finished trials, so a resumed search has the same
+    results as an uninterrupted one.
     """
 
     settings: SearchSettings
     jobs: SweepLauncher
     folder: Path
-    """Of the sweep."""
+    """Folder of the sweep."""
 
     def run(self, arguments: Sequence[str]) -> None:
         """Train trial after trial; ``arguments`` are the user's overrides.
@@ -166,12 +165,12 @@ class OptunaSearch:
             if self.settings.storage and isinstance(problem, InterruptedRunError):
                 done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
                 raise InterruptedRunError(
-                    f"interrupted; {done}. The same command goes on with the search"
+                    f"interrupted; {done}. The same command resumes the search"
                 ) from problem
             raise problem
 
     def _record_result(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
-        """Record what became of a trial; returns the error that stops the search, if any."""
+        """Record the result of a trial; return the error that stops the search, if any."""
         from optuna.trial import TrialState
 
         value, error = job_result(job)
@@ -215,7 +214,7 @@ class OptunaSearch:
 
 
 def _finished(study: Study) -> list[FrozenTrial]:
-    """The trials that count: trained to their end, or failed of themselves."""
+    """Return the trials that count: those trained to the end, and those whose training failed."""
     return [
         trial
         for trial in study.get_trials(deepcopy=False)
@@ -224,7 +223,7 @@ def _finished(study: Study) -> list[FrozenTrial]:
 
 
 def _stop(study: Study, number: int) -> None:
-    """Close a trial that was killed or interrupted; it does not count and is drawn again."""
+    """Close a trial that was killed or interrupted; it does not count and is sampled again."""
     from optuna.trial import TrialState
 
     study.tell(number, state=TrialState.FAIL)

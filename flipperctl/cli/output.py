@@ -1,4 +1,4 @@
-"""Standard output that cannot be written: a full disk, or a reader that has left."""
+"""Handle a standard output that cannot be written: a full disk or a closed pipe."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _BROKEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 
 
 def failure_reason(error: Exception) -> str:
-    """Why standard output took no more, if that is what ``error`` says; else nothing.
+    """Return why standard output could not be written, or an empty text for any other error.
 
-    Our own files are written by ``run.files``, whose errors are flipperctl's.
+    Files are written by ``flipperctl.files``, which raises flipperctl's own errors.
     """
     if isinstance(error, OSError) and error.filename is None and error.errno in _BROKEN:
         return os.strerror(error.errno)
@@ -22,7 +22,7 @@ def failure_reason(error: Exception) -> str:
 
 
 def flush() -> OSError | None:
-    """Write what is left for standard output and error; returns why that failed, if it did."""
+    """Flush standard output and standard error; return the first error, if any."""
     first: OSError | None = None
     for stream in (sys.stdout, sys.stderr):
         if stream is None or stream.closed:
@@ -36,8 +36,8 @@ def flush() -> OSError | None:
 
 
 def _discard(stream: TextIO) -> None:
-    """Let the interpreter's last flush succeed: it would print an error of its own."""
-    with contextlib.suppress(OSError, ValueError):  # a stream of a test has no descriptor
+    """Redirect the stream to null, so that the interpreter's last flush prints no error."""
+    with contextlib.suppress(OSError, ValueError):  # a test's stream has no descriptor
         sink = os.open(os.devnull, os.O_WRONLY)
         try:
             os.dup2(sink, stream.fileno())

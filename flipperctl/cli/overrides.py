@@ -1,4 +1,4 @@
-"""Overrides as the user typed them: reading, slips that Hydra has no clear words for, quoting."""
+"""Parse and quote overrides, and explain mistakes for which Hydra has no clear message."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
 def parse_overrides(overrides: Iterable[str]) -> list[Override]:
-    """Return the overrides as Hydra reads them.
+    """Return the overrides as Hydra parses them.
 
     Raises:
         OverrideParseException: Hydra cannot read one of them.
@@ -26,11 +26,11 @@ def parse_overrides(overrides: Iterable[str]) -> list[Override]:
 
 
 def override_values(overrides: Iterable[str]) -> dict[str, Any]:
-    """Return the value of each key, for what takes overrides of values and composes nothing.
+    """Return the value of each key, for overrides that are applied without composition.
 
     Raises:
         OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: one is no plain ``key=value``, as a list of values is not.
+        ConfigError: an override is not a plain ``key=value``, such as a list of values.
     """
     found = {}
     for override in parse_overrides(overrides):
@@ -42,7 +42,7 @@ def override_values(overrides: Iterable[str]) -> dict[str, Any]:
 
 
 def check_folders(overrides: Iterable[str]) -> None:
-    """Refuse an empty name for a folder: runs would lie between the user's own files.
+    """Refuse an empty folder name, which would mix runs with the user's own files.
 
     Raises:
         OverrideParseException: Hydra cannot read one of the overrides.
@@ -58,11 +58,11 @@ def check_folders(overrides: Iterable[str]) -> None:
 
 
 def check_mappings(overrides: Iterable[str]) -> None:
-    """Refuse an empty mapping: Hydra merges it into what is there, so that nothing would change.
+    """Refuse an empty mapping, since Hydra merges it and nothing would change.
 
     Raises:
         OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: with what drops what is there.
+        ConfigError: a value is an empty mapping; the text has the override that drops the key.
     """
     for override in parse_overrides(overrides):
         if not override.is_delete() and override.value() == {}:
@@ -75,10 +75,10 @@ def check_mappings(overrides: Iterable[str]) -> None:
 
 
 def check_words(overrides: Sequence[str]) -> None:
-    """Refuse what is no override because of the shell or a slip of the hand.
+    """Refuse a word that is not an override, because of the shell or a typing mistake.
 
     Raises:
-        ConfigError: there is no key, or no ``=``, as after a space in a value.
+        ConfigError: a word has no key, or no ``=``, for instance after a space in a value.
     """
     before = ""
     for word in overrides:
@@ -99,6 +99,6 @@ def check_words(overrides: Sequence[str]) -> None:
 
 
 def quote_override(key: str, value: str) -> str:
-    """Return an override whose value Hydra takes as it is, quoted for the shell too."""
+    """Return an override whose value Hydra takes literally, quoted for the shell as well."""
     escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
     return shlex.quote(f'{key}="{escaped}"')

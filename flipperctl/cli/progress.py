@@ -1,4 +1,4 @@
-"""Live progress of a training and of episodes: a bar on a terminal, for a training else lines."""
+"""Live progress of a training and of episodes: a bar on a terminal, else lines for a training."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _PLAIN_EVERY = 10.0  # [s]
 
 
 def progress(total: int, done: int) -> Listener:
-    """The listener that suits stderr. ``total``, ``done``: decisions."""
+    """Return a bar if stderr is a terminal, else lines; ``total`` and ``done`` are decisions."""
     return Bar(total, done) if sys.stderr.isatty() else Lines(total, done)
 
 
 @contextmanager
 def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
-    """A bar with the time left on a terminal; yields what takes the number of episodes done.
+    """Show a bar on a terminal; yield a function to call with the number of finished episodes.
 
-    A controller's search before an episode counts as a part of that episode.
+    A controller's search before an episode counts as a fraction of that episode.
     """
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -61,7 +61,7 @@ def _state(row: Mapping[str, Any], rate: float) -> str:
 
 
 class Bar:
-    """A rich progress bar with the state beside it and the last validation above."""
+    """A rich progress bar with the training state, and the validations above it."""
 
     def __init__(self, total: int, done: int) -> None:
         self._rate = _Rate(done)
@@ -88,16 +88,16 @@ class Bar:
         self._progress.console.print(_validation(row), highlight=False)
 
     def note(self, text: str) -> None:
-        """Print it above the bar."""
+        """Print the text above the bar."""
         self._progress.console.print(text, highlight=False, markup=False)
 
     def close(self) -> None:
-        """Leave the terminal clean."""
+        """Stop the bar."""
         self._progress.stop()
 
 
 class Lines:
-    """A line every ten seconds and at each validation."""
+    """Progress as a line every ten seconds and at each validation."""
 
     def __init__(self, total: int, done: int) -> None:
         self._rate = _Rate(done)
@@ -123,8 +123,8 @@ class Lines:
         print(_validation(row), file=sys.stderr, flush=True)
 
     def note(self, text: str) -> None:
-        """Print it."""
+        """Print the text."""
         print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """Nothing to leave."""
+        """Do nothing; lines need no clean-up."""

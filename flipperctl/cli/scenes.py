@@ -1,4 +1,4 @@
-"""The scenes that ``eval`` and ``inspect reward`` evaluate, and the policy that drives there.
+"""The scenes and the policy that ``eval`` and ``inspect reward`` evaluate.
 
 In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
 for each scene.
@@ -19,10 +19,10 @@ from flipperctl.policies.source import PolicySource
 def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None) -> list[Scene]:
     """Return a configuration and the policy's source for each scene.
 
-    Either ``checkpoint`` or ``controller`` is given.
+    Exactly one of ``checkpoint`` and ``controller`` must be given.
 
     Raises:
-        CheckpointError: there is no such policy, or its observation layout is another one.
+        CheckpointError: there is no such policy, or its observation layout differs.
         ConfigError: an override is wrong.
     """
     config_store.register_defaults()

@@ -1,4 +1,4 @@
-"""What a search over settings is made of: its own settings, what it draws, what it maximises."""
+"""Settings, search space and objective of a search with Optuna."""
 
 from __future__ import annotations
 
@@ -17,28 +17,32 @@ if TYPE_CHECKING:
 
 
 class SearchSettings(Settings):
-    """``hydra.sweeper`` of a search."""
+    """The section ``hydra.sweeper`` of a search."""
 
     n_trials: int = Field(
-        20, ge=1, le=100_000, description="trials of the whole study, those of earlier starts too"
+        20,
+        ge=1,
+        le=100_000,
+        description="finished trials of the whole study, including earlier starts",
     )
     n_jobs: int = Field(
         1, ge=1, le=1000, description="trials proposed at once, for a launcher to run side by side"
     )
     storage: str | None = Field(
-        None, description="where the study is kept, as in sqlite:///search.db; null: nowhere"
+        None,
+        description="URL of the study's database, as in sqlite:///search.db; null: in memory",
     )
     study_name: str = Field("search", min_length=1, description="name of the study in the storage")
-    sampler: Literal["tpe", "random"] = Field("tpe", description="how Optuna proposes")
+    sampler: Literal["tpe", "random"] = Field("tpe", description="Optuna's sampler")
     seed: int = Field(1, ge=0, lt=2**31, description="seed of the proposals")
 
 
 def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
-    """What a sweeper makes as large as it can, from a run's best validation.
+    """Return the objective that a sweeper maximises, from a run's best validation.
 
-    The success rate, less a penalty of one episode's worth that grows with θ̂_R [rad]:
-    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by
-    success, then by θ̂_R.
+    It is the success rate minus a penalty of at most one episode that grows with θ̂_R [rad]:
+    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs like validations: by success,
+    then by θ̂_R. None if there was no validation.
     """
     if best is None:
         return None
@@ -48,10 +52,10 @@ def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
 
 
 def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution], list[str]]:
-    """What Optuna draws, by key, and the overrides that stay as they are.
+    """Return the distributions that Optuna samples, by key, and the fixed overrides.
 
     Raises:
-        ConfigError: nothing is left to draw, or a logarithmic interval reaches zero.
+        ConfigError: there is nothing to sample, or a logarithmic interval reaches zero.
     """
     from optuna.distributions import (
         CategoricalDistribution,

@@ -1,7 +1,7 @@
-"""Standard output and errors that can show any text.
+"""Let standard output and standard error show any text.
 
 A stream whose encoding lacks a character (``LANG=C``, an old code page) gets a plain spelling of
-it in place of an error.
+it instead of an error.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _SPELLINGS = {
 
 
 def plain_streams() -> None:
-    """Let stdout and stderr spell plainly what their encoding lacks."""
+    """Make stdout and stderr replace characters that their encoding lacks."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # it is None where nobody reads it
+        if isinstance(stream, io.TextIOWrapper):  # it is None if there is no console
             stream.reconfigure(errors=PLAIN)
 
 
 def log_to_stderr() -> None:
-    """Show what the package notes for those who look for a fault."""
+    """Print the package's log messages to stderr, for debugging."""
     import logging
 
     log = logging.getLogger("flipperctl")
@@ -44,13 +44,13 @@ def spell_plainly(text: str, encoding: str) -> str:
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return a plain spelling of the first character that has no code, and where to go on."""
+    """Return a plain spelling of the first character without a code, and the index after it."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     import unicodedata  # only where a character is missing
 
     character = error.object[error.start]
-    if "\udc80" <= character <= "\udcff":  # a byte of a file's name that is no text
+    if "\udc80" <= character <= "\udcff":  # an undecodable byte of a file name
         return bytes([ord(character) - 0xDC00]), error.start + 1
     parts = unicodedata.normalize("NFKD", character)  # é is e and an accent, … three dots
     plain = "".join(part for part in parts if part.isascii())

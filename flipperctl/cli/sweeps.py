@@ -1,7 +1,7 @@
-"""Sweeps over lists, as Hydra's basic sweeper runs them, told apart by what they vary.
+"""Sweeps over lists, run by Hydra's basic sweeper, with folders named after the swept values.
 
 In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
-and a table that compares them. Any launcher trains them.
+and a table that compares them. Any of Hydra's launchers can train them.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from flipperctl.files import make_folder
 from flipperctl.training.lock import hold
 
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
-"""``hydra.sweep.subdir`` of train.yaml, which gives way to the names of what is swept."""
+"""``hydra.sweep.subdir`` of train.yaml, which is replaced by the names of the swept values."""
 _LONGEST = 120
-"""Characters of a folder's name; file systems allow 255 bytes."""
+"""Largest length of a folder's name in characters; file systems allow 255 bytes."""
 
 
 def folder_name(number: int, swept: Mapping[str, str]) -> str:
-    """The folder of a sweep's run, as in ``0_seed=1,terrain=step``.
+    """Return the folder name of a sweep's run, as in ``0_seed=1,terrain=step``.
 
-    What a shell or a file system could take amiss becomes ``_``; a long name is cut.
+    Characters that are special to a shell or a file system become ``_``; a long name is cut.
     """
     words = ",".join(f"{key}={_short(value)}" for key, value in swept.items())
     name = re.sub(r"[^A-Za-z0-9_.,=+-]+", "_", f"{number}_{words}")
@@ -39,7 +39,7 @@ def folder_name(number: int, swept: Mapping[str, str]) -> str:
 
 
 def _short(value: str) -> str:
-    """A number with five digits, since a search draws sixteen; other values as they are."""
+    """Return a number with five digits, since a search samples sixteen; keep other values."""
     try:
         return value if len(value) <= 8 else f"{float(value):.5g}"
     except ValueError:
@@ -47,28 +47,28 @@ def _short(value: str) -> str:
 
 
 def uses_default_naming(config: DictConfig) -> bool:
-    """Whether ``hydra.sweep.subdir`` is train.yaml's still."""
+    """Return whether ``hydra.sweep.subdir`` is still that of train.yaml."""
     sweep: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
     return bool(sweep["subdir"] == UNNAMED)
 
 
 class SweepLauncher:
-    """Hydra's launcher, with named folders, that remembers what became of the jobs."""
+    """Hydra's launcher with named folders; it keeps the results of the jobs."""
 
     def __init__(self, launcher: Launcher, *, named: bool) -> None:
-        """``named``: whether the folders are named after what is swept."""
+        """``named`` says whether the folders are named after the swept values."""
         self._launcher, self._named = launcher, named
         self.swept: list[str] = []
-        """The keys that the sweep varies."""
+        """Keys that the sweep varies."""
         self.runs: list[SweepRun] = []
 
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Train each job; returns what Hydra's launcher returns."""
+        """Train each job; return the results of Hydra's launcher."""
         from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
-        # Hydra's own launcher works one job after the other, and would go on after a Ctrl-C.
+        # Hydra's basic launcher runs the jobs in sequence and would continue after Ctrl-C.
         size = 1 if isinstance(self._launcher, BasicLauncher) else len(job_overrides)
         returns: list[JobReturn] = []
         for start in range(0, len(job_overrides), size):
@@ -110,8 +110,8 @@ class ListSweep:
         task_function: TaskFunction,
         config: DictConfig,
     ) -> None:
-        """``settings``: those of Hydra's basic sweeper."""
-        # Not at the head of this file: Hydra loads its own plugins anew when it looks for them.
+        """``settings`` are those of Hydra's basic sweeper."""
+        # Not at the top of this file: Hydra reloads its own plugins when it discovers them.
         from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
         self._params = settings["params"] or {}
@@ -125,7 +125,7 @@ class ListSweep:
         """Train every combination.
 
         Raises:
-            FlipperctlError: the first of the jobs' errors, after all jobs had their turn.
+            FlipperctlError: the first of the jobs' errors, raised after all jobs have run.
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
@@ -140,7 +140,7 @@ class ListSweep:
 
 
 class _RaisingLauncher:
-    """Raises the first error of the jobs as it is, before Hydra's sweeper adds words to it."""
+    """A launcher that raises the first job's error before Hydra's sweeper rewords it."""
 
     def __init__(self, jobs: SweepLauncher) -> None:
         self._jobs = jobs

@@ -19,7 +19,7 @@ HYDRA_OPTIONS = [
 ]
 _RESUMABLE = ("train.", "device")
 
-HELP = """Train a policy; progress on stderr, everything else in the run directory.
+HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
 
 OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every key.
 
@@ -45,7 +45,7 @@ def train(
     overrides: Overrides = None,
     resume: Annotated[
         Path | None,
-        typer.Option(metavar="RUN", help="Go on with a run where it stopped."),
+        typer.Option(metavar="RUN", help="Resume a run where it stopped."),
     ] = None,
     multirun: Annotated[
         bool, typer.Option("--multirun", "-m", help="One run for each combination of a,b lists.")
@@ -100,7 +100,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
                 raise
             directory = quote_path(Path(HydraConfig.get().runtime.output_dir))
             stopped = InterruptedRunError(
-                f"interrupted. Go on with: flipperctl train --resume {directory}"
+                f"interrupted. Resume with: flipperctl train --resume {directory}"
             )
             # Hydra would add lines of its own to what passes through it.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
@@ -116,7 +116,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
-            "interrupted; a run that had saved goes on with: flipperctl train --resume RUN"
+            "interrupted; resume a saved run with: flipperctl train --resume RUN"
         ) from error
     except OSError as error:
         if error.filename is None:
@@ -129,14 +129,14 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
 
 
 def _check(overrides: list[str], *, compose: bool) -> None:
-    """Refuse what is wrong before Hydra makes a directory."""
+    """Refuse a wrong request before Hydra makes a directory."""
     from flipperctl.cli.combinations import interval_probes
     from flipperctl.cli.compose import compose_train
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import check_folders, check_mappings, check_words
 
     options = any(override.startswith("-") for override in overrides)
-    if not options:  # else words may be an option's values
+    if not options:  # with options, words may be their values
         check_words(overrides)
     assigned = [o for o in overrides if "=" in o and not o.startswith("-")]
     with convert_hydra_errors():
@@ -155,14 +155,14 @@ def _check(overrides: list[str], *, compose: bool) -> None:
 
 
 def _shut_ray_down() -> None:
-    """Hydra's launcher leaves Ray running for as long as this process lives."""
+    """Shut Ray down, which Hydra's launcher leaves running until this process ends."""
     ray = sys.modules.get("ray")
     if ray is not None and ray.is_initialized():
         ray.shutdown()
 
 
 def _task(composed: Any, paths: list[str]) -> float | None:
-    """One job of Hydra's; in a launcher's worker process the plugins are loaded anew."""
+    """Run one job of Hydra; a launcher's worker process loads the plugins itself."""
     from hydra.core.hydra_config import HydraConfig
 
     from flipperctl import plugins as loader
@@ -179,7 +179,7 @@ def _task(composed: Any, paths: list[str]) -> float | None:
 
 
 def _keep_hydra_files(composed: Any, directory: Path) -> None:
-    """Write the files that Hydra itself would write before it is known whose the directory is."""
+    """Write Hydra's own files, once the directory is known to be new and ours."""
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import OmegaConf
 
@@ -187,7 +187,7 @@ def _keep_hydra_files(composed: Any, directory: Path) -> None:
 
     hydra = HydraConfig.get()
     if hydra.output_subdir is not None:
-        return  # asked for by the user, and written
+        return  # the user asked for them, and Hydra wrote them
     folder = make_folder(directory / ".hydra")
     documents = {
         "config": composed,

@@ -1,4 +1,4 @@
-"""A training run as the command line starts it: files, progress, Ctrl-C, closing words."""
+"""A training run as the command line starts it: files, progress, Ctrl-C and the final message."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from flipperctl.training.trainer import Trainer
 def start(
     config: TrainConfig, directory: Path, keep_more: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Train in a new run directory; returns the summary.
+    """Train in a new run directory; return the summary.
 
-    ``keep_more`` writes further files into it, once it is known that it is new and ours.
+    ``keep_more`` writes further files into it, once it is known to be new and locked.
 
     Raises:
         RunHeldError: another process is training in it.
@@ -39,7 +39,7 @@ def start(
     with hold(directory):
         if run_folder.holds_run(directory):
             raise OutputError(
-                f"{directory} already holds a run; go on with: flipperctl train --resume "
+                f"{directory} already holds a run; resume it with: flipperctl train --resume "
                 f"{quote_path(directory)}, or choose another hydra.run.dir"
             )
         run_folder.clear_leftovers(directory)
@@ -50,13 +50,13 @@ def start(
 
 
 def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
-    """Go on with a run from its last full checkpoint, or from its start if it has none.
+    """Resume a run from its last full checkpoint, or from its start if it has none.
 
-    ``changes`` are merged into its configuration; ``check`` may refuse what comes of it.
+    ``changes`` are merged into its configuration; ``check`` may refuse the result.
 
     Raises:
         RunHeldError: another process is training it.
-        CheckpointError: ``run`` is no run, or what it goes on from is damaged.
+        CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
     """
     directory = run_folder.find(run)
     with hold(directory):
@@ -108,7 +108,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     if not summary["finished"]:
         raise InterruptedRunError(
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
-            f"Go on with: flipperctl train --resume {quote_path(directory)}"
+            f"Resume with: flipperctl train --resume {quote_path(directory)}"
         )
     best = summary["best"]
     print(
@@ -123,7 +123,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
 
 
 def quote_path(directory: Path) -> str:
-    """A path as one types it here: relative to the working directory, quoted for the shell."""
+    """Return a path relative to the working directory, if inside, quoted for the shell."""
     here = Path.cwd()
     short = directory.relative_to(here) if directory.is_relative_to(here) else directory
     return shlex.quote(str(short))
@@ -131,9 +131,9 @@ def quote_path(directory: Path) -> str:
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed (or SIGTERM sent).
+    """Yield a function that returns whether Ctrl-C was pressed or SIGTERM was sent.
 
-    The first asks the trainer to stop behind the episode; a second one stops at once.
+    The first signal asks the trainer to stop after the episode; a second one stops at once.
     """
     asked = False
 
@@ -147,7 +147,7 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
     signals = (signal.SIGINT, signal.SIGTERM)
     try:
         before = {number: signal.signal(number, ask) for number in signals}
-    except ValueError:  # not in the main thread: a launcher's business
+    except ValueError:  # not in the main thread: the launcher handles signals
         before = {}
     try:
         yield lambda: asked

@@ -2,8 +2,8 @@
 
 Hydra imports every module of the namespace package ``hydra_plugins`` and registers the plugins
 that it defines, in any application that is installed beside flipperctl. So this module imports
-nothing but Hydra; what a sweep does stands in ``flipperctl.cli``. Never import it as part of
-``flipperctl.cli``: Hydra knows the classes by the module's name.
+nothing but Hydra; the sweeps themselves are in ``flipperctl.cli``. Never import this module as part
+of ``flipperctl.cli``: Hydra identifies the classes by the module's name.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class ListSweeper(Sweeper):
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """Called by Hydra before ``sweep``."""
+        """Prepare the sweep; Hydra calls this before ``sweep``."""
         from flipperctl.cli.sweeps import ListSweep
 
         self._sweep = ListSweep(
@@ -40,12 +40,12 @@ class OptunaSweeper(Sweeper):
     """A search by Optuna over intervals and lists."""
 
     def __init__(self, **settings: Any) -> None:
-        self._settings = settings  # checked in setup: Hydra rewords what is raised here
+        self._settings = settings  # checked in setup, since Hydra rewords errors raised here
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """Called by Hydra before ``sweep``.
+        """Prepare the search; Hydra calls this before ``sweep``.
 
         Raises:
             MissingExtraError: Optuna is not installed.

@@ -1,4 +1,4 @@
-"""``flipperctl inspect``: what is there, and what it does."""
+"""``flipperctl inspect``: views of plugins, terrains, rewards, checkpoints, runs and settings."""
 
 from importlib import import_module
 

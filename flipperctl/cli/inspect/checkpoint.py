@@ -13,10 +13,10 @@ from flipperctl.cli.options import AsJson, PluginPaths
 if TYPE_CHECKING:
     from flipperctl.checkpoint import Checkpoint
 
-HELP = """Say what a checkpoint is. Nothing in the file is executed, and no plugin is needed.
+HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
 The content's SHA-256 covers configuration, results, state and weights: it is equal for equal runs,
-whatever versions of the packages wrote them.
+with any versions of the packages that wrote them.
 
 [bold]Examples[/]
 
@@ -49,7 +49,7 @@ def show(
 
 
 def describe(saved: Checkpoint) -> dict[str, Any]:
-    """The checkpoint as plain data; the state of the run without its random generators."""
+    """Return the checkpoint as plain data, with the run's state but without its generators."""
     document = saved.document.plain()
     state = document.pop("state", None)
     if state:
@@ -67,7 +67,7 @@ def describe(saved: Checkpoint) -> dict[str, Any]:
 
 def _print(found: dict[str, Any]) -> None:
     config, versions = found["config"], found["versions"]
-    kind = "the best policy" if found["kind"] == "best" else "a whole run to go on from"
+    kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
     rewards = ", ".join(
         f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items()
     )

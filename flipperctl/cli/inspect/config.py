@@ -36,7 +36,7 @@ def add_to(app: typer.Typer) -> None:
 def show(
     overrides: Overrides = None,
     describe: Annotated[
-        bool, typer.Option("--describe", help="Every setting with default, bounds and unit.")
+        bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")
     ] = False,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
@@ -64,7 +64,7 @@ def show(
 
 
 def list_settings(config: TrainConfig, default: TrainConfig) -> list[dict[str, Any]]:
-    """Every setting as plain data; the choices of ``default`` are the choices' defaults."""
+    """Return every setting as plain data; ``default`` has the default plugin of each kind."""
     from flipperctl.config.describe import settings
 
     choices = {s.path: s.value for s in settings(default)}
@@ -84,7 +84,7 @@ def list_settings(config: TrainConfig, default: TrainConfig) -> list[dict[str, A
 
 
 def _print(found: Iterable[dict[str, Any]]) -> None:
-    """A table a section; values that are not the default stand out."""
+    """Print a table per section; values that differ from the default are bold."""
     from itertools import groupby
 
     from rich.console import Console
@@ -115,5 +115,5 @@ def _format_value(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, dict):
-        return str(value.get("name", value))  # a plugin's fields have rows of their own
+        return str(value.get("name", value))  # a plugin's fields have their own rows
     return f"{value:.4g}" if isinstance(value, float) else str(value)

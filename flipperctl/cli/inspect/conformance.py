@@ -1,4 +1,4 @@
-"""``flipperctl inspect plugins --check``: the conformance suite over what is registered."""
+"""``flipperctl inspect plugins --check``: the conformance suite on registered plugins."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flipperctl.testing import Check, NotChecked, checks
 
 
 def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
-    """Run every check and show what came of it.
+    """Run every check and print the results.
 
     Raises:
         ConformanceError: a check failed; the text names plugins and checks.
@@ -43,7 +43,7 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
 
 
 def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
-    """What came of one check: ``ok``, ``skipped`` and why, and the time that it took [s]."""
+    """Run one check; return ``ok``, ``skipped``, the message and the time taken [s]."""
     begun, text, ok, skipped = clock(), "", True, False
     try:
         one()

@@ -11,10 +11,10 @@ import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
 
-HELP = """List every registered plugin: from where, and each field with default, bounds and unit.
+HELP = """List every registered plugin: its source, and each field with default, bounds and unit.
 
 With [bold]--check[/], run the conformance suite on them instead: terrains at every bound, rewards
-on recorded episodes of every outcome, networks out to ONNX, controllers against the clock.
+on recorded episodes of every outcome, networks up to ONNX, controllers against the clock.
 
 [bold]Examples[/]
 
@@ -36,7 +36,7 @@ def add_to(app: typer.Typer) -> None:
 def show(
     name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Run the conformance suite; fails if a check does.")
+        bool, typer.Option("--check", help="Run the conformance suite; fail if a check fails.")
     ] = False,
     output: Annotated[
         Path | None,
@@ -72,7 +72,7 @@ def show(
 
 
 def describe(kind: str, name: str) -> dict[str, Any]:
-    """A plugin and its fields as plain data."""
+    """Return a plugin and its fields as plain data."""
     from flipperctl.api import registry
     from flipperctl.config import resolver
     from flipperctl.config.describe import fields

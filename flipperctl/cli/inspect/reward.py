@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
-A term with a small share of the return is inert; one that saturates at most steps says nothing.
-The episodes are those of an evaluation, and conditions=… chooses them as for eval.
+A term with a small share of the return has no effect; one that saturates at most steps carries no
+information. The episodes are those of an evaluation, with conditions=… as for eval.
 
 [bold]Examples[/]
 

@@ -10,7 +10,7 @@ import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
 
-HELP = """Sum up a training run, and plot its learning curves with --output.
+HELP = """Summarise a training run, and plot its learning curves with --output.
 
 [bold]Examples[/]
 
@@ -82,7 +82,7 @@ def _print(found: dict[str, Any]) -> None:
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
-        state = f"interrupted; go on with: flipperctl train --resume {shlex.quote(found['run'])}"
+        state = f"interrupted; resume with: flipperctl train --resume {shlex.quote(found['run'])}"
     table = Table(title=f"{found['run']}: {state}", title_justify="left")
     headings = ("decision", "success", "θ̂_R [rad]", "t_cost [s]", "return")
     for heading in headings:

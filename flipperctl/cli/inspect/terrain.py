@@ -13,7 +13,7 @@ from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 if TYPE_CHECKING:
     from flipperctl.api import Profile
 
-HELP = """Draw a terrain: the numbers of the drawn profiles, and a picture with --output.
+HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture with --output.
 
 [bold]Examples[/]
 
@@ -34,8 +34,8 @@ def show(
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
-    draws: Annotated[int, typer.Option(min=1, max=100, help="How many profiles to draw.")] = 4,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
+    draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
@@ -52,7 +52,7 @@ def show(
     env = FlipperEnv(config=config)
     profiles, drawn = [], []
     for draw in range(draws):
-        env.reset(seed=seed + draw)  # as an episode would, so that bad profiles are found here
+        env.reset(seed=seed + draw)  # as in an episode, so that invalid profiles are found here
         profiles.append(env.profile)
         drawn.append(env.points_drawn)
     seeds = range(seed, seed + draws)
@@ -80,7 +80,7 @@ def show(
 
 
 def describe(profile: Profile) -> dict[str, Any]:
-    """Extent, heights and steepness of a profile; points in world [m]."""
+    """Return the extent, heights and steepness of a profile, and its points in world [m]."""
     import numpy as np
 
     points = profile.points

@@ -11,10 +11,10 @@ from flipperctl.cli.options import PluginPaths
 
 KINDS = ("terrain", "reward", "network", "controller")
 
-HELP = """Write a plugin to start from: one file, or with --package a project to install.
+HELP = """Write a plugin as a starting point: one file, or with --package an installable project.
 
-KIND is terrain, reward, network or controller. What is written works as it is and passes the
-conformance suite; nothing is ever overwritten.
+KIND is terrain, reward, network or controller. The plugin works as written and passes
+the conformance suite; nothing is ever overwritten.
 
 [bold]Examples[/]
 
@@ -34,10 +34,14 @@ def add_to(app: typer.Typer) -> None:
 def new(
     kind: Annotated[str, typer.Argument(metavar="KIND", help=", ".join(KINDS) + ".")],
     name: Annotated[
-        str, typer.Argument(help="Its name: lower-case letters, digits and _.", show_default=False)
+        str,
+        typer.Argument(
+            help="Name of the plugin: lower-case letters, digits and _.", show_default=False
+        ),
     ],
     package: Annotated[
-        bool, typer.Option("--package", help="A project with pyproject, source, test and README.")
+        bool,
+        typer.Option("--package", help="Write a project with pyproject, source, test and README."),
     ] = False,
     output: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder to write to.", show_default=False)

@@ -33,7 +33,7 @@ _USAGE = {
 
 @dataclass(frozen=True)
 class Draft:
-    """A plugin to be written.
+    """A plugin to write.
 
     Raises:
         PluginError: the name is not allowed, or taken.
@@ -55,21 +55,21 @@ class Draft:
 
     @property
     def cls(self) -> str:
-        """The name of its class."""
+        """Name of the plugin's class."""
         joined = "".join(word.capitalize() for word in self.name.split("_"))
         clashes = joined in (*api.__all__, "ClassVar", "Field", "Self") or keyword.iskeyword(joined)
         return joined + self.kind.capitalize() if clashes else joined
 
     @property
     def package(self) -> str:
-        """The import name of its package."""
+        """Import name of the plugin's package."""
         return f"flipperctl_{self.name}"
 
     def write_file(self, folder: Path) -> Path:
-        """``NAME.py``, whole or not at all.
+        """Write ``NAME.py``, completely or not at all; return its path.
 
         Raises:
-            OutputError: the file is there already, or cannot be written.
+            OutputError: the file exists, or cannot be written.
         """
         path = make_folder(folder) / f"{self.name}.py"
         try:
@@ -83,10 +83,10 @@ class Draft:
         return path
 
     def write_package(self, folder: Path) -> Path:
-        """A folder with pyproject, source, test and README, whole or not at all.
+        """Write a folder with pyproject, source, test and README, completely or not at all.
 
         Raises:
-            OutputError: the folder is there already, or cannot be written.
+            OutputError: the folder exists, or cannot be written.
         """
         path = folder / self.package
         if path.exists():
@@ -105,7 +105,7 @@ class Draft:
         return path
 
     def package_files(self) -> dict[str, str]:
-        """Path in the package's folder → text."""
+        """Return the text of each file by its path in the package's folder."""
         source = f"src/{self.package}"
         return {
             "pyproject.toml": self._text("pyproject.toml"),
@@ -129,14 +129,14 @@ class Draft:
 
 
 def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
-    """What to do with it once ``flipperctl`` finds it; ``plugins``: an option to help it."""
+    """Return commands that use the plugin; ``plugins`` is the option with which it is found."""
     check = "flipperctl inspect plugins {name} --check{plugins}"
     fields = {"name": draft.name, "plugins": plugins}
     return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
 
 
 def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
-    """What to type next."""
+    """Return the commands to run next."""
     where = shlex.quote(str(made))
     if package:
         return [f"pip install -e {where}", *usage_commands(draft), f"python -m pytest {where}"]
