@@ -1,4 +1,4 @@
-"""Run directories: held by one process, and resumed from whatever a kill leaves."""
+"""Run directories: held by one process, and resumed from all that a kill can leave."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody stopped; its folder's name needs quotes."""
+    """An uninterrupted run; its folder's name needs quotes."""
     folder = tmp_path_factory.mktemp("whole")
     done = call("train", *QUICK, "hydra.run.dir='a run'", cwd=folder)
     assert done.code == 0, done.err
