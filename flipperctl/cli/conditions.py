@@ -35,7 +35,7 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
                 shown = "[{:g},{:g}]".format(*ends)
                 raise ConfigError(
                     f"{override.input_line}: it has no effect, since randomise.{name}={shown} "
-                    f"draws it for every episode; add randomise.{name}=null, or change that range"
+                    f"samples it for every episode; add randomise.{name}=null, or change that range"
                 )
 
 

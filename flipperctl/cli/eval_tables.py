@@ -50,7 +50,7 @@ def comparison(result: EvaluationResult) -> Table:
     scenes = [(name, scene.baseline) for name, scene in _named(result)]
     compared = [(name, other) for name, other in scenes if other is not None]
     baseline = compared[0][1].controller
-    title = f"difference to {baseline} on the same draws, where both reached the finish"
+    title = f"difference to {baseline} on the same episodes, where both reached the finish"
     found = Table(title=title, title_justify="left")
     for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
         found.add_column(escape(heading))

@@ -206,9 +206,9 @@ class OptunaSearch:
             "best_run": best.user_attrs["run"],
         }
         OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
-        drawn = " ".join(f"{key}={value}" for key, value in best.params.items())
+        settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         _print_message(
-            f"\nBest of {len(_finished(study))} trials: {drawn}, objective {best.value:.5f}.\n"
+            f"\nBest of {len(_finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
             f"Evaluate: flipperctl eval --checkpoint {quote_path(Path(best.user_attrs['run']))}"
         )
 

@@ -82,7 +82,7 @@ def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution],
             fixed.append(str(override.input_line))
     if not space:
         raise ConfigError(
-            "hydra/sweeper=optuna has nothing to draw; give an interval or a list, as in "
+            "hydra/sweeper=optuna has nothing to search; give an interval or a list, as in "
             "'agent.learning_rate=tag(log,interval(1e-4,3e-3))' or agent.batch_size=64,128"
         )
     return space, fixed

@@ -78,7 +78,7 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
         if spent and run_folder.is_finished(directory, trainer.progress.decision):
             print(
                 f"nothing left to do: {directory} has used its budget of "
-                f"{config.train.decisions} decisions; a larger train.decisions=… goes on",
+                f"{config.train.decisions} decisions; give a larger train.decisions=… to continue",
                 file=sys.stderr,
             )
             return

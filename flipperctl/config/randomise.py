@@ -52,7 +52,7 @@ class Randomise(Settings):
     """The settings that are sampled anew for every episode of a training or an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
-    and must lie within its bounds. The start is drawn by ``episode.start_noise`` and
+    and must lie within its bounds. The start is sampled by ``episode.start_noise`` and
     ``episode.start_angle_noise``.
     """
 
@@ -85,15 +85,15 @@ class Randomise(Settings):
         """Names of the sampled settings."""
         return [name for _, name, _ in self.ranges()]
 
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """Sample a value of each randomised setting, in SI units."""
         return {name: float(rng.uniform(*found)) for _, name, found in self.ranges()}
 
 
-def replace_settings(sections: Mapping[str, Any], drawn: Mapping[str, float]) -> dict[str, Any]:
+def replace_settings(sections: Mapping[str, Any], sampled: Mapping[str, float]) -> dict[str, Any]:
     """Return the sections with the sampled values in place of their own."""
     result = dict(sections)
-    for name, value in drawn.items():
+    for name, value in sampled.items():
         section = SECTION_OF[name]
         result[section] = result[section].model_copy(update={name: value})
     return result

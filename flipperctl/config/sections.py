@@ -54,8 +54,7 @@ class Episode(Settings):
         3.0,
         gt=1,
         le=100,
-        description="t_max as a multiple of the time that the same distance takes on level ground; "
-        "paper silent [-]",
+        description="t_max in multiples of the time of a level drive; paper silent [-]",
     )
     stuck_window: int = Field(
         20, ge=2, le=1000, description="decisions over which progress is measured; paper silent [-]"

@@ -125,7 +125,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             self.np_random.spawn(5)
         )
         config, episode = self.config, self.config.episode
-        drawn = config.randomise.draw(randomise_rng)
+        drawn = config.randomise.sample(randomise_rng)
         sections = config.with_drawn_values(drawn)
         _, self.robot, perception = sections
         self.profile = self._draw(terrain_rng, float(difficulty))

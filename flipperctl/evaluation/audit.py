@@ -33,8 +33,9 @@ class TermAudit:
     share: float
     """Fraction of the sum of all terms' absolute values, 0 to 1."""
     saturated: float | None
-    """Fraction of decisions at the declared lower bound, 0 to 1; None if the term declares no bound
-    or its weight is 0."""
+    """Fraction of decisions at the declared lower bound, 0 to 1.
+
+    None if the term declares no lower bound or its weight is 0."""
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ class Conditions:
 
         The terrain is left out, since the tables name it.
         """
-        drawn = [
+        randomised = [
             _format_setting(Randomise, name, value)
             for name, value in self.settings["randomise"].items()
             if value is not None
@@ -80,11 +80,11 @@ class Conditions:
             "robot": self._differences("robot"),
             "episode": self._differences("episode", *_START),
         }
-        default = [name for name, said in sections.items() if not said]
+        default = [name for name, text in sections.items() if not text]
         parts = [
-            f"randomised {', '.join(drawn)}" if drawn else "nothing randomised",
+            f"randomised {', '.join(randomised)}" if randomised else "nothing randomised",
             f"start ±{shift:g} m" + (f", flippers ±{turn:g} rad" if turn else ""),
-            *(f"{name} {said}" for name, said in sections.items() if said),
+            *(f"{name} {text}" for name, text in sections.items() if text),
             *([f"default {', '.join(default)}"] if default else []),
         ]
         return "; ".join(parts)

@@ -78,7 +78,7 @@ class EpisodeResult:
 
     @property
     def reached(self) -> bool:
-        """Whether the robot reached the finish."""
+        """True if the robot reached the finish."""
         return self.outcome is Outcome.REACHED
 
     def row(self) -> dict[str, Any]:

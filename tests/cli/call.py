@@ -20,7 +20,7 @@ RUN = {
 
 @dataclass(frozen=True)
 class Done:
-    """What a command left behind."""
+    """The exit code and output of a command."""
 
     code: int
     out: str
@@ -28,7 +28,7 @@ class Done:
 
 
 def call(*arguments: str, cwd: Path) -> Done:
-    """Run ``flipperctl`` in ``cwd``; plugins that it loads are forgotten behind it."""
+    """Run ``flipperctl`` in ``cwd``; plugins that it loads are unloaded afterwards."""
     known, loaded = dict(api.registry), set(plugins._loaded)
     before = os.environ.pop(plugins.VARIABLE, None)
     out, err = io.StringIO(), io.StringIO()

@@ -200,10 +200,10 @@ def test_a_plugin_file_is_usable_at_once(tmp_path: Path) -> None:
     done = call("train", "terrain=ridge", "terrain.height=0.1", *QUICK, *options, cwd=tmp_path)
     assert done.code == 0, done.err
     (made,) = (tmp_path / "runs" / "ridge").iterdir()
-    judged = call(
+    evaluated = call(
         "eval", "--checkpoint", str(made), "--episodes", "2", "--jobs", "2", *options, cwd=tmp_path
     )
-    assert judged.code == 0, judged.err
+    assert evaluated.code == 0, evaluated.err
     without = call("eval", "--checkpoint", str(made), cwd=tmp_path)
     assert without.code == 2
     assert "terrain plugin 'ridge'" in without.err

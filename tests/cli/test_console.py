@@ -16,7 +16,7 @@ EVAL = ("eval", "--controller", "level", "--episodes", "1", "terrain=flat")
 def call_encoded(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str) -> list[str]:
     """The lines on stdout of a command whose streams have this encoding.
 
-    Without the line on conditions, which keeps its length whatever the width.
+    The line on conditions is left out, since its length does not depend on the width.
     """
     streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2)]
     monkeypatch.setattr(sys, "stdout", streams[0])

@@ -1,4 +1,4 @@
-"""``inspect config --describe``: every setting, where it stands, with its bounds and unit."""
+"""``inspect config --describe``: every setting with its path, bounds and unit."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Bad input: exit code 2, one or two lines that say what, where and what is allowed; no files."""
+"""Bad input: exit code 2, one or two lines with the fault and what is allowed; no files."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from tests.cli.call import RUN, call
 
 @pytest.fixture(autouse=True)
 def _eight_gigabytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As much memory is free, whatever the machine has."""
+    """Set the free memory, independent of the machine."""
     monkeypatch.setattr(memory, "available", lambda: 8_000_000_000)
 
 

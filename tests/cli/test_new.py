@@ -19,14 +19,14 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 @pytest.fixture(scope="module")
 def drafts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
-    """One file and one package of each kind, and what was said; ``folder`` holds them."""
+    """One file and one package of each kind, and the output; ``folder`` holds them."""
     folder = tmp_path_factory.mktemp("drafts")
-    said = {}
+    results = {}
     for kind in KINDS:
-        said[kind] = call("new", kind, f"my_{kind}", cwd=folder)
-        said[f"{kind} package"] = call("new", kind, f"our_{kind}", "--package", cwd=folder)
-    assert [done.err for done in said.values() if done.code] == []
-    return {**said, "folder": Done(0, str(folder), "")}
+        results[kind] = call("new", kind, f"my_{kind}", cwd=folder)
+        results[f"{kind} package"] = call("new", kind, f"our_{kind}", "--package", cwd=folder)
+    assert [done.err for done in results.values() if done.code] == []
+    return {**results, "folder": Done(0, str(folder), "")}
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +42,8 @@ def test_from_new_to_an_evaluated_policy_in_the_three_commands_it_prints(
     (train,) = [line[1:] for line in lines if line[:2] == ["flipperctl", "train"]]
     done = call(*train, *QUICK, cwd=folder)
     assert done.code == 0, done.err
-    (judge,) = [line[1:] for line in lines if line[:2] == ["flipperctl", "eval"]]
-    done = call(*judge, "--episodes", "2", "--json", cwd=folder)
+    (evaluation,) = [line[1:] for line in lines if line[:2] == ["flipperctl", "eval"]]
+    done = call(*evaluation, "--episodes", "2", "--json", cwd=folder)
     assert done.code == 0, done.err
     assert json.loads(done.out)["scenes"][0]["terrain"] == "my_terrain"
     assert (folder / "my_terrain.py").read_bytes() == before

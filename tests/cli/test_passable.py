@@ -1,4 +1,4 @@
-"""``eval --passable``: success on the draws that somebody crosses."""
+"""``eval --passable``: success over the episodes that some controller crosses."""
 
 import csv
 import json
@@ -8,7 +8,7 @@ import pytest
 
 from tests.cli.call import call
 
-# A step of 0.9 m that nobody crosses, or one of 0.1 m that the others cross.
+# A step of 0.9 m that no controller crosses, or one of 0.1 m that the others cross.
 WALL = "terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1}]"
 FEW = ["--episodes", "6", "terrain=mix", WALL, "sim.friction=0.8"]
 

@@ -1,4 +1,4 @@
-"""Run directories: held by one process, and resumed from whatever a kill leaves."""
+"""Run directories: held by one process, and resumed from all that a kill can leave."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody stopped; its folder's name needs quotes."""
+    """An uninterrupted run; its folder's name needs quotes."""
     folder = tmp_path_factory.mktemp("whole")
     done = call("train", *QUICK, "hydra.run.dir='a run'", cwd=folder)
     assert done.code == 0, done.err
@@ -91,7 +91,7 @@ def test_a_run_goes_on_from_whatever_a_kill_leaves(
     begins = not (run / checkpoint.LAST).exists()
     anew = call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path)
     assert anew.code == 2
-    assert "go on with: flipperctl train --resume run, or" in anew.err
+    assert "resume it with: flipperctl train --resume run, or" in anew.err
     done = call("train", "--resume", "run", cwd=tmp_path)
     assert done.code == 0, done.err
     assert ("it begins again" in done.err) == begins
@@ -201,7 +201,7 @@ def test_ctrl_c_stops_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     done = call("train", "-m", *QUICK, "seed=1,2", "hydra.sweep.dir=s w", cwd=tmp_path)
     assert done.code == 130
     last = done.err.splitlines()[-1]
-    assert last.endswith("Go on with: flipperctl train --resume 's w/0_seed=1'")
+    assert last.endswith("Resume with: flipperctl train --resume 's w/0_seed=1'")
     assert [path.name for path in (tmp_path / "s w").iterdir() if path.is_dir()] == ["0_seed=1"]
     assert "interrupted" in (tmp_path / "s w" / "sweep.csv").read_text()
 

@@ -1,4 +1,4 @@
-"""What a command imports before it answers: the start-up time, without a clock."""
+"""The imports of a command before it answers, which decide its start-up time."""
 
 import subprocess
 import sys

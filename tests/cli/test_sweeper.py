@@ -1,4 +1,4 @@
-"""The search: what is drawn, what counts, and that stopping it changes nothing."""
+"""The search: its samples, the trials that count, and that stopping it changes nothing."""
 
 from pathlib import Path
 from typing import Any
@@ -112,7 +112,7 @@ def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
         "agent.batch_size": optuna.distributions.IntDistribution(32, 64),
         "network": optuna.distributions.CategoricalDistribution(["mlp", "at_d3qn"]),
     }
-    with pytest.raises(ConfigError, match="nothing to draw"):
+    with pytest.raises(ConfigError, match="nothing to search"):
         search_space(["seed=3"])
 
 

@@ -1,4 +1,4 @@
-"""The audit plays the episodes of an evaluation, whoever plays them."""
+"""The audit plays the episodes of an evaluation, for any policy."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The episodes of an evaluation: known outcomes and times, whatever the number of processes."""
+"""The episodes of an evaluation: known outcomes and times for any number of processes."""
 
 import os
 import signal

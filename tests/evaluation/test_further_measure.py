@@ -1,4 +1,4 @@
-"""A measure that is a class and a name in a list stands in rows, files, JSON and tables."""
+"""A measure that is added as a class and listed appears in rows, files, JSON and tables."""
 
 import csv
 import json

@@ -50,15 +50,15 @@ def show(
     config_store.register_defaults()
     config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
     env = FlipperEnv(config=config)
-    profiles, drawn = [], []
-    for draw in range(draws):
-        env.reset(seed=seed + draw)  # as in an episode, so that invalid profiles are found here
+    profiles, point_counts = [], []
+    for index in range(draws):
+        env.reset(seed=seed + index)  # as in an episode, so that invalid profiles are found here
         profiles.append(env.profile)
-        drawn.append(env.points_drawn)
+        point_counts.append(env.points_drawn)
     seeds = range(seed, seed + draws)
     numbers = [
         {"seed": number, **describe(profile), "points_drawn": count}
-        for number, profile, count in zip(seeds, profiles, drawn, strict=True)
+        for number, profile, count in zip(seeds, profiles, point_counts, strict=True)
     ]
     if output is not None:
         from flipperctl.report.figure import save
@@ -74,7 +74,7 @@ def show(
     _print(name, numbers)
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)
-        print(f"drawn with up to {most} points; those that no track can feel are left out")
+        print(f"sampled with up to {most} points; those too fine for a track to feel are left out")
     if output is not None:
         print(f"picture: {output}")
 
