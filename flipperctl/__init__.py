@@ -1,4 +1,4 @@
-"""flipperctl: train, judge, export and explain flipper policies of tracked rescue robots."""
+"""flipperctl: train, evaluate, export and explain flipper policies of tracked rescue robots."""
 
 __version__: str
 

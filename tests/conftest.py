@@ -1,5 +1,6 @@
 """What every test shares: the built-in plugins, and a registry that is put back."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from flipperctl import api, plugins
 from tests.short import short_config, trainer
 
+os.environ.pop("COLUMNS", None)  # pytest-xdist sets it, and tables would keep to it
 plugins.load()  # at import, since tests are parametrised over the registry
 
 

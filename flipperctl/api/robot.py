@@ -21,13 +21,16 @@ class Robot(RobotGeometry):
         math.radians(25), gt=0.05, le=5, description="turning rate of a flipper pair [rad/s]"
     )
     flipper_torque: float = Field(
-        200.0, gt=1, le=5000, description="largest torque of a flipper pair; paper silent [N m]"
+        200.0,
+        gt=1,
+        le=5000,
+        description="largest torque of a flipper pair; not given in the paper [N m]",
     )
     actuator_delay: float = Field(
         0.0,
         ge=0,
         le=0.5,
-        description="delay of the flippers' turn after a decision; paper silent [s]",
+        description="delay of the flippers' turn after a decision; not given in the paper [s]",
     )
 
     @property

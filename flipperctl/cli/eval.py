@@ -72,7 +72,7 @@ def run(
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
-    """See HELP."""
+    """See HELP; the function is as long as its list of options."""
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
     from flipperctl import plugins as loader

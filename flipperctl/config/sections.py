@@ -35,7 +35,10 @@ class Episode(Settings):
         description="each flipper's start angle is shifted by up to ± this [rad]",
     )
     start_angle: float = Field(
-        0.0, ge=-1.5, le=1.5, description="flipper angles at the start; paper silent [rad]"
+        0.0,
+        ge=-1.5,
+        le=1.5,
+        description="flipper angles at the start; not given in the paper [rad]",
     )
     overturn: float = Field(
         math.pi / 3,
@@ -48,22 +51,25 @@ class Episode(Settings):
         gt=0,
         le=1,
         description="height of the chassis' higher end above the ground that still counts as close "
-        "to it at the finish; paper silent [m]",
+        "to it at the finish; not given in the paper [m]",
     )
     slack: float = Field(
         3.0,
         gt=1,
         le=100,
-        description="t_max in multiples of the time of a level drive; paper silent [-]",
+        description="t_max in multiples of the time of a level drive; not given in the paper [-]",
     )
     stuck_window: int = Field(
-        20, ge=2, le=1000, description="decisions over which progress is measured; paper silent [-]"
+        20,
+        ge=2,
+        le=1000,
+        description="decisions over which progress is measured; not given in the paper [-]",
     )
     stuck_progress: float = Field(
         0.1,
         ge=0,
         le=10,
-        description="less progress than this in the window ends as stuck; paper silent [m]",
+        description="less progress than this in the window is stuck; not given in the paper [m]",
     )
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.cli.inspect import VIEWS
+from flipperctl.cli.main import COMMANDS
 from flipperctl.training.events import read_rows
 from tests.cli.call import RUN, call
 
@@ -226,16 +228,7 @@ class Ridge(Terrain):
 
 @pytest.mark.parametrize(
     "command",
-    [
-        [],
-        ["train"],
-        ["eval"],
-        ["export"],
-        ["bench"],
-        ["new"],
-        ["inspect"],
-        *(["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")),
-    ],
+    [[], *([name] for name in COMMANDS), *(["inspect", name] for name in VIEWS)],
 )
 def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None:
     done = call(*command, "--help", cwd=tmp_path)
@@ -246,8 +239,7 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     "command",
-    [["train"], ["eval"], ["export"], ["bench"], ["new"]]
-    + [["inspect", w] for w in ("plugins", "terrain", "reward", "checkpoint", "run", "config")],
+    [[name] for name in COMMANDS if name != "inspect"] + [["inspect", name] for name in VIEWS],
 )
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
     needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}

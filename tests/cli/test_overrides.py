@@ -2,13 +2,13 @@
 
 import pytest
 
-from flipperctl.cli.overrides import values
+from flipperctl.cli.overrides import override_values
 from flipperctl.errors import ConfigError
 
 
 def test_values_have_the_types_that_hydra_gives_them() -> None:
     given = ["train.decisions=500", "device='cuda:0'", "batch_sizes=[1,2]", "x=1e-3", "y=null"]
-    assert values(given) == {
+    assert override_values(given) == {
         "train.decisions": 500,
         "device": "cuda:0",
         "batch_sizes": [1, 2],
@@ -22,4 +22,4 @@ def test_values_have_the_types_that_hydra_gives_them() -> None:
 )
 def test_only_plain_values_are_allowed(override: str) -> None:
     with pytest.raises(ConfigError, match="one value is allowed here"):
-        values([override])
+        override_values([override])

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from flipperctl.bench.discovery import install
+from flipperctl.cli.inspect import VIEWS
+from flipperctl.cli.main import COMMANDS
 from tests.cli.call import call
 
 HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
 HEAVY |= {"omegaconf", "scipy", "safetensors", "tensorboard"}
 VALUES = {"numpy", "pydantic", "importlib.metadata"}
-SUBCOMMANDS = [["train"], ["eval"], ["export"], ["new"], ["inspect"]] + [
-    ["inspect", name] for name in ("plugins", "terrain", "reward", "checkpoint", "run", "config")
-]
+SUBCOMMANDS = [[name] for name in COMMANDS] + [["inspect", name] for name in VIEWS]
 
 
 def imported(code: str) -> set[str]:

@@ -24,7 +24,7 @@ def test_a_plugins_container_makes_an_equal_plugin() -> None:
     mix = resolver.create("terrain", {"name": "mix", "parts": ["flat", "step"]}, "terrain")
     assert resolver.create("terrain", container(mix), "terrain") == mix
     assert container(mix, brief=True)["parts"] == ["flat", "step"]
-    assert [p.plugin_name for p in resolver.nested(mix)] == ["mix", "flat", "step"]
+    assert [p.plugin_name for p in resolver.nested_plugins(mix)] == ["mix", "flat", "step"]
 
 
 def test_a_name_inside_a_plugin_is_refused_in_the_words_of_one_outside() -> None:

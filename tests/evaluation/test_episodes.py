@@ -9,7 +9,8 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.api.plugin import registered_names
+from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
@@ -54,7 +55,7 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
     config = EnvConfig(terrain="stair")
     results = play_episodes(config, OKADA, episodes=30, seed=3, jobs=2)
     first = next(results)
-    for pid in started[0].processes():
+    for pid in started[0].process_ids():
         os.kill(pid, signal.SIGKILL)
     assert [first, *results] == list(play_episodes(config, OKADA, episodes=30, seed=3))
     assert "a worker died and is replaced; episode" in caplog.text
@@ -115,7 +116,7 @@ def test_the_streams_of_seeds_never_meet() -> None:
 
 
 def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> None:
-    for name in resolver.names("controller"):
+    for name in registered_names("controller"):
         little = {"budget": 200, "width": 2} if name == "planner" else {}
         source = PolicySource(settings={"name": name, **little})
         assert source.label() == name

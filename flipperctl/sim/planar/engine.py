@@ -25,7 +25,10 @@ class Planar(Engine):
     )
     gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
     friction: float = Field(
-        1.0, gt=0, le=10, description="friction between track and ground; paper silent [-]"
+        1.0,
+        gt=0,
+        le=10,
+        description="friction between track and ground; not given in the paper [-]",
     )
 
     @model_validator(mode="after")

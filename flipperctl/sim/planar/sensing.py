@@ -26,7 +26,7 @@ class PlanarSensor(Sensor):
     """Senses points along the outline of the ground and averages their heights in bins."""
 
     density: float = Field(
-        50.0, gt=5, le=1000, description="points per metre of outline; paper silent [1/m]"
+        50.0, gt=5, le=1000, description="points per metre of outline; not given in the paper [1/m]"
     )
     noise: float = Field(
         0.0, ge=0, le=0.2, description="standard deviation of a point's height [m]"
