@@ -61,8 +61,7 @@ class Sliding:
             self._angles = self._angles + np.clip(self._targets - self._angles, -turn, turn)
             self._time += api.SAMPLE_PERIOD
             poses.append([*self.position, self.pitch, *self._angles])
-            low = self.position[1] + limits.half * abs(math.sin(self.pitch)) <= limits.top
-            if abs(self.pitch) >= limits.angle or (self._x >= limits.x and low):
+            if limits.reached(*self.position, self.pitch):
                 break
         return np.array(poses)
 

@@ -20,6 +20,16 @@ SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""
 
 
+def is_over(
+    x: float, z: float, pitch: float, angle: float, finish: float, top: float, half: float
+) -> bool:
+    """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit.
+
+    The other arguments are the fields of ``Limits``. Plain numbers, so that it can be compiled.
+    """
+    return abs(pitch) >= angle or (x >= finish and z + half * abs(math.sin(pitch)) <= top)
+
+
 class Limits(NamedTuple):
     """Where a run stops: at the pitch ``angle``, or past ``x`` with both ends not above ``top``."""
 
@@ -31,6 +41,10 @@ class Limits(NamedTuple):
     """World z of the higher end of the chassis [m]."""
     half: float = 0.0
     """Distance from the chassis centre to each end [m]."""
+
+    def reached(self, x: float, z: float, pitch: float) -> bool:
+        """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit."""
+        return is_over(x, z, pitch, *self)
 
 
 NO_LIMITS = Limits()

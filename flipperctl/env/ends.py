@@ -35,12 +35,11 @@ class Ends:
 
     def instant(self, world: World) -> Outcome | None:
         """Return OVERTURNED, or REACHED past the finish with both ends close to the ground."""
-        limits = self.limits
-        if abs(world.pitch) >= limits.angle:
-            return Outcome.OVERTURNED
         x, z = world.position
-        close = z + limits.half * abs(math.sin(world.pitch)) <= limits.top
-        return Outcome.REACHED if x >= limits.x and close else None
+        if not self.limits.reached(x, z, world.pitch):
+            return None
+        over = abs(world.pitch) >= self.limits.angle
+        return Outcome.OVERTURNED if over else Outcome.REACHED
 
     def decision(self, x: float) -> Outcome | None:
         """Return STUCK after too little progress, or TIMEOUT after the last allowed decision."""

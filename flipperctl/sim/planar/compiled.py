@@ -6,7 +6,6 @@ contact. ``plain`` computes the same numbers through pymunk's public interface.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import llvmlite.binding
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray, Limits
+from flipperctl.api.engines import is_over
 from flipperctl.sim.jit import cached
 from flipperctl.sim.planar.plain import GROUND, TRACK, Bodies
 
@@ -56,6 +56,9 @@ def _belt(arbiter: Any, space: Any, speed: Any) -> None:
     numbers[_SURFACE + 1] = v * numbers[_NORMAL]
 
 
+_is_over = cached(njit)(is_over)
+
+
 @cached(njit)
 def _run(
     space: int,
@@ -83,9 +86,7 @@ def _run(
         x, z, angle = pose[0], pose[1], pose[2]
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
         poses[sample, 3], poses[sample, 4] = pose[5] - angle, angle - pose[8]
-        if abs(angle) >= angle_limit:
-            return sample + 1
-        if x >= x_limit and z + half * abs(math.sin(angle)) <= top:
+        if _is_over(x, z, angle, angle_limit, x_limit, top, half):
             return sample + 1
     return len(poses)
 

@@ -8,7 +8,6 @@ tangent, and it vanishes at a vertical face.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pymunk
@@ -58,8 +57,6 @@ class PlainLoop:
             x, z = body.position
             angle = body.angle
             poses[sample] = x, z, angle, front.angle - angle, angle - rear.angle
-            if abs(angle) >= limits.angle:
-                return sample + 1
-            if x >= limits.x and z + limits.half * abs(math.sin(angle)) <= limits.top:
+            if limits.reached(x, z, angle):
                 return sample + 1
         return len(poses)
