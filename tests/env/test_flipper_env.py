@@ -1,14 +1,11 @@
 """The environment: Gymnasium, actions, signs, outcomes, overrides, errors and measures."""
 
-import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from flipperctl.api import (
@@ -16,16 +13,12 @@ from flipperctl.api import (
     MAX_HISTORY,
     Outcome,
     Profile,
-    RewardTerm,
     Terrain,
-    Transition,
     action_index,
-    reward,
     terrain,
 )
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError, TerrainError
 
 HOLD = action_index(0, 0)
 FRONT, REAR, PITCH = 15, 16, 17  # after the 15 heights of an observation
@@ -215,197 +208,6 @@ def test_the_finish_counts_only_with_the_chassis_close_to_the_ground() -> None:
 
 
 # Overrides
-
-
-def test_dotted_and_nested_overrides_mean_the_same() -> None:
-    dotted = FlipperEnv("stair", **{"episode.slack": 2.0, "rewards.pitch.lambda_2": 2.5})
-    nested = FlipperEnv("stair", episode={"slack": 2.0}, rewards={"pitch": {"lambda_2": 2.5}})
-    assert dotted.config == nested.config
-    assert dotted.config.episode.slack == 2.0
-    assert dotted.config.episode.run_up == 1.0  # its neighbours keep their defaults
-    assert dotted.config.rewards["pitch"].lambda_2 == 2.5
-    assert set(dotted.config.rewards) == {"flipper", "pitch", "end"}
-
-
-def test_a_terrain_s_fields_can_be_set_in_each_form() -> None:
-    mapping = FlipperEnv({"name": "stair", "rise": 0.1})
-    dotted = FlipperEnv("stair", **{"terrain.rise": 0.1})
-    instance = FlipperEnv(resolver.create("terrain", {"name": "stair", "rise": 0.1}, "terrain"))
-    assert mapping.config == dotted.config == instance.config
-    assert mapping.config.terrain.rise == 0.1
-
-
-def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
-    env = FlipperEnv(
-        "stair", **{"rewards.pitch": None, "rewards.smooth": {"name": "pitch", "weight": 0.5}}
-    )
-    env.reset(seed=0)
-    info = env.step(HOLD)[4]
-    assert set(info["rewards"]) == {"flipper", "end", "smooth"}
-
-
-@pytest.mark.parametrize(
-    ("overrides", "path", "help_"),
-    [
-        ({"episode.slak": 2.0}, "episode.slak", "'slack'"),
-        ({"episode": {"slak": 2.0}}, "episode.slak", "'slack'"),
-        ({"episod.slack": 2.0}, "episod", "'episode'"),
-        ({"terrain.ris": 0.1}, "terrain.ris", "'rise'"),
-        ({"terrain.rise": 5.0}, "terrain.rise", "≤ 0.5"),
-        ({"robot.track_speed": "fast"}, "robot.track_speed", "'fast'"),
-        ({"robot.track_speed": math.nan}, "robot.track_speed", "finite"),
-        ({"sim.substep": 0.003}, "sim", "0.01 s"),
-        ({"rewards.pitch.lambda": 1.0}, "rewards.pitch.lambda", "'lambda_2'"),
-        ({"rewards.energy": "ptch"}, "rewards.energy", "'pitch'"),
-        ({"rewards.pich.lambda_2": 1.0}, "rewards.pich", "'pitch'"),
-        ({"rewards": None}, "rewards", "mapping"),
-        ({"rewards": "pitch"}, "rewards", "mapping"),
-        ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
-    ],
-    ids=str,
-)
-def test_a_wrong_override_is_named_with_what_is_allowed(
-    overrides: dict[str, Any], path: str, help_: str
-) -> None:
-    with pytest.raises(ConfigError) as error:
-        FlipperEnv("stair", **overrides)
-    assert str(error.value).startswith(path)
-    assert help_ in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-def test_an_unknown_terrain_gives_a_close_match() -> None:
-    with pytest.raises(ConfigError, match=r"'stiar'; did you mean 'stair'\?"):
-        FlipperEnv("stiar")
-
-
-# Wrong use
-
-
-@pytest.mark.parametrize(
-    "action",
-    [4.5, "3", None, True, np.float64(4.0), np.array([4]), -1, 9, [4], math.nan, np.bool_(True)],
-    ids=repr,
-)
-def test_what_is_no_action_is_refused(action: Any) -> None:
-    env = FlipperEnv("flat")
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"there is no action .*; an integer from 0 to 8") as error:
-        env.step(action)
-    assert repr(action) in str(error.value)
-    env.step(HOLD)
-
-
-@pytest.mark.parametrize("action", [4, np.int64(4), np.uint8(4), np.array(4)], ids=repr)
-def test_every_integer_is_an_action(action: Any) -> None:
-    env = FlipperEnv("flat")
-    env.reset(seed=0)
-    env.step(action)
-    assert env.transition.action == (0, 0)
-
-
-def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
-    env = FlipperEnv("flat", episode={"run_out": 0.0, "run_up": 0.2})
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(HOLD)
-    env.reset(seed=0)
-    while not any(env.step(HOLD)[2:4]):
-        pass
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(HOLD)
-
-
-def test_an_unknown_render_mode_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no mode 'nonsense'; None or 'rgb_array' is allowed"):
-        FlipperEnv("flat", render_mode="nonsense")
-    with pytest.raises(ConfigError, match="did you mean 'rgb_array'"):
-        FlipperEnv("flat", render_mode="rgbarray")
-
-
-def test_no_rewards_at_all_are_asked_for_by_an_empty_mapping() -> None:
-    env = FlipperEnv("flat", rewards={})
-    env.reset(seed=0)
-    _, reward, *_, info = env.step(HOLD)
-    assert (reward, info["rewards"]) == (0, {})
-    assert list(FlipperEnv("flat", rewards={"pitch": {"weight": 2}}).config.rewards) == [
-        *("flipper", "pitch", "end")
-    ]
-
-
-# Broken plugins
-
-
-def test_a_reward_beyond_its_bounds_is_named_when_it_happens(registry: dict) -> None:
-    @reward("broken")
-    class Broken(RewardTerm):
-        bounds = (-1.0, 0.0)
-
-        def __call__(self, t: Transition) -> float:
-            return 0.5 if t.after.time > 1.5 else -1.0 - 1e-12  # which is rounding
-
-    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
-    env.reset(seed=0)
-    for _ in range(2):
-        env.step(HOLD)
-    with pytest.raises(
-        PluginFailedError,
-        match=r"rewards\.mine: .*'broken'.*returned 0\.5 at time 1\.80 s; its bounds say -1 to 0",
-    ):
-        env.step(HOLD)
-
-
-@pytest.mark.parametrize(
-    ("generate", "text"),
-    [
-        (lambda: Profile([(0.0, 0.0), (1.0, 0.0), (0.5, 0.2)]), "x decreases from 1 to 0.5 m"),
-        (lambda: Profile([]), "empty"),
-        (lambda: Profile([(0.0, 0.0), (1.0, math.nan)]), "point 1 is not finite"),
-        (lambda: [(0.0, 0.0), (1.0, 0.0)], "must return a Profile; it returned a list"),
-        (lambda: None, "must return a Profile; it returned a NoneType"),
-    ],
-    ids=["x decreases", "empty", "not finite", "list", "None"],
-)
-def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, registry: dict) -> None:
-    @terrain("broken")
-    class Broken(Terrain):
-        def generate(self, rng: np.random.Generator) -> Profile:
-            return generate()
-
-    with pytest.raises(TerrainError, match="'broken'") as error:
-        FlipperEnv("broken").reset(seed=0)
-    assert text in str(error.value)
-
-
-def test_a_terrain_that_starts_in_the_robot_is_named() -> None:
-    # The front flippers reach 0.28 + 0.336 + 0.1 = 0.716 m ahead of the chassis centre.
-    with pytest.raises(TerrainError, match="'step' starts in the robot"):
-        FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.65}).reset(seed=0)
-    FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.72}).reset(seed=0)
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_reward_that_is_not_finite_is_named(value: float, registry: dict) -> None:
-    @reward("broken")
-    class Broken(RewardTerm):
-        def __call__(self, t: Transition) -> float:
-            return value
-
-    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
-    env.reset(seed=0)
-    with pytest.raises(NonFiniteError, match=r"rewards\.mine.*Broken"):
-        env.step(HOLD)
-
-
-def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = FlipperEnv("flat")
-    env.reset(seed=0)
-    lost = dataclasses.replace(env.drive.world.state(), pitch=math.nan)
-    monkeypatch.setattr(env.drive.world, "state", lambda: lost)
-    with pytest.raises(NonFiniteError, match=r"state is not finite.*'flat'"):
-        env.step(HOLD)
-
-
-# Measures
 
 
 def test_the_metrics_are_what_the_episode_shows() -> None:
