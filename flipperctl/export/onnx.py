@@ -76,7 +76,7 @@ def compare_onnx(
         _, q_values = export_onnx(module, config, {})
     except FlipperctlError:
         raise
-    except Exception as error:
+    except Exception as error:  # the exporter raises errors of many types, without a common one
         raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
     return compare(module, q_values, observations)
 

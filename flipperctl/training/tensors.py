@@ -44,7 +44,8 @@ def run_arrays(
             raise CheckpointError(f"{saved.path}: its part {part} is wrong: {error}") from error
     found = _arrays(saved, "replay")
     for name, most in (("action", len(ACTIONS) - 1), ("discount", 1)):
-        if ((found[name] < 0) | (found[name] > most)).any():  # type: ignore[operator]
+        values = np.asarray(found[name], np.float64)
+        if ((values < 0) | (values > most)).any():
             raise CheckpointError(f"{saved.path}: replay.{name} lies outside of 0 to {most}")
     return found, {version: _arrays(saved, f"weights{version}") for version in versions}
 

@@ -1,8 +1,7 @@
-"""The learner: it acts greedily, learns a fixed batch and names broken networks."""
+"""The learner: it acts greedily, learns a fixed batch and repeats itself."""
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,11 +12,9 @@ from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, resolver
-from flipperctl.errors import ConfigError, NonFiniteError
+from flipperctl.errors import NonFiniteError
 from flipperctl.policies.exploring import ExploringPolicy
-
-LAYOUT = ObservationLayout()
-ACTIONS = 9
+from tests.agent.learners import ACTIONS, LAYOUT, fixed_batch, learner
 
 
 class Ramp(Network):
@@ -31,62 +28,6 @@ class Ramp(Network):
         torch.nn.init.zeros_(layer.weight)
         layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
         return layer
-
-
-class Foreign(Network):
-    """Builds the module of its settings."""
-
-    plugin_name: ClassVar[str] = "foreign"
-    module: Any
-    window: int = 1
-
-    @property
-    def frames(self) -> int:
-        return self.window
-
-    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return the module of the settings."""
-        return self.module
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Use one thread, since networks of this size are slower with several."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
-def not_a_number() -> torch.nn.Module:
-    layer = torch.nn.Linear(LAYOUT.size, ACTIONS)
-    torch.nn.init.constant_(layer.bias, torch.nan)
-    return layer
-
-
-class Odd(torch.nn.Linear):
-    """Returns one quantile for each action, without the dimension of the quantiles."""
-
-    def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
-        return self(observation)
-
-
-def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
-    built = resolver.create("network", network, "network")
-    assert isinstance(built, Network)
-    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
-
-
-def fixed_batch(size: int = 64, frames: int = 1) -> Batch:
-    generator = torch.Generator().manual_seed(0)
-    seeded = {"generator": generator}
-    return Batch(
-        observation=torch.randn(size, frames * LAYOUT.size, **seeded),
-        action=torch.arange(size) % ACTIONS,
-        reward=torch.randn(size, **seeded),
-        next_observation=torch.randn(size, frames * LAYOUT.size, **seeded),
-        discount=torch.full((size,), 0.5),
-    )
 
 
 def weights(agent: D3qn) -> dict[str, torch.Tensor]:
@@ -221,84 +162,6 @@ def test_a_loss_that_is_not_finite_is_an_error() -> None:
     batch.reward[3] = torch.inf
     with pytest.raises(NonFiniteError, match="loss is inf"):
         learner().update(batch, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("module", "text"),
-    [
-        (torch.nn.Linear(18, 4), r"must give Q-values \(2, 9\); the output is \(2, 4\)"),
-        (torch.nn.Sequential(torch.nn.Linear(18, 9), torch.nn.Flatten(0)), r"output is \(18,\)"),
-        (torch.nn.Linear(5, 9), r"fails on observations of shape \(2, 18\)"),
-        (torch.nn.LSTM(18, 9), "the output is tuple"),
-        (len, "must return a torch module; got builtin_function_or_method"),
-        (not_a_number(), "finite"),
-        (Odd(18, 9), r"must give quantiles \(2, 9, K\); they are \(2, 9\)"),
-    ],
-    ids=["too few actions", "flat", "too few inputs", "tuple", "no module", "nan", "quantiles"],
-)
-def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
-    with pytest.raises(ConfigError, match="network 'foreign'.*" + text):
-        D3qn(Foreign(module=module), LAYOUT, ACTIONS, Agent(), seed=0)
-
-
-def normalised() -> torch.nn.Module:
-    """Return a network with running statistics, which needs a batch in ``train()`` mode."""
-    return torch.nn.Sequential(torch.nn.BatchNorm1d(18), torch.nn.Linear(18, 9))
-
-
-class Counted(torch.nn.Module):
-    """Holds statistics and a counter that change in training."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.layer = torch.nn.Linear(18, 9)
-        self.register_buffer("mean", torch.zeros(18))
-        self.register_buffer("count", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("scratch", torch.zeros(18), persistent=False)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        if self.training and torch.is_grad_enabled():
-            self.mean += 1.0
-            self.count += 1
-            self.scratch += 1.0
-        return self.layer(x - 0.01 * self.mean)
-
-
-def test_a_network_that_needs_a_batch_is_refused_before_it_acts() -> None:
-    expected = (
-        r"network 'foreign' fails on one observation in train\(\) mode, in which a training acts: "
-        r"forward raised ValueError: Expected more than 1 value per channel .*test_d3qn\.py:\d+\)"
-    )
-    with pytest.raises(ConfigError, match=expected):
-        D3qn(Foreign(module=normalised()), LAYOUT, ACTIONS, Agent(), seed=0)
-
-
-def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
-    module = Counted()
-    settings = Agent(target_rate=0.25, updates_together=1)
-    agent = D3qn(Foreign(module=module), LAYOUT, ACTIONS, settings, seed=0)
-    assert float(agent.target.get_buffer("mean")[0]) == 0.0  # building it changed nothing
-    for _ in range(2):
-        agent.update(fixed_batch(), 0.0)
-    # Online 1, then 2: the target has 0.25 · 1, then 0.25 + 0.25 · (2 − 0.25).
-    assert float(agent.online.get_buffer("mean")[0]) == 2.0
-    assert float(agent.target.get_buffer("mean")[0]) == 0.6875
-    assert int(agent.target.get_buffer("count")) == 2
-    assert (
-        float(agent.target.get_buffer("scratch")[0]) == 0.0
-    )  # buffers that are not persistent are not copied
-
-
-def test_a_network_without_anything_to_learn_is_refused() -> None:
-    frozen = torch.nn.Linear(18, 9).requires_grad_(False)
-    with pytest.raises(ConfigError, match="build made a network with nothing to learn"):
-        D3qn(Foreign(module=frozen), LAYOUT, ACTIONS, Agent(), seed=0)
-
-
-def test_a_network_with_a_wrong_number_of_frames_is_named() -> None:
-    for frames in (0, 33):
-        with pytest.raises(ConfigError, match=f"frames is {frames}; 1 to 32 is allowed"):
-            D3qn(Foreign(module=None, window=frames), LAYOUT, ACTIONS, Agent(), seed=0)
 
 
 def test_quantiles_are_learnt_from_a_fixed_batch() -> None:

@@ -1,0 +1,47 @@
+"""Learners and batches that several test files use."""
+
+from typing import Any, ClassVar
+
+import torch
+
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.replay import Batch
+from flipperctl.api import Network, ObservationLayout
+from flipperctl.config import Agent, resolver
+
+LAYOUT = ObservationLayout()
+ACTIONS = 9
+
+
+class Foreign(Network):
+    """Builds the module of its settings."""
+
+    plugin_name: ClassVar[str] = "foreign"
+    module: Any
+    window: int = 1
+
+    @property
+    def frames(self) -> int:
+        return self.window
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Return the module of the settings."""
+        return self.module
+
+
+def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
+    built = resolver.create("network", network, "network")
+    assert isinstance(built, Network)
+    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
+
+
+def fixed_batch(size: int = 64, frames: int = 1) -> Batch:
+    generator = torch.Generator().manual_seed(0)
+    seeded = {"generator": generator}
+    return Batch(
+        observation=torch.randn(size, frames * LAYOUT.size, **seeded),
+        action=torch.arange(size) % ACTIONS,
+        reward=torch.randn(size, **seeded),
+        next_observation=torch.randn(size, frames * LAYOUT.size, **seeded),
+        discount=torch.full((size,), 0.5),
+    )
