@@ -1,0 +1,5 @@
+"""Controllers that simulate what lies ahead; importing this package registers ``mpc``."""
+
+from flipperctl.lookahead.mpc import Mpc
+
+__all__ = ["Mpc"]

@@ -1,0 +1,281 @@
+"""The dynamics of the prediction model as machine code: a rigid robot with ideal servos.
+
+The flippers follow their targets at their full rate whatever the load, so that the robot is one
+rigid body whose shape changes: three degrees of freedom instead of nine, and no joints to solve.
+Contacts are those of the engine: round ends and edges, friction, and belts that drive along the
+outline. One decision costs about a tenth of the engine's.
+
+The state of a robot is 10 numbers: x, z [m] of the centre of mass, pitch [rad], their rates, the
+angles of the front and the rear flippers in frame R [rad], and their targets.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from flipperctl.api import FloatArray
+from flipperctl.sim.jit import cached
+
+STATE = 10
+"""Length of a state."""
+MOST = 24
+"""Largest number of simultaneous contacts."""
+
+# Indices into the array of the model's numbers, see ``Model``.
+HINGE, AXLE, RADIUS, CHASSIS, FLIPPER, TURN_CHASSIS, TURN_FLIPPER, SPEED, RATE = range(9)
+GRAVITY, FRICTION, STEP, ITERATIONS, OVERTURN = range(9, 14)
+NUMBERS = 14
+
+_MARGIN = 0.02
+"""Gap below which a contact is watched [m]."""
+_SLOP = 0.0005
+"""Overlap that is left alone [m]."""
+_PUSH = 0.3
+"""Largest speed at which an overlap is pushed apart [m/s]."""
+
+
+@cached(njit)
+def mass_centre(front: float, rear: float, k: FloatArray) -> tuple[float, float, float]:
+    """Return the centre of mass in the chassis' frame, x and z [m], and the inertia [kg m²]."""
+    fx, fz = k[HINGE] + 0.5 * k[AXLE] * math.cos(front), 0.5 * k[AXLE] * math.sin(front)
+    bx, bz = -k[HINGE] - 0.5 * k[AXLE] * math.cos(rear), 0.5 * k[AXLE] * math.sin(rear)
+    mass = k[CHASSIS] + 2 * k[FLIPPER]
+    x, z = k[FLIPPER] * (fx + bx) / mass, k[FLIPPER] * (fz + bz) / mass
+    inertia = k[TURN_CHASSIS] + k[CHASSIS] * (x * x + z * z) + 2 * k[TURN_FLIPPER]
+    inertia += k[FLIPPER] * ((fx - x) ** 2 + (fz - z) ** 2 + (bx - x) ** 2 + (bz - z) ** 2)
+    return x, z, inertia
+
+
+@cached(njit)
+def _add(
+    contacts: FloatArray,
+    count: int,
+    x: float,
+    z: float,
+    nx: float,
+    nz: float,
+    gap: float,
+    part: int,
+) -> int:
+    if count < MOST:
+        row = contacts[count]
+        row[0], row[1], row[2], row[3], row[4], row[5] = x, z, nx, nz, gap, part
+        row[6] = row[7] = 0.0
+        return count + 1
+    return count
+
+
+@cached(njit)
+def touches(
+    ground: FloatArray,
+    ax: float,
+    az: float,
+    bx: float,
+    bz: float,
+    radius: float,
+    reach: float,
+    part: int,
+    contacts: FloatArray,
+    count: int,
+) -> int:
+    """Append the contacts of a capsule's axis from a to b; return their number.
+
+    ``ground``: (V, 5): x, z [m] of a point, and normal and length of the edge that begins there.
+    A row of ``contacts`` is x, z [m] on the ground, the normal from ground to robot, the gap [m],
+    the part, and the impulses along normal and tangent.
+    """
+    low, high = min(ax, bx) - reach, max(ax, bx) + reach
+    first, last = 0, len(ground)
+    while first < last:  # first point at or past the lower end
+        middle = (first + last) // 2
+        if ground[middle, 0] < low:
+            first = middle + 1
+        else:
+            last = middle
+    ux, uz = bx - ax, bz - az
+    along = ux * ux + uz * uz
+    for i in range(max(0, first - 1), len(ground)):
+        x, z = ground[i, 0], ground[i, 1]
+        if i >= first and x <= high:  # a point of the ground against the axis
+            share = ((x - ax) * ux + (z - az) * uz) / along
+            share = min(1.0, max(0.0, share))
+            dx, dz = ax + share * ux - x, az + share * uz - z
+            distance = math.hypot(dx, dz)
+            if 1e-9 < distance < reach:
+                count = _add(
+                    contacts, count, x, z, dx / distance, dz / distance, distance - radius, part
+                )
+        if i + 1 < len(ground):  # both ends of the axis against the edge
+            nx, nz, length = ground[i, 2], ground[i, 3], ground[i, 4]
+            for end in range(2):
+                px, pz = (ax, az) if end == 0 else (bx, bz)
+                height = (px - x) * nx + (pz - z) * nz
+                if 0.0 <= height < reach:
+                    share = (px - x) * nz - (pz - z) * nx
+                    if 0.0 < share < length:
+                        count = _add(
+                            contacts,
+                            count,
+                            px - height * nx,
+                            pz - height * nz,
+                            nx,
+                            nz,
+                            height - radius,
+                            part,
+                        )
+        if x > high:
+            break
+    return count
+
+
+@cached(njit)
+def _solve(
+    contacts: FloatArray,
+    count: int,
+    motion: FloatArray,
+    centre_x: float,
+    centre_z: float,
+    mass: float,
+    inertia: float,
+    extra: FloatArray,
+    k: FloatArray,
+) -> None:
+    """Change the motion (vx, vz, turn) so that every contact holds, by sequential impulses.
+
+    ``extra`` (3, 4): velocity (x, z) that each part has by the flippers' turn at its hinge, the
+    hinge being the last two numbers with the rate in the row of the part.
+    """
+    dt = k[STEP]
+    for _ in range(int(k[ITERATIONS])):
+        for c in range(count):
+            row = contacts[c]
+            rx, rz = row[0] - centre_x, row[1] - centre_z
+            nx, nz = row[2], row[3]
+            part = extra[int(row[5])]
+            ox = part[0] - part[2] * (row[1] - part[4])
+            oz = part[1] + part[2] * (row[0] - part[3])
+            # Normal: approach no faster than the gap closes in this step.
+            arm = rx * nz - rz * nx
+            vx, vz = motion[0] - motion[2] * rz + ox, motion[1] + motion[2] * rx + oz
+            bias = row[4] / dt if row[4] > 0 else -min(_PUSH, 0.2 / dt * max(0.0, -row[4] - _SLOP))
+            impulse = -(vx * nx + vz * nz + bias) / (1 / mass + arm * arm / inertia)
+            whole = max(0.0, row[6] + impulse)
+            impulse, row[6] = whole - row[6], whole
+            motion[0] += impulse * nx / mass
+            motion[1] += impulse * nz / mass
+            motion[2] += impulse * arm / inertia
+            # Friction: the belt pulls the robot along the tangent at its speed.
+            tx, tz = nz, -nx
+            arm = rx * tz - rz * tx
+            vx, vz = motion[0] - motion[2] * rz + ox, motion[1] + motion[2] * rx + oz
+            impulse = (k[SPEED] - vx * tx - vz * tz) / (1 / mass + arm * arm / inertia)
+            most = k[FRICTION] * row[6]
+            whole = min(most, max(-most, row[7] + impulse))
+            impulse, row[7] = whole - row[7], whole
+            motion[0] += impulse * tx / mass
+            motion[1] += impulse * tz / mass
+            motion[2] += impulse * arm / inertia
+
+
+@cached(njit)
+def advance(
+    state: FloatArray,
+    steps: int,
+    ground: FloatArray,
+    k: FloatArray,
+    contacts: FloatArray,
+    extra: FloatArray,
+    motion: FloatArray,
+) -> tuple[float, float]:
+    """Simulate ``steps`` steps in place; return the swing and the largest |pitch| [rad]."""
+    dt, mass = k[STEP], k[CHASSIS] + 2 * k[FLIPPER]
+    reach = k[RADIUS] + _MARGIN
+    swing, steep = 0.0, 0.0
+    for _ in range(steps):
+        old_front, old_rear = state[6], state[7]
+        most = k[RATE] * dt
+        state[6] += min(most, max(-most, state[8] - old_front))
+        state[7] += min(most, max(-most, state[9] - old_rear))
+        front_rate, rear_rate = (state[6] - old_front) / dt, (state[7] - old_rear) / dt
+        was_x, was_z, _ = mass_centre(old_front, old_rear, k)
+        gx, gz, inertia = mass_centre(state[6], state[7], k)
+        cos, sin = math.cos(state[2]), math.sin(state[2])
+        sx, sz = -(gx - was_x) / dt, -(gz - was_z) / dt  # the chassis' shift against the centre
+        shift_x, shift_z = cos * sx - sin * sz, sin * sx + cos * sz
+        # The chassis centre, the hinges and the tips.
+        x, z = state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
+        hx, hz = cos * k[HINGE], sin * k[HINGE]
+        angle_f, angle_r = state[2] + state[6], state[2] - state[7]
+        tip_fx, tip_fz = k[AXLE] * math.cos(angle_f), k[AXLE] * math.sin(angle_f)
+        tip_rx, tip_rz = -k[AXLE] * math.cos(angle_r), -k[AXLE] * math.sin(angle_r)
+        count = touches(ground, x - hx, z - hz, x + hx, z + hz, k[RADIUS], reach, 0, contacts, 0)
+        count = touches(
+            ground,
+            x + hx,
+            z + hz,
+            x + hx + tip_fx,
+            z + hz + tip_fz,
+            k[RADIUS],
+            reach,
+            1,
+            contacts,
+            count,
+        )
+        count = touches(
+            ground,
+            x - hx,
+            z - hz,
+            x - hx + tip_rx,
+            z - hz + tip_rz,
+            k[RADIUS],
+            reach,
+            2,
+            contacts,
+            count,
+        )
+        extra[:, 0], extra[:, 1] = shift_x, shift_z
+        extra[0, 2], extra[1, 2], extra[2, 2] = 0.0, front_rate, -rear_rate
+        extra[1, 3], extra[1, 4], extra[2, 3], extra[2, 4] = x + hx, z + hz, x - hx, z - hz
+        motion[0], motion[1], motion[2] = state[3], state[4] - k[GRAVITY] * dt, state[5]
+        _solve(contacts, count, motion, state[0], state[1], mass, inertia, extra, k)
+        state[3], state[4], state[5] = motion[0], motion[1], motion[2]
+        state[0] += motion[0] * dt
+        state[1] += motion[1] * dt
+        state[2] += motion[2] * dt
+        swing += abs(motion[2] * dt)
+        steep = max(steep, abs(state[2]))
+        if steep >= k[OVERTURN]:
+            break
+    return swing, steep
+
+
+@cached(njit)
+def chassis(state: FloatArray, k: FloatArray) -> tuple[float, float]:
+    """Return x and z of the chassis centre [m]."""
+    gx, gz, _ = mass_centre(state[6], state[7], k)
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    return state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
+
+
+@cached(njit)
+def expand(
+    states: FloatArray,
+    targets: FloatArray,
+    steps: int,
+    ground: FloatArray,
+    k: FloatArray,
+    found: FloatArray,
+    place: FloatArray,
+    swing: FloatArray,
+    steep: FloatArray,
+) -> None:
+    """Simulate one decision from each state, (M, ``STATE``), towards its targets, (M, 2)."""
+    contacts, extra, motion = np.empty((MOST, 8)), np.zeros((3, 5)), np.empty(3)
+    for row in range(len(states)):
+        found[row] = states[row]
+        found[row, 8], found[row, 9] = targets[row, 0], targets[row, 1]
+        swing[row], steep[row] = advance(found[row], steps, ground, k, contacts, extra, motion)
+        place[row, 0], place[row, 1] = chassis(found[row], k)

@@ -1,0 +1,121 @@
+"""The prediction model on one piece of ground: many decisions from many states.
+
+In: a polyline of the ground, a robot, and states. Out: the states after a decision, and how much
+the chassis swung.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Robot
+from flipperctl.lookahead import dynamics
+from flipperctl.lookahead.dynamics import STATE
+
+FLIPPERS, TARGETS = 6, 8
+"""Index in a state of the flippers' angles, and of their targets."""
+_LEVEL_GROUND = 20.0  # length of the level ground on both sides of what is known [m]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Results of one decision from each of M states."""
+
+    states: FloatArray
+    """States after the decision, (M, ``STATE``)."""
+    places: FloatArray
+    """x and z of the chassis centre after the decision, (M, 2) [m]."""
+    swing: FloatArray
+    """Sum of the absolute pitch changes from step to step, (M,) [rad]."""
+    steepest: FloatArray
+    """Largest absolute pitch of the steps, (M,) [rad]."""
+
+
+class Model:
+    """A robot on a polyline."""
+
+    def __init__(
+        self,
+        line: FloatArray,
+        robot: Robot,
+        friction: float = 1.0,
+        step: float = 0.02,
+        iterations: int = 10,
+        overturn: float = math.pi / 3,
+        gravity: float = 9.81,
+    ) -> None:
+        """Put level ground on both sides of ``line``, (V, 2) with x never decreasing [m]."""
+        self.overturn = overturn
+        self._ground = _edges(line)
+        axle = robot.flipper_axle
+        k = np.zeros(dynamics.NUMBERS)
+        k[dynamics.HINGE], k[dynamics.AXLE] = robot.hinge_offset, axle
+        k[dynamics.RADIUS] = robot.track_radius
+        k[dynamics.CHASSIS], k[dynamics.FLIPPER] = robot.chassis_mass, robot.flipper_mass
+        k[dynamics.TURN_CHASSIS] = _inertia(
+            robot.chassis_mass, 2 * robot.hinge_offset, robot.track_radius
+        )
+        k[dynamics.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
+        k[dynamics.SPEED], k[dynamics.RATE] = robot.track_speed, robot.flipper_speed
+        k[dynamics.GRAVITY], k[dynamics.FRICTION] = gravity, friction
+        k[dynamics.STEP], k[dynamics.ITERATIONS] = step, iterations
+        k[dynamics.OVERTURN] = overturn
+        self._numbers = k
+        self._step = step
+
+    def state(
+        self,
+        pose: tuple[float, float, float],
+        flippers: tuple[float, float],
+        rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> FloatArray:
+        """Return the state, (``STATE``,), of a robot whose flippers are at their targets.
+
+        ``pose``: x, z [m] of the chassis centre and pitch; ``rates``: their rates of change.
+        ``flippers``: angles of front and rear in frame R [rad].
+        """
+        x, z, pitch = pose
+        gx, gz, _ = dynamics.mass_centre(*flippers, self._numbers)
+        dx = math.cos(pitch) * gx - math.sin(pitch) * gz
+        dz = math.sin(pitch) * gx + math.cos(pitch) * gz
+        vx, vz, turn = rates
+        motion = (vx - turn * dz, vz + turn * dx, turn)
+        return np.array([x + dx, z + dz, pitch, *motion, *flippers, *flippers])
+
+    def chassis(self, state: FloatArray) -> tuple[float, float]:
+        """Return x and z of the chassis centre [m]."""
+        x, z = dynamics.chassis(state, self._numbers)
+        return float(x), float(z)
+
+    def expand(self, states: FloatArray, targets: FloatArray, duration: float) -> Branch:
+        """Simulate ``duration`` [s] from each state, (M, ``STATE``); ``targets`` are (M, 2)."""
+        count = len(states)
+        found, place = np.empty((count, STATE)), np.empty((count, 2))
+        swing, steepest = np.empty(count), np.empty(count)
+        steps = math.ceil(duration / self._step - 1e-9)
+        dynamics.expand(
+            *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
+            *(self._ground, self._numbers, found, place, swing, steepest),
+        )
+        return Branch(found, place, swing, steepest)
+
+
+def _inertia(mass: float, axle: float, radius: float) -> float:
+    """Return the moment of inertia of a capsule's bounding box, as the engine takes it [kg m²]."""
+    length, width = axle + 2 * radius, 2 * radius
+    return mass * (length * length + width * width) / 12
+
+
+def _edges(line: FloatArray) -> FloatArray:
+    """Return points with the normals and lengths of the edges that begin there, (V, 5)."""
+    points = np.vstack([line[0] - (_LEVEL_GROUND, 0.0), line, line[-1] + (_LEVEL_GROUND, 0.0)])
+    distinct = np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])
+    points = points[distinct]
+    step = np.diff(points, axis=0)
+    length = np.hypot(*step.T)
+    normals = np.column_stack([-step[:, 1], step[:, 0]]) / length[:, None]
+    edges = np.column_stack([normals, length])
+    return np.column_stack([points, np.vstack([edges, [0.0, 1.0, 0.0]])])

@@ -1,0 +1,156 @@
+"""The policy of ``mpc``: it perceives, plans, and takes the first action of its plan.
+
+In: perceptions alone. Out: actions. It simulates a nominal robot on the ground that it has
+perceived.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flipperctl.api import (
+    ACTIONS,
+    FloatArray,
+    Perception,
+    Robot,
+    RobotGeometry,
+    Simulator,
+)
+from flipperctl.lookahead.ground_map import GroundMap
+from flipperctl.lookahead.model import TARGETS, Model
+from flipperctl.lookahead.search import HOLD, Plan, Search
+
+if TYPE_CHECKING:
+    from flipperctl.lookahead.mpc import Mpc
+
+_CLOSE = 0.05
+"""Gap or overlap between robot and sensed ground up to which they are taken to touch [m]."""
+_AS_EXPECTED = np.array([0.04, 0.04, 0.05])
+"""Difference of x, z [m] and pitch [rad] up to which a prediction's velocities are believed."""
+
+
+class MpcPolicy:
+    """Plans anew at each decision; remembers the map, its flippers' targets and its last plan."""
+
+    def __init__(self, settings: Mpc) -> None:
+        self._settings = settings
+        self._forget()
+
+    def _forget(self) -> None:
+        self._map = GroundMap(self._settings.memory)
+        self._targets: FloatArray | None = None
+        self._plan: Plan | None = None
+        self._hurried = False
+
+    def reset(self, simulator: Simulator) -> None:
+        """Forget the last episode; the simulator of the scene is not used."""
+        self._forget()
+
+    def act(self, p: Perception) -> int:
+        """Return the first action of the best plan from here."""
+        settings = self._settings
+        begun = time.perf_counter()
+        deadline = begun + settings.time_limit if settings.time_limit else math.inf
+        robot = nominal(p.robot)
+        model, root = self._scene(p, robot)
+        plan = self._search(model, root, robot, deadline)
+        action = plan.actions[0] if plan.actions else HOLD
+        self._plan = plan
+        turned = root[TARGETS:] + np.array(ACTIONS[action]) * robot.angle_step
+        self._targets = np.clip(turned, -robot.angle_limit, robot.angle_limit)
+        return action
+
+    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search with the normal prices, and wider and in a hurry if that plan gets stuck."""
+        settings, former = self._settings, self._plan.actions[1:] if self._plan else ()
+        calm = Search(robot, settings.prices(), settings.beam, settings.horizon)
+        width = round(settings.wider * settings.beam)
+        wide = Search(robot, settings.prices(hurry=True), width, settings.horizon)
+        plan = None
+        if not self._hurried:
+            plan = calm.run(model, root, former, deadline)
+            self._hurried = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
+        if self._hurried and time.perf_counter() < deadline:
+            plan = wide.run(model, root, former, deadline)
+            self._hurried = plan.late > settings.stuck_from / 2
+        assert plan is not None
+        return plan
+
+    def _scene(self, p: Perception, robot: Robot) -> tuple[Model, FloatArray]:
+        """Return the nominal robot's simulation on the perceived ground, and its present state."""
+        settings = self._settings
+        line, motion = self._perceive(p, robot)
+        model = Model(
+            line,
+            robot,
+            friction=settings.friction,
+            step=settings.step,
+            iterations=settings.iterations,
+            overturn=settings.overturn,
+        )
+        speed = robot.track_speed
+        pose = (0.0, _touching(line, p, robot), p.pitch)
+        rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
+        root = model.state(pose, (p.front, p.rear), rates)
+        if self._plan is not None and self._plan.actions:
+            before, expected = self._plan.states[:2]
+            moved = expected[:3] - (before[0], before[1], 0.0)
+            if (np.abs(moved - (*motion, p.pitch)) < _AS_EXPECTED).all():
+                root[3:6] = expected[3:6]
+        angles = np.array([p.front, p.rear])
+        if self._targets is not None:
+            blocked = np.abs(self._targets - angles) > robot.angle_step
+            angles = np.where(blocked, angles, self._targets)
+        root[TARGETS:] = angles
+        if settings.latency:
+            root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
+        return model, root
+
+    def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
+        """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""
+        guess = (0.0, 0.0)
+        if self._plan is not None and self._plan.actions:
+            before, expected = self._plan.states[:2]
+            guess = float(expected[0] - before[0]), float(expected[1] - before[1])
+        motion = self._map.add(p.points, guess)
+        line = self._map.line()
+        if not len(line):  # nothing is perceived: level ground under the tracks
+            line = np.array([[0.0, -robot.track_radius]])
+        return line, motion
+
+
+def nominal(geometry: RobotGeometry) -> Robot:
+    """Return a robot of this geometry with the masses and speeds that are known of it."""
+    if isinstance(geometry, Robot):
+        return geometry
+    return Robot(**geometry.model_dump())
+
+
+def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
+    """Return the height of the chassis centre in frame L at which the robot touches the ground [m].
+
+    It is 0 if the ground is farther away than noise and bias explain.
+    """
+    hinge, axle = robot.hinge_offset, robot.flipper_axle
+    front, rear = p.pitch + p.front, p.pitch - p.rear
+    here = np.array([math.cos(p.pitch), math.sin(p.pitch)])
+    ends = (
+        (-hinge * here, hinge * here),
+        (hinge * here, hinge * here + (axle * math.cos(front), axle * math.sin(front))),
+        (-hinge * here, -hinge * here - (axle * math.cos(rear), axle * math.sin(rear))),
+    )
+    along = np.linspace(0.0, 1.0, 12)[:, None]
+    axes = [a + along * (b - a) for a, b in ends]
+    at = np.concatenate(axes)  # (36, 2) [m]
+    low, high = at[:, 0].min() - 0.2, at[:, 0].max() + 0.2
+    x = np.union1d(np.arange(low, high, 0.01), line[(line[:, 0] > low) & (line[:, 0] < high), 0])
+    z = np.interp(x, line[:, 0], line[:, 1])
+    away = at[:, :1] - x
+    reach = robot.track_radius**2 - away**2
+    needed = np.where(reach > 0, z + np.sqrt(np.maximum(reach, 0.0)), -np.inf).max(axis=1)
+    lift = float((needed - at[:, 1]).max())
+    return lift if abs(lift) < _CLOSE else 0.0
