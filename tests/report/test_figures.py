@@ -43,7 +43,7 @@ def rows(episodes: int) -> list[dict[str, str]]:
             "decision": str(40 * i),
             "outcome": "reached" if i % 2 else "stuck",
             "return": "-3.5",
-            "pitch_variation": "2.5",
+            "pitch_variation_100hz": "2.5",
             "epsilon": "0.5",
             "loss": "" if i < 3 else "0.1",
         }
