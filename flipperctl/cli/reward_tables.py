@@ -5,6 +5,7 @@ In: a ranking for each scene. Out: a table with a row per policy, and lines of t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from rich.markup import escape
@@ -14,7 +15,6 @@ from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.evaluation.ranking import (
     FEWEST_DRAWS,
     Contradiction,
-    RewardRanking,
     SceneRanking,
     Verdict,
 )
@@ -29,12 +29,12 @@ def table(scenes: Sequence[SceneRanking]) -> Table:
     headings = ("terrain", "draws", "policy", "success", HEADING, PAPERS_HEADING, "t_cost [s]")
     for heading in (*headings, *(f"return, {label}" for label in labels)):
         found.add_column(escape(heading))
-    for scene in scenes:
+    for name, scene in _named(scenes):
         returns = {ranking.rewards: ranking.returns for ranking in scene.rankings}
         for at, (label, policy) in enumerate(scene.policies.items()):
             first = at == 0
             found.add_row(
-                scene.terrain if first else "",
+                name if first else "",
                 f"{scene.common} of {scene.episodes}" if first else "",
                 escape(label),
                 f"{policy.success_rate:.1%}",
@@ -50,25 +50,29 @@ def table(scenes: Sequence[SceneRanking]) -> Table:
 def verdict_lines(scenes: Sequence[SceneRanking]) -> Iterator[str]:
     """Yield a line for each contradiction, and then the verdict on each set of reward terms."""
     verdicts: dict[str, dict[Verdict, list[str]]] = {}
-    for scene in scenes:
+    for name, scene in _named(scenes):
         for ranking in scene.rankings:
-            verdicts.setdefault(ranking.rewards, {}).setdefault(ranking.verdict, []).append(
-                scene.terrain
-            )
-            yield from _contradiction_lines(scene, ranking)
-    for label, found in verdicts.items():
+            verdicts.setdefault(ranking.rewards, {}).setdefault(ranking.verdict, []).append(name)
+            for found in ranking.contradictions:
+                yield f"{ranking.rewards} on {name}: {_describe(found)}"
+    for label, scenes_by_verdict in verdicts.items():
         words = {
             Verdict.CONTRADICTS: "CONTRADICTS θ̂_R on",
             Verdict.AGREES: "agrees with θ̂_R on",
             Verdict.UNDECIDED: f"undecided (fewer than {FEWEST_DRAWS} common draws) on",
         }
-        parts = [f"{words[v]} {', '.join(found[v])}" for v in words if v in found]
+        parts = [
+            f"{words[v]} {', '.join(named)}" for v in words if (named := scenes_by_verdict.get(v))
+        ]
         yield f"{label}: {'; '.join(parts)}"
 
 
-def _contradiction_lines(scene: SceneRanking, ranking: RewardRanking) -> Iterator[str]:
-    for found in ranking.contradictions:
-        yield f"{ranking.rewards} on {scene.terrain}: {_describe(found)}"
+def _named(scenes: Sequence[SceneRanking]) -> Iterator[tuple[str, SceneRanking]]:
+    """Yield each scene and its terrain, with the conditions' hash if the terrain has several."""
+    counts = Counter(scene.terrain for scene in scenes)
+    for scene in scenes:
+        alone = counts[scene.terrain] == 1
+        yield scene.terrain if alone else f"{scene.terrain} {scene.conditions.hash}", scene
 
 
 def _describe(found: Contradiction) -> str:
