@@ -23,7 +23,7 @@ from flipperctl.evaluation.compare_rewards import Rewards, RewardScene
 from flipperctl.messages import close_match
 from flipperctl.policies.source import PolicySource
 
-_REWARD_KEY = re.compile(r"[+~]*(rewards(\.|$)|reward@)")
+_REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
 """Preset of ``configs/eval.yaml``."""
 
