@@ -24,7 +24,7 @@ def verdicts(scene: dict[str, Any]) -> dict[str, str]:
 
 def test_the_presets_pay_the_smooth_way_and_the_earlier_weights_did_not(tmp_path: Path) -> None:
     # Over a ramp the planner swings less than the rule and turns the flippers for it.
-    fast = ["controller.width=2", "controller.stretch=0.24"]
+    fast = ["controller.width=1", "controller.stretch=0.24"]
     ramp = ["terrain=ramp", "terrain.slope_low=20", "terrain.slope_high=25"]
     sets = ["rewards=tuned,smooth", "rewards.travel.weight=0.02,0.3"]
     (scene,) = compare("okada,planner", *ramp, *fast, *sets, cwd=tmp_path)
