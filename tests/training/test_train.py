@@ -135,6 +135,7 @@ def validation(success: float, at_decisions: float, at_100_hz: float | None) -> 
 
 def test_best_is_chosen_by_success_then_by_pitch_variation_at_100_hz() -> None:
     validator = Validator.__new__(Validator)
+    validator.history = []
     rocking, calm = validation(1.0, 1.0, 1.5), validation(1.0, 1.2, 1.3)
     validator.restore([validation(0.9, 0.1, 0.2), rocking, calm], "pitch_variation_100hz")
     assert validator.best == calm
