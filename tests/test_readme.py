@@ -59,7 +59,7 @@ def smaller(command: list[str]) -> list[str]:
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
         return [*command, "--small"]
-    if command[0] == "eval":
+    if command[0] == "eval" or "--compare" in command:
         return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
     return command
 

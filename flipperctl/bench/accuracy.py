@@ -5,6 +5,7 @@ The same controller crosses the same scene from several starts at each substep.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from flipperctl.api import SAMPLE_PERIOD
@@ -12,14 +13,16 @@ from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import episode_seed
 from flipperctl.sim.planar import planar
 
 ABOUT = (
-    "θ̂_R of a rule on the paper's scenes, from several starts, by substep; ratios against a "
-    "quarter of the configured substep"
+    "θ̂_R of a rule at 100 Hz and at decisions on the paper's scenes, from several starts, by "
+    "substep; ratios against a quarter of the configured substep"
 )
+MEASURES = {"100hz.": "pitch_variation_100hz", "": "pitch_variation"}
+"""θ̂_R at 100 Hz and at decisions: a part of a quantity's name, and the measure."""
 SCENES = ("paper_step", "paper_stair")
 FACTORS = (2.0, 1.0, 0.5, 0.25)
 """Substeps as multiples of the configured one [-]; the last one is the reference."""
@@ -31,30 +34,33 @@ def measure(bench: Bench) -> dict[str, Any]:
     substeps = [f * planar(bench.config.sim).substep for f in FACTORS]
     substeps = [step for step in substeps if step <= SAMPLE_PERIOD * (1 + 1e-9)]
     runs = [(scene, step) for scene in SCENES for step in substeps]
-    found: dict[tuple[str, float], list[float | None]] = {}
+    found: dict[tuple[str, float], list[Row]] = {}
     for index, (scene, step) in enumerate(runs):
         bench.report_progress(f"{scene} at {1e3 * step:g} ms", index / len(runs))
-        found[scene, step] = variations(bench, scene, step)
-    names = {(scene, step): f"{scene}.{1e3 * step:g}ms" for scene, step in runs}
-    finest = substeps[-1]
-    return {
-        "about": ABOUT,
-        "quantities": {names[run]: quantity(values, "rad") for run, values in found.items()},
-        "ratios": {
-            f"{names[scene, step]} / {names[scene, finest]}": ratio(values, found[scene, finest])
-            for (scene, step), values in found.items()
-            if step != finest
-        },
-        "missing": [],
-    }
+        found[scene, step] = _play(bench, scene, step)
+    quantities: dict[str, Any] = {}
+    ratios: dict[str, Any] = {}
+    for prefix, key in MEASURES.items():
+        names = {run: f"{run[0]}.{prefix}{1e3 * run[1]:g}ms" for run in runs}
+        values = {run: _variations(rows, key) for run, rows in found.items()}
+        quantities |= {names[run]: quantity(values[run], "rad") for run in runs}
+        for scene, step in runs:
+            if step != (finest := substeps[-1]):
+                name = f"{names[scene, step]} / {names[scene, finest]}"
+                ratios[name] = ratio(values[scene, step], values[scene, finest])
+    return {"about": ABOUT, "quantities": quantities, "ratios": ratios, "missing": []}
 
 
-def variations(bench: Bench, scene: str, substep: float) -> list[float | None]:
-    """Return θ̂_R of each start [rad]; None where the finish was not reached."""
+def _play(bench: Bench, scene: str, substep: float) -> list[Row]:
+    """Play an episode from each start."""
     changes = {"terrain": scene, "sim.substep": substep}
     env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))
     policy = resolver.create("controller", bench.settings.controller, "bench.controller").build()
     s = bench.settings
     seeds = (episode_seed("evaluation", s.seed, index) for index in range(s.starts))
-    rows = [play(env, policy, seed) for seed in seeds]
-    return [r["pitch_variation"] if r["outcome"] == "reached" else None for r in rows]
+    return [play(env, policy, seed) for seed in seeds]
+
+
+def _variations(rows: Sequence[Row], key: str) -> list[float | None]:
+    """Return θ̂_R of each start [rad]; None where the finish was not reached."""
+    return [row[key] if row["outcome"] == "reached" else None for row in rows]

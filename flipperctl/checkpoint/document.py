@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -19,9 +19,13 @@ FORMAT: Final = 2
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
+SwingMeasure = Literal["pitch_variation_100hz", "pitch_variation"]
+"""The θ̂_R by which validations of equal success are ordered: at 100 Hz, or at decisions as in runs
+that began with an earlier version."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error
+NonNegative = Annotated[float, Field(ge=0)]
 Word128 = Annotated[int, Field(ge=0, lt=2**128)]
 
 
@@ -71,8 +75,22 @@ class Validation(_Record):
     __pydantic_extra__: dict[str, float]
     decision: Count
     success_rate: Fraction
-    t_cost: Annotated[float, Field(ge=0)]
-    pitch_variation: Annotated[float, Field(ge=0)]
+    t_cost: NonNegative
+    pitch_variation: NonNegative
+    """θ̂_R at decisions [rad]."""
+    pitch_variation_100hz: NonNegative | None = None
+    """θ̂_R at 100 Hz [rad]; None in a run of an earlier version that did not record it."""
+
+    @property
+    def swing(self) -> float:
+        """θ̂_R at 100 Hz, or at decisions where that is all that is known [rad]."""
+        known = self.pitch_variation_100hz
+        return self.pitch_variation if known is None else known
+
+    def score(self, measure: SwingMeasure) -> tuple[float, float]:
+        """Return what the best validation maximises: the success rate, then the negated θ̂_R."""
+        at_decisions = measure == "pitch_variation"
+        return self.success_rate, -(self.pitch_variation if at_decisions else self.swing)
 
 
 class RequestState(_Record):
@@ -118,6 +136,8 @@ class State(_Record):
     loss: float
     recent: Annotated[tuple[bool, ...], Field(max_length=RECENT)]
     validations: tuple[Validation, ...]
+    best_by: SwingMeasure = "pitch_variation"
+    """θ̂_R by which the run chooses its best policy; earlier versions did not write it."""
     started: Count
     lost: Count
     updates: Count
@@ -126,6 +146,18 @@ class State(_Record):
     """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
     generators: Generators
+
+    @property
+    def best(self) -> Validation | None:
+        """Best validation so far."""
+        return max(self.validations, key=lambda v: v.score(self.best_by), default=None)
+
+    @model_validator(mode="after")
+    def _validations_are_comparable(self) -> Self:
+        for at, validation in enumerate(self.validations):
+            if getattr(validation, self.best_by) is None:
+                raise ValueError(f"validations.{at} lacks {self.best_by}, which best_by names")
+        return self
 
     @model_validator(mode="after")
     def _counts_agree(self) -> State:

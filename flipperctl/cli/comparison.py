@@ -14,6 +14,7 @@ from typing import Any
 
 from hydra.core.utils import JobReturn
 
+from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.cli.training import quote_path
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import write_bytes
@@ -46,7 +47,7 @@ class SweepRun:
     def row(self) -> dict[str, Any]:
         """Return the row of ``sweep.csv``; the measures are those of the best validation."""
         best = self.summary.get("best") or {}
-        measures = ("success_rate", "pitch_variation", "t_cost")
+        measures = ("success_rate", "pitch_variation_100hz", "pitch_variation", "t_cost")
         return {
             "job": self.job,
             **self.swept,
@@ -115,7 +116,7 @@ def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
     table = Table(title=f"{quote_path(folder)}: {len(runs)} runs", title_justify="left")
     for key in keys:
         table.add_column(escape(key))
-    for heading in ("success", "θ̂_R [rad]", "t_cost [s]", "decisions", "seconds"):
+    for heading in ("success", HEADING, PAPERS_HEADING, "t_cost [s]", "decisions", "seconds"):
         table.add_column(escape(heading), justify="right")
     table.add_column("folder", overflow="fold")
     for run in runs[:_ROWS]:
@@ -123,6 +124,7 @@ def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
         table.add_row(
             *(escape(run.swept.get(key, "")) for key in keys),
             _number(row["success_rate"], ".1%"),
+            _number(row["pitch_variation_100hz"], ".3f"),
             _number(row["pitch_variation"], ".3f"),
             _number(row["t_cost"], ".1f"),
             _number(row["decisions"], "d"),

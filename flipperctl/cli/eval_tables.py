@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from rich.markup import escape
 from rich.table import Table
 
+from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.env.measures import Measure
 from flipperctl.evaluation.episode import further_measures
 from flipperctl.evaluation.results import (
@@ -28,9 +29,9 @@ def table(result: EvaluationResult) -> Table:
     found = Table(title=result.controller, title_justify="left")
     passable = any(scene.summary.passable for scene in result.scenes)
     success = ["success", *(["passable", "of these"] if passable else [])]
-    for heading in ("terrain", "episodes", *success, "outcomes", "t_cost [s]"):
+    for heading in ("terrain", "episodes", *success, "outcomes", HEADING, PAPERS_HEADING):
         found.add_column(escape(heading))
-    for heading in ("θ̂_R [rad]", "θ̂_R 100 Hz [rad]", "largest pitch [rad]", "flipper travel [rad]"):
+    for heading in ("t_cost [s]", "largest pitch [rad]", "flipper travel [rad]"):
         found.add_column(escape(heading))
     for measure in _further():
         found.add_column(escape(measure.heading))
@@ -52,7 +53,8 @@ def comparison(result: EvaluationResult) -> Table:
     baseline = compared[0][1].controller
     title = f"difference to {baseline} on the same episodes, where both reached the finish"
     found = Table(title=title, title_justify="left")
-    for heading in ("terrain", "pairs", f"{baseline}: success", "Δ t_cost [s]", "Δ θ̂_R [rad]"):
+    swings = (f"Δ {HEADING}", f"Δ {PAPERS_HEADING}")
+    for heading in ("terrain", "pairs", f"{baseline}: success", *swings, "Δ t_cost [s]"):
         found.add_column(escape(heading))
     for name, other in compared:
         found.add_row(*_difference_cells(name, other.summary, other.difference))
@@ -79,9 +81,9 @@ def _cells(name: str, summary: Summary) -> list[str]:
         _format_interval(summary.success, 3),
         *([str(fair.episodes), _format_interval(fair.success, 3)] if fair else []),
         " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count),
-        _format_interval(summary.t_cost, 1),
-        _format_interval(summary.pitch_variation),
         _format_interval(summary.pitch_variation_100hz),
+        _format_interval(summary.pitch_variation),
+        _format_interval(summary.t_cost, 1),
         _format_interval(summary.max_pitch),
         _format_interval(summary.flipper_travel),
         *(
@@ -97,13 +99,14 @@ def _further() -> list[type[Measure]]:
 
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
-    pairs = difference.pitch_variation
+    pairs = difference.pitch_variation_100hz
     return [
         name,
         str(pairs.episodes if pairs else 0),
         _format_interval(other.success, 3),
-        _format_interval(difference.t_cost, 1),
         _format_interval(pairs),
+        _format_interval(difference.pitch_variation),
+        _format_interval(difference.t_cost, 1),
     ]
 
 

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 
 _FAILED = "failed"  # marks a trial whose training failed; Optuna's FAIL also marks interrupted ones
 
+_MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
+"""Name and value of a study's attribute: the θ̂_R in its objective; earlier versions wrote none."""
+
 
 def prepare(
     sweeper_settings: Mapping[str, Any],
@@ -143,7 +146,14 @@ class OptunaSearch:
                 f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
                 f"{' '.join(searched)}; give the same overrides, or another study_name"
             )
+        if study.user_attrs.get(_MEASURE) != _AT_100_HZ and _finished(study):
+            raise ConfigError(
+                f"hydra.sweeper.study_name: the trials of the study {name!r} in {storage} are "
+                "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
+                "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
+            )
         study.set_user_attr("overrides", asked)
+        study.set_user_attr(_MEASURE, _AT_100_HZ)
         return study
 
     def _sampler(self, count: int) -> Any:

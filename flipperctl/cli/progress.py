@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from flipperctl.cli.console import console
+from flipperctl.cli.swing import swing_text
 from flipperctl.training.events import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
@@ -51,7 +52,7 @@ class _Rate:
 def _validation(row: Mapping[str, Any]) -> str:
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
-        f"θ̂_R {row['pitch_variation']:.2f} rad, {row['t_cost']:.1f} s"
+        f"{swing_text(row, 2)}, {row['t_cost']:.1f} s"
     )
 
 

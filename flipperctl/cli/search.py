@@ -40,13 +40,16 @@ class SearchSettings(Settings):
 def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
     """Return the objective that a sweeper maximises, from a run's best validation.
 
-    It is the success rate minus a penalty of at most one episode that grows with θ̂_R [rad]:
-    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs like validations: by success,
-    then by θ̂_R. None if there was no validation.
+    It is the success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz
+    [rad]: ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs like validations: by success,
+    then by θ̂_R. None if there was no validation. In a run of an earlier version that did not
+    record θ̂_R at 100 Hz, it is θ̂_R at decisions.
     """
     if best is None:
         return None
-    swing = float(best["pitch_variation"] or 0.0)
+    swing = best.get("pitch_variation_100hz")
+    if swing is None:  # a run of an earlier version
+        swing = best["pitch_variation"] or 0.0
     penalty = swing / (1.0 + swing) if math.isfinite(swing) else 1.0
     return float(best["success_rate"]) - penalty / episodes
 

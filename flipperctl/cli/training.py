@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
 from flipperctl.cli.progress import progress
+from flipperctl.cli.swing import swing_text
 from flipperctl.config import TrainConfig, container, with_overrides
 from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
 from flipperctl.files import make_folder, write_bytes
@@ -113,7 +114,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     best = summary["best"]
     print(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"θ̂_R {best['pitch_variation']:.2f} rad, {best['t_cost']:.1f} s. "
+        f"{swing_text(best, 2)}, {best['t_cost']:.1f} s. "
         f"{summary['decisions']} decisions in {summary['seconds']:.0f} s.\n"
         f"Evaluate: flipperctl eval --checkpoint {quote_path(directory)}\n"
         f"Export:   flipperctl export onnx --checkpoint {quote_path(directory)}",

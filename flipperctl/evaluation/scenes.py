@@ -62,13 +62,13 @@ def evaluate_scene(
 ) -> SceneResult:
     """Evaluate a policy on one scene; see ``evaluate``."""
     terrain = config.terrain.plugin_name
-    episodes = _play(config, source, terrain, progress)
+    episodes = play_scene(config, source, terrain, progress)
     if references:
         episodes = _crossed_by_references(config, source, references, episodes, progress)
     other = None
     if baseline is not None:
         label = baseline.label()
-        played = _play(config, baseline, f"{terrain}, {label}", progress)
+        played = play_scene(config, baseline, f"{terrain}, {label}", progress)
         other = compare(terrain, episodes, label, played)
     return SceneResult(
         summarise(terrain, episodes),
@@ -104,13 +104,13 @@ def _crossed_by_references(
     for reference in references:
         left = [index for index, label in crossed_by.items() if not label]
         label = f"{config.terrain.plugin_name}, {reference.label()} on what was not crossed"
-        for result in _play(config, reference, label, progress, left):
+        for result in play_scene(config, reference, label, progress, left):
             if result.reached:
                 crossed_by[result.episode] = reference.label()
     return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
 
 
-def _play(
+def play_scene(
     config: EvalConfig,
     source: PolicySource,
     label: str,

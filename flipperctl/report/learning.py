@@ -28,10 +28,11 @@ Rows = Sequence[Mapping[str, str]]
 def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Figure:
     """Draw success, θ̂_R, return, and loss with ε over decisions, one panel above the other.
 
-    Episode rows have the keys decision, outcome, return, pitch_variation, epsilon and loss;
-    validation rows have decision, success_rate and pitch_variation. An empty or missing cell is a
-    gap, and so is the loss before the first update. Curves are means over the last 100 episodes,
-    drawn thin where there are fewer; each dot is one episode.
+    Episode rows have the keys decision, outcome, return, pitch_variation_100hz, epsilon and loss;
+    validation rows have decision, success_rate, pitch_variation_100hz and pitch_variation. An empty
+    or missing cell is a gap, and so is the loss before the first update. Curves are means over the
+    last 100 episodes, drawn thin where there are fewer; each dot is one episode. The panel of θ̂_R
+    shows it at 100 Hz, and of the validations at decisions too, as in the paper.
 
     Raises:
         ValueError: a cell is neither empty nor a number; the text names the cell.
@@ -43,8 +44,12 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     _curve(success, at, 100 * np.array(reached), CHASSIS)
     _validation(success, checked, 100 * column(rows_validation, "success_rate"))
     success.set_ylim(-4, 104)
-    _curve(pitch, at, column(rows_episode, "pitch_variation"), CHASSIS, dots=True)
-    _validation(pitch, checked, column(rows_validation, "pitch_variation"))
+    _curve(pitch, at, column(rows_episode, "pitch_variation_100hz"), CHASSIS, dots=True)
+    _validation(pitch, checked, column(rows_validation, "pitch_variation_100hz"))
+    pitch.plot(
+        checked, column(rows_validation, "pitch_variation"), ":", color=FRONT, linewidth=1.2,
+        marker="o", markersize=2, label="validation, at decisions",
+    )  # fmt: skip
     _curve(returns, at, column(rows_episode, "return"), CHASSIS, dots=True)
     _losses(loss, at, rows_episode)
     style_axes(success, title, "", "success [%]")

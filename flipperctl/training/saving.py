@@ -21,6 +21,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.progress import Progress
 from flipperctl.training.tensors import run_arrays
+from flipperctl.training.validation import Validator
 
 _COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
 
@@ -36,12 +37,12 @@ class RunSaver:
         replay: Replay,
         progress: Progress,
         generators: Mapping[str, np.random.Generator],
-        history: list[Validation],
+        validator: Validator,
     ) -> None:
-        """``generators``: explore, sample and noise; ``history``: the validations so far."""
+        """``generators``: explore, sample and noise."""
         self._config, self._directory = config, directory
         self._agent, self._replay, self._progress = agent, replay, progress
-        self._generators, self._history = generators, history
+        self._generators, self._validator = generators, validator
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``; a resumed run sends the ``outstanding`` requests again."""
@@ -84,7 +85,7 @@ class RunSaver:
         for name in _COUNTERS:
             setattr(self._progress, name, getattr(state, name))
         self._progress.recent.extend(state.recent)
-        self._history[:] = state.validations
+        self._validator.restore(state.validations, state.best_by)
         return [
             RolloutRequest(**request.model_dump(), weights=weights[request.version])
             for request in state.orders
@@ -100,7 +101,8 @@ class RunSaver:
         return State(
             **counters,
             recent=tuple(self._progress.recent),
-            validations=tuple(self._history),
+            validations=tuple(self._validator.history),
+            best_by=self._validator.best_by,
             orders=tuple(requests),
             replay_added=self._replay.added,
             generators=Generators.model_validate(generators),

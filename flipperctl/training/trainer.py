@@ -69,9 +69,8 @@ class Trainer:
             config, self.agent, self.progress, generators["explore"], self._report_lost
         )
         self.validator = Validator(config, self.agent, env)
-        history = self.validator.history
         self._saver = RunSaver(
-            config, directory, self.agent, self.replay, self.progress, generators, history
+            config, directory, self.agent, self.replay, self.progress, generators, self.validator
         )
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []

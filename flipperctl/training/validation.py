@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flipperctl.agent.d3qn import D3qn, arrays
-from flipperctl.checkpoint.document import Validation
+from flipperctl.checkpoint.document import SwingMeasure, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import reached
@@ -29,11 +29,23 @@ class Validator:
         ]
         self.history: list[Validation] = []
         """Results of all validations, oldest first."""
+        self.best_by: SwingMeasure = "pitch_variation_100hz"
+        """θ̂_R by which validations of equal success are ordered."""
 
     @property
     def best(self) -> Validation | None:
         """Validation with the highest success rate so far, then the lowest θ̂_R."""
-        return max(self.history, key=_score, default=None)
+        return max(self.history, key=lambda v: v.score(self.best_by), default=None)
+
+    def restore(self, history: Sequence[Validation], best_by: SwingMeasure) -> None:
+        """Continue after the validations of a resumed run.
+
+        A run that has chosen a best policy by θ̂_R at decisions, as earlier versions did, goes on
+        so: the weights of its other policies are gone, so another measure could find a best
+        validation whose policy is not in ``best.safetensors``.
+        """
+        self.history[:] = history
+        self.best_by = best_by if history else "pitch_variation_100hz"
 
     @property
     def last(self) -> Validation | None:
@@ -59,7 +71,3 @@ class Validator:
         with self._agent.evaluation_mode() as module:
             policy = TrainedPolicy(module, self._frames)
             return [play(self._env, policy, seed) for seed in seeds]
-
-
-def _score(validation: Validation) -> tuple[float, float]:
-    return validation.success_rate, -validation.pitch_variation

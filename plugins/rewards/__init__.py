@@ -10,6 +10,7 @@ from . import (
     shaped_progress,
     smoothness,
     stability,
+    swing,
     travel,
 )
 
@@ -23,5 +24,6 @@ __all__ = [
     "shaped_progress",
     "smoothness",
     "stability",
+    "swing",
     "travel",
 ]

@@ -59,7 +59,8 @@ def test_multirun_makes_a_run_for_each_combination(tmp_path: Path) -> None:
     assert (flat["job"], flat["terrain"], step["terrain"]) == ("0", "flat", "step")
     assert (step["decisions"], step["state"]) == ("300", "finished")
     best = json.loads((sweep / "1_terrain=step" / "summary.json").read_text())["best"]
-    assert float(step["pitch_variation"]) == best["pitch_variation"]
+    for name in ("pitch_variation_100hz", "pitch_variation"):
+        assert float(step[name]) == best[name]
 
 
 def test_cfg_prints_the_composed_configuration_and_trains_nothing(tmp_path: Path) -> None:
@@ -120,7 +121,7 @@ def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
     table = call("eval", "--controller", "okada", *arguments[:-1], cwd=tmp_path)
     assert "difference to level" in table.out
     assert "[s]" in table.out  # units are no markup
-    assert table.out.count("[rad]") == 5
+    assert table.out.count("[rad]") == 6
 
 
 def test_eval_overrides_do_not_change_the_network(run: Path, tmp_path: Path) -> None:

@@ -74,20 +74,24 @@ def test_the_default_is_the_papers_rewards_everywhere() -> None:
     assert named.rewards == train.rewards == compose.compose_environment([]).rewards == paper
 
 
-def test_the_tuned_rewards_are_the_papers_and_more() -> None:
-    paper, tuned = compose.compose_train(["rewards=paper,tuned"])
-    assert paper.rewards.items() < tuned.rewards.items()
+def test_presets_beside_the_papers_count_swing_at_100_hz() -> None:
+    paper, tuned, smooth = compose.compose_train(["rewards=paper,tuned,smooth"])
+    assert paper.rewards.keys() - tuned.rewards.keys() == {"pitch"}
+    for preset in (tuned, smooth):
+        assert {"swing", "end", "shaped_progress"} < preset.rewards.keys() - {"pitch"}
     assert compose.compose_environment(["rewards=tuned"]).rewards == tuned.rewards
 
 
-@pytest.mark.parametrize("preset", ["paper", "tuned"])
-def test_a_presets_terms_are_changed_added_and_dropped(preset: str) -> None:
-    changes = ["rewards.pitch.lambda_2=5", "~rewards.flipper", "+reward@rewards.hit=impact"]
+@pytest.mark.parametrize(
+    ("preset", "term", "field"), [("paper", "pitch", "lambda_2"), ("tuned", "swing", "slope")]
+)
+def test_a_presets_terms_are_changed_added_and_dropped(preset: str, term: str, field: str) -> None:
+    changes = [f"rewards.{term}.{field}=5", "~rewards.flipper", "+reward@rewards.hit=impact"]
     other = "reward@rewards.end=progress"
     (plain,) = compose.compose_train([f"rewards={preset}"])
     (config,) = compose.compose_train([f"rewards={preset}", *changes, other])
     assert set(config.rewards) == set(plain.rewards) - {"flipper"} | {"hit"}
-    assert config.rewards["pitch"].model_dump()["lambda_2"] == 5
+    assert config.rewards[term].model_dump()[field] == 5
     assert config.rewards["end"].plugin_name == "progress"
 
 
@@ -98,11 +102,11 @@ def test_the_tuned_shaping_follows_the_agents_discount() -> None:
 
 
 def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
-    (trained,) = compose.compose_train(["rewards=tuned", "rewards.pitch.lambda_2=5"])
+    (trained,) = compose.compose_train(["rewards=tuned", "rewards.swing.slope=5"])
     primary = config_store.register_trained(trained)
     ((own, _),) = compose.compose_eval([], primary)
     assert own.rewards == trained.rewards
-    ((changed, _),) = compose.compose_eval(["rewards.pitch.window=4"], primary)
-    assert changed.rewards["pitch"].model_dump() == {"weight": 1, "lambda_2": 5, "window": 4}
+    ((changed, _),) = compose.compose_eval(["rewards.swing.weight=4"], primary)
+    assert changed.rewards["swing"].model_dump() == {"weight": 4, "slope": 5}
     ((preset, _),) = compose.compose_eval(["rewards=paper"], primary)
     assert preset.rewards == EnvConfig(terrain="stair").rewards

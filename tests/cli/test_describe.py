@@ -48,7 +48,9 @@ def leaves(node: Any, path: str = "") -> list[tuple[str, Any]]:
 
 def test_values_defaults_and_bounds_of_sections_plugins_and_ranges(tmp_path: Path) -> None:
     changes = ["terrain=mix", "terrain.parts=[{name:ramp,slope_high:20}]", "sim.friction=0.8"]
-    found = list_settings(*changes, "rewards=smooth", "randomise.noise=[0,0.01]", cwd=tmp_path)
+    found = list_settings(
+        *changes, "rewards.pitch.lambda_2=4", "randomise.noise=[0,0.01]", cwd=tmp_path
+    )
 
     def shown(path: str) -> tuple[object, ...]:
         return tuple(found[path][key] for key in ("value", "default", "bounds", "unit"))

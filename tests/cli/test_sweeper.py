@@ -103,6 +103,14 @@ def test_one_study_holds_one_search(tmp_path: Path) -> None:
         search(tmp_path, [*DRAWN, "seed=2"], n_trials=1)
 
 
+def test_trials_ordered_by_another_measure_are_not_continued(tmp_path: Path) -> None:
+    search(tmp_path, n_trials=1)
+    storage = f"sqlite:///{tmp_path / 'search.db'}"
+    optuna.load_study(study_name="search", storage=storage).set_user_attr("measure", None)
+    with pytest.raises(ConfigError, match=r"θ̂_R at decisions.*another study_name"):
+        search(tmp_path, n_trials=2)
+
+
 def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
     interval = ["agent.gamma=interval(0.9,0.99)", "agent.batch_size=int(interval(32,64))"]
     space, fixed = search_space([*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"])
@@ -116,9 +124,14 @@ def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
         search_space(["seed=3"])
 
 
-def test_the_objective_orders_by_success_and_then_by_swing() -> None:
-    def value(success: float, swing: float) -> float:
-        found = objective({"success_rate": success, "pitch_variation": swing}, 40)
+def test_the_objective_orders_by_success_and_then_by_swing_at_100_hz() -> None:
+    def value(success: float, swing: float, at_decisions: float = 0.0) -> float:
+        best = {
+            "success_rate": success,
+            "pitch_variation": at_decisions,
+            "pitch_variation_100hz": swing,
+        }
+        found = objective(best, 40)
         assert found is not None
         return found
 
@@ -126,4 +139,7 @@ def test_the_objective_orders_by_success_and_then_by_swing() -> None:
     assert value(1.0, 0.0) == 1
     assert value(1.0, 0.5) > value(1.0, 1.0) > value(39 / 40, 0.0) > value(38 / 40, 0.0)
     assert value(1 / 40, 1e6) > value(0.0, 0.0)
+    assert value(1.0, 1.0, at_decisions=0.9) == value(1.0, 1.0, at_decisions=0.1)
     assert objective(None, 40) is None
+    earlier = {"success_rate": 1.0, "pitch_variation": 1.0}
+    assert objective(earlier, 40) == pytest.approx(1 - 0.5 / 40)

@@ -67,6 +67,29 @@ def test_shaped_progress_is_the_change_of_potential(
     assert paid("shaped_progress", moved, gamma=0.9, distance=10.0) == pytest.approx(value)
 
 
+# Swing
+
+
+@pytest.mark.parametrize(
+    ("pitches", "settings", "value"),
+    [
+        ([0.0, 0.1, 0.0, -0.05], {}, -0.25),  # it rocks by 0.1 + 0.1 + 0.05 rad
+        ([0.0, 0.1, 0.0, -0.05], {"slope": 2.0}, -0.5),
+        ([0.2, 0.2, 0.2], {}, 0.0),  # steep, but still
+        ([0.0, 0.4, 0.0], {"slope": 2.0}, -1.0),  # 1.6, capped
+        ([], {}, 0.0),  # a transition without a path
+    ],
+)
+def test_swing_costs_every_pitch_change_within_the_decision(
+    pitches: list[float], settings: dict[str, float], value: float
+) -> None:
+    path = np.array([(0.0, 0.1, pitch) for pitch in pitches]).reshape(-1, 3)
+    # Pitches at decisions are equal: the paper's term sees no swing.
+    rocked = transition(state(), path=path, pitches=np.zeros(3))
+    assert paid("swing", rocked, **settings) == pytest.approx(value)
+    assert paid("pitch", rocked) == 0.0
+
+
 # Flippers
 
 

@@ -43,7 +43,7 @@ def rows(episodes: int) -> list[dict[str, str]]:
             "decision": str(40 * i),
             "outcome": "reached" if i % 2 else "stuck",
             "return": "-3.5",
-            "pitch_variation": "2.5",
+            "pitch_variation_100hz": "2.5",
             "epsilon": "0.5",
             "loss": "" if i < 3 else "0.1",
         }
@@ -134,7 +134,20 @@ def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
 def test_a_mean_of_fewer_than_a_hundred_is_labelled_so() -> None:
     figure = learning_figure(rows(3), VALIDATIONS, "run")
     labels = [str(line.get_label()) for line in figure.axes[1].get_lines()]
-    assert labels == ["episode", "mean of all episodes so far, fewer than 100", "validation"]
+    assert labels == [
+        *("episode", "mean of all episodes so far, fewer than 100"),
+        *("validation", "validation, at decisions"),
+    ]
+
+
+def test_the_panel_of_swing_shows_100_hz_and_a_run_without_it_only_the_papers() -> None:
+    swings = {"pitch_variation_100hz": "1.5", "pitch_variation": "1.25"}
+    found = learning_figure(rows(3), [{**VALIDATIONS[0], **swings}], "run").axes[1].get_lines()
+    assert [line.get_ydata()[-1] for line in found[-2:]] == [1.5, 1.25]
+    earlier = [{**VALIDATIONS[0], "pitch_variation": "1.25"}]
+    found = learning_figure(rows(3), earlier, "run").axes[1].get_lines()
+    assert np.isnan(found[-2].get_ydata()).all()
+    assert found[-1].get_ydata()[-1] == 1.25
 
 
 def test_the_loss_is_empty_before_the_first_update() -> None:

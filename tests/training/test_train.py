@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import shutil
 from pathlib import Path
 
 import pytest
@@ -122,13 +123,51 @@ def test_metrics_have_a_row_per_episode_and_drop_rows_after_a_resumed_checkpoint
         assert next(csv.reader(file))[0] == "kind"
 
 
-def test_best_is_chosen_by_success_then_by_pitch_variation() -> None:
-    def validation(success: float, variation: float) -> Validation:
-        return Validation(decision=1, success_rate=success, t_cost=10.0, pitch_variation=variation)
+def validation(success: float, at_decisions: float, at_100_hz: float | None) -> Validation:
+    return Validation(
+        decision=1,
+        success_rate=success,
+        t_cost=10.0,
+        pitch_variation=at_decisions,
+        pitch_variation_100hz=at_100_hz,
+    )
 
+
+def test_best_is_chosen_by_success_then_by_pitch_variation_at_100_hz() -> None:
     validator = Validator.__new__(Validator)
-    validator.history = [validation(0.9, 0.1), validation(1.0, 2.0), validation(1.0, 1.5)]
-    assert validator.best == validation(1.0, 1.5)
+    validator.history = []
+    rocking, calm = validation(1.0, 1.0, 1.5), validation(1.0, 1.2, 1.3)
+    validator.restore([validation(0.9, 0.1, 0.2), rocking, calm], "pitch_variation_100hz")
+    assert validator.best == calm
+
+
+def test_a_run_of_an_earlier_version_resumes_with_its_own_choice_of_best(
+    short_run: Path, tmp_path: Path
+) -> None:
+    last = Path(shutil.copy(short_run / checkpoint.LAST, tmp_path / "last.safetensors"))
+    saved = checkpoint.read(last)
+    document = saved.document.plain()
+    del document["state"]["best_by"]
+    results = document["state"]["validations"]
+    for i, result in enumerate(results):  # at 100 Hz the first is best, at decisions the last
+        result |= {"success_rate": 1.0, "pitch_variation": 2.0 - 0.1 * i}
+        result["pitch_variation_100hz"] = 2.1 + 0.1 * i
+    del results[0]["pitch_variation_100hz"]
+    last.write_bytes(checkpoint.serialize(json.dumps(document), saved.tensors))
+    old = checkpoint.read(last)
+
+    run = trainer(old.config(), tmp_path)
+    run.restore(old)
+    best = run.validator.best
+    assert best is not None
+    assert best.decision == results[-1]["decision"]
+    run.save()
+    state = checkpoint.read(tmp_path / checkpoint.LAST).document.state
+    assert state is not None
+    assert (state.best_by, state.best) == ("pitch_variation", best)
+
+    run.validator.restore([], "pitch_variation")  # it has chosen none, so it may choose anew
+    assert run.validator.best_by == "pitch_variation_100hz"
 
 
 def test_a_reward_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli.swing import swing_text
 
 if TYPE_CHECKING:
     from flipperctl.checkpoint import Checkpoint
@@ -41,11 +42,12 @@ def show(
     from flipperctl import plugins as loader
 
     loader.load(plugins or ())
-    found = describe(checkpoint.read(checkpoint.find(path)))
+    saved = checkpoint.read(checkpoint.find(path))
+    found = describe(saved)
     if as_json:
         print(json.dumps(found, indent=2))
         return
-    _print(found)
+    _print(found, saved)
 
 
 def describe(saved: Checkpoint) -> dict[str, Any]:
@@ -65,18 +67,15 @@ def describe(saved: Checkpoint) -> dict[str, Any]:
     }
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(found: dict[str, Any], saved: Checkpoint) -> None:
     config, versions = found["config"], found["versions"]
     kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
     rewards = ", ".join(
         f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items()
     )
     state = found.get("state")
-    best = found.get("validation") or max(
-        (state or {}).get("validations", []),
-        key=lambda v: (v["success_rate"], -v["pitch_variation"]),
-        default=None,
-    )
+    document = saved.document
+    best = document.validation or (document.state.best if document.state else None)
     lines = {
         "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
         "content": f"SHA-256 {found['content_sha256']}",
@@ -91,8 +90,8 @@ def _print(found: dict[str, Any]) -> None:
     }
     if best:
         lines["best"] = (
-            f"at decision {best['decision']}: success {best['success_rate']:.1%}, "
-            f"θ̂_R {best['pitch_variation']:.3f} rad, t_cost {best['t_cost']:.1f} s"
+            f"at decision {best.decision}: success {best.success_rate:.1%}, "
+            f"{swing_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
         )
     for name, text in lines.items():
         print(f"{name:<11}{text}")

@@ -1,4 +1,4 @@
-"""``flipperctl inspect reward``: the audit of reward terms over rollouts."""
+"""``flipperctl inspect reward``: the audit of reward terms, and policies ranked by rewards."""
 
 from __future__ import annotations
 
@@ -13,17 +13,28 @@ from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.evaluation.audit import AuditResult
+    from flipperctl.evaluation.ranking import SceneRanking
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
 A term with a small share of the return has no effect; one that saturates at most steps carries no
 information. The episodes are those of an evaluation, with conditions=… as for eval.
 
+--compare plays the same draws with several policies (controllers, checkpoints, generalist) and
+ranks them by return and by θ̂_R at 100 Hz. A reward that pays a policy more than another that swings
+less is reported, if both paired differences are beyond their 95 % bootstrap intervals.
+controller.<field> applies to each compared controller that has the field, eval.seed and eval.jobs
+choose draws and processes.
+
 [bold]Examples[/]
 
   flipperctl inspect reward terrain=stair
 
   flipperctl inspect reward --checkpoint runs/stair/2026-01-31_12-00-00 rewards.pitch.lambda_2=8
+
+  flipperctl inspect reward --compare level,okada terrain=step,ramp rewards=paper,tuned,smooth
+
+  flipperctl inspect reward --compare okada,generalist,planner terrain=ramp controller.width=8
 """
 
 
@@ -40,6 +51,10 @@ def show(
     controller: Annotated[
         str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
     ] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
+    ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 20,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
@@ -48,6 +63,13 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
+
+    if compare is not None:
+        if checkpoint is not None or controller is not None:
+            raise RequestError("--compare names all policies; leave --checkpoint, --controller out")
+        loader.load(plugins or ())
+        _compare(compare, list(overrides or []), episodes, as_json)
+        return
     from flipperctl.cli.compose import only_one
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
@@ -63,6 +85,35 @@ def show(
         print(json.dumps(found.container(), indent=2))
     else:
         _print(found)
+
+
+def _compare(names: str, overrides: list[str], episodes: int, as_json: bool) -> None:
+    from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.reward_scenes import policies, reward_scenes
+    from flipperctl.evaluation.compare_rewards import compare_rewards
+
+    sources, others = policies(names, overrides)
+    scenes = reward_scenes([*others, f"eval.episodes={episodes}"])
+    for scene in scenes:
+        for source in sources.values():
+            source.build(scene.config.perception)  # a wrong layout is found before the first draw
+    found = [compare_rewards(scene, sources, episodes_progress) for scene in scenes]
+    if as_json:
+        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
+    else:
+        _print_comparison(found)
+
+
+def _print_comparison(found: list[SceneRanking]) -> None:
+    from flipperctl.cli.conditions import condition_lines
+    from flipperctl.cli.console import console
+    from flipperctl.cli.reward_tables import table, verdict_lines
+
+    out = console()
+    out.print(table(found))
+    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
+    for line in (*conditions, *verdict_lines(found)):
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _print(found: AuditResult) -> None:

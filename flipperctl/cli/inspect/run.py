@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 
 HELP = """Summarise a training run, and plot its learning curves with --output.
 
@@ -62,13 +63,19 @@ def _summary(
 ) -> dict[str, Any]:
     summary_file = run / "summary.json"
     summary = json.loads(summary_file.read_text("utf-8")) if summary_file.is_file() else None
-    keys = ("decision", "success_rate", "pitch_variation", "t_cost", "return")
+    swings = ("pitch_variation_100hz", "pitch_variation")
+    keys = ("decision", "success_rate", *swings, "t_cost", "return")
     return {
         "run": str(run),
         "summary": summary,
         "episodes": len(episodes),
-        "validations": [{k: float(row[k]) for k in keys} for row in validations],
+        "validations": [{k: _number(row.get(k)) for k in keys} for row in validations],
     }
+
+
+def _number(cell: str | None) -> float | None:
+    """Return the number in a cell; None if it is empty, or its column is of a later version."""
+    return float(cell) if cell else None
 
 
 def _print(found: dict[str, Any]) -> None:
@@ -84,13 +91,15 @@ def _print(found: dict[str, Any]) -> None:
     if summary and not summary["finished"]:
         state = f"interrupted; resume with: flipperctl train --resume {shlex.quote(found['run'])}"
     table = Table(title=f"{found['run']}: {state}", title_justify="left")
-    headings = ("decision", "success", "θ̂_R [rad]", "t_cost [s]", "return")
+    headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
     for heading in headings:
         table.add_column(escape(heading), justify="right")
     for row in found["validations"]:
+        swing = row["pitch_variation_100hz"]
         table.add_row(
             f"{row['decision']:.0f}",
             f"{row['success_rate']:.1%}",
+            "–" if swing is None else f"{swing:.3f}",
             f"{row['pitch_variation']:.3f}",
             f"{row['t_cost']:.1f}",
             f"{row['return']:.2f}",

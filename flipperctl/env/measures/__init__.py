@@ -1,6 +1,7 @@
 """The measures of an episode; each is a class in this package and an entry of ``MEASURES``.
 
-Rows, files, summaries and tables show the measures of ``MEASURES`` in this order.
+Rows, files and summaries hold the measures of ``MEASURES`` in this order. Tables show θ̂_R at 100 Hz
+before θ̂_R at decisions.
 """
 
 from flipperctl.env.measures.duration import Decisions, Time

@@ -11,7 +11,7 @@ class PitchVariation:
     """θ̂_R, the sum of the absolute pitch changes from decision to decision (paper Eq. 8) [rad]."""
 
     name: ClassVar[str] = "pitch_variation"
-    heading: ClassVar[str] = "θ̂_R [rad]"
+    heading: ClassVar[str] = "θ̂_R at decisions [rad]"
     digits: ClassVar[int] = 2
     reached_only: ClassVar[bool] = True
 
@@ -27,7 +27,7 @@ class PitchVariation100Hz:
     """θ̂_R from pose to pose, 10 ms apart, which includes motion within decisions [rad]."""
 
     name: ClassVar[str] = "pitch_variation_100hz"
-    heading: ClassVar[str] = "θ̂_R 100 Hz [rad]"
+    heading: ClassVar[str] = "θ̂_R [rad]"
     digits: ClassVar[int] = 2
     reached_only: ClassVar[bool] = True
 

@@ -1,0 +1,233 @@
+"""Rank policies by return and by θ̂_R at 100 Hz on the same draws, and find contradictions.
+
+In: the episodes that each policy played with equal seeds, and one or several sets of reward terms.
+Out: a ``SceneRanking``. A reward contradicts the measure if it pays a policy more than another that
+swings less, with both paired differences beyond noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import permutations
+from typing import Any
+
+from flipperctl.api import RewardTerm, Shaping
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.results import Interval
+from flipperctl.evaluation.statistics import interval
+
+FEWEST_DRAWS = 5
+"""Smallest number of draws for a verdict; the bootstrap of fewer is too narrow [-]."""
+
+Played = Mapping[str, Sequence[EpisodeResult]]
+"""The episodes of each policy by its label, all with the same seeds in the same order."""
+
+
+class Verdict(StrEnum):
+    """Whether a reward's ranking fits that by θ̂_R."""
+
+    AGREES = "agrees"
+    CONTRADICTS = "contradicts"
+    UNDECIDED = "undecided"
+    """Fewer than ``FEWEST_DRAWS`` draws were crossed by every policy."""
+
+
+@dataclass(frozen=True)
+class PolicyMeasures:
+    """A policy's measures over the draws that every policy crossed; None if there is no draw."""
+
+    success_rate: float
+    """Fraction of all draws that the policy crossed, 0 to 1."""
+    pitch_variation_100hz: Interval | None
+    """θ̂_R at 100 Hz [rad]."""
+    pitch_variation: Interval | None
+    """θ̂_R at decisions [rad]."""
+    t_cost: Interval | None
+    """Time from start to finish [s]."""
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "success_rate": self.success_rate,
+            "pitch_variation_100hz": _data(self.pitch_variation_100hz),
+            "pitch_variation": _data(self.pitch_variation),
+            "t_cost": _data(self.t_cost),
+        }
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A policy that is paid more than another and swings more."""
+
+    paid: str
+    """Label of the policy with the higher return."""
+    calm: str
+    """Label of the policy with the smaller θ̂_R."""
+    return_difference: Interval
+    """Return of ``paid`` minus that of ``calm``, draw by draw [-]."""
+    pitch_variation_100hz_difference: Interval
+    """θ̂_R at 100 Hz of ``paid`` minus that of ``calm``, draw by draw [rad]."""
+    terms: Mapping[str, float]
+    """Each term's part of the mean difference of the returns, largest first [-]."""
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "paid": self.paid,
+            "calm": self.calm,
+            "return_difference": self.return_difference.container(),
+            "pitch_variation_100hz_difference": self.pitch_variation_100hz_difference.container(),
+            "terms": dict(self.terms),
+        }
+
+
+@dataclass(frozen=True)
+class RewardRanking:
+    """The ranking of the policies by one set of reward terms, on one scene."""
+
+    rewards: str
+    """Label of the set: the preset with its changes."""
+    verdict: Verdict
+    returns: Mapping[str, Interval | None]
+    """Return by policy, highest first, without potential-based shaping [-]; None without draws."""
+    contradictions: tuple[Contradiction, ...]
+    """Largest difference of θ̂_R first."""
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "rewards": self.rewards,
+            "verdict": str(self.verdict),
+            "by_return": list(self.returns),
+            "returns": {label: _data(found) for label, found in self.returns.items()},
+            "contradictions": [c.container() for c in self.contradictions],
+        }
+
+
+@dataclass(frozen=True)
+class SceneRanking:
+    """Policies on the same draws of one terrain, ranked by each set of reward terms."""
+
+    terrain: str
+    seed: int
+    """Seed of the evaluation."""
+    conditions: Conditions
+    episodes: int
+    """Number of draws that each policy played."""
+    common: int
+    """Number of draws that every policy crossed; the measures are taken over these."""
+    policies: Mapping[str, PolicyMeasures]
+    """Measures by policy, smallest θ̂_R at 100 Hz first."""
+    rankings: tuple[RewardRanking, ...]
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "terrain": self.terrain,
+            "seed": self.seed,
+            "conditions": self.conditions.container(),
+            "episodes": self.episodes,
+            "common": self.common,
+            "by_pitch_variation_100hz": list(self.policies),
+            "policies": {label: found.container() for label, found in self.policies.items()},
+            "rankings": [ranking.container() for ranking in self.rankings],
+        }
+
+
+def common_draws(played: Played) -> dict[str, list[EpisodeResult]]:
+    """Return each policy's episodes of the draws that every policy crossed."""
+    crossed = [{e.seed for e in episodes if e.reached} for episodes in played.values()]
+    seeds = set.intersection(*crossed)
+    return {label: [e for e in own if e.seed in seeds] for label, own in played.items()}
+
+
+def measures(played: Played) -> dict[str, PolicyMeasures]:
+    """Return the measures of each policy, smallest θ̂_R at 100 Hz first."""
+    common = common_draws(played)
+    found = {
+        label: PolicyMeasures(
+            success_rate=sum(e.reached for e in episodes) / len(episodes),
+            pitch_variation_100hz=_mean(common[label], _swing),
+            pitch_variation=_mean(common[label], lambda e: e.pitch_variation),
+            t_cost=_mean(common[label], lambda e: e.t_cost),
+        )
+        for label, episodes in played.items()
+    }
+
+    def swing(label: str) -> float:
+        known = found[label].pitch_variation_100hz
+        return known.mean if known else 0.0
+
+    return {label: found[label] for label in sorted(found, key=swing)}
+
+
+def rank(
+    label: str, terms: Mapping[str, RewardTerm], played: Played, prefix: str = ""
+) -> RewardRanking:
+    """Rank the policies by the return of ``terms`` and compare with θ̂_R at 100 Hz.
+
+    ``prefix`` stands before the terms' names in the episodes' rewards. Potential-based shaping is
+    left out: its discounted sum is the same for every behaviour, but the plain sum is not.
+    """
+    common = common_draws(played)
+    names = [name for name, term in terms.items() if not isinstance(term, Shaping)]
+
+    def paid(episode: EpisodeResult) -> float:
+        return sum(episode.rewards[prefix + name] for name in names)
+
+    returns = {label: _mean(episodes, paid) for label, episodes in common.items()}
+    ordered = sorted(returns.items(), key=lambda item: -item[1].mean if item[1] else 0.0)
+    draws = len(next(iter(common.values())))
+    if draws < FEWEST_DRAWS:
+        return RewardRanking(label, Verdict.UNDECIDED, dict(ordered), ())
+    found = [
+        contradiction
+        for more, less in permutations(common, 2)
+        if (contradiction := _contradiction(more, less, common, paid, names, prefix))
+    ]
+    found.sort(key=lambda c: -c.pitch_variation_100hz_difference.mean)
+    verdict = Verdict.CONTRADICTS if found else Verdict.AGREES
+    return RewardRanking(label, verdict, dict(ordered), tuple(found))
+
+
+def _contradiction(
+    more: str,
+    less: str,
+    common: Played,
+    paid: Callable[[EpisodeResult], float],
+    names: Sequence[str],
+    prefix: str,
+) -> Contradiction | None:
+    """Return the contradiction if ``more`` is paid more than ``less`` and swings more."""
+    pairs = list(zip(common[more], common[less], strict=True))
+
+    def difference(value: Callable[[EpisodeResult], float]) -> Interval:
+        return interval([value(one) - value(other) for one, other in pairs])
+
+    swing = difference(_swing)
+    if swing.low <= 0 or (gain := difference(paid)).low <= 0:
+        return None
+    parts = {
+        name: sum(a.rewards[prefix + name] - b.rewards[prefix + name] for a, b in pairs)
+        / len(pairs)
+        for name in names
+    }
+    terms = dict(sorted(parts.items(), key=lambda item: -item[1]))
+    return Contradiction(more, less, gain, swing, terms)
+
+
+def _swing(episode: EpisodeResult) -> float:
+    return episode.pitch_variation_100hz
+
+
+def _mean(
+    episodes: Sequence[EpisodeResult], value: Callable[[EpisodeResult], float]
+) -> Interval | None:
+    return interval([value(e) for e in episodes]) if episodes else None
+
+
+def _data(found: Interval | None) -> dict[str, float] | None:
+    return None if found is None else found.container()

@@ -1,0 +1,32 @@
+"""Reward against the swing of the chassis at 100 Hz."""
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from flipperctl.api import RewardTerm, Transition, reward
+
+
+@reward("swing")
+class Swing(RewardTerm):
+    """Penalise the sum of the absolute pitch changes within the decision, from poses at 100 Hz.
+
+    Up to the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
+    ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
+    within a decision.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    slope: float = Field(
+        1.0,
+        gt=0,
+        le=1000,
+        description="slope of the penalty; the cap of 1 is reached at 1/slope rad in a decision "
+        "[1/rad]",
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]: 0 for a transition without a path."""
+        swing = float(np.abs(np.diff(t.path[:, 2])).sum())  # [rad]
+        return -min(1.0, self.slope * swing)
