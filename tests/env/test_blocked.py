@@ -51,7 +51,7 @@ def test_a_freed_flipper_turns_no_farther_than_its_last_command() -> None:
 def lifted(saved: tuple) -> tuple:
     """Return a snapshot of the world with the robot 5 m above the ground."""
     bodies, *rest = saved
-    return ([(position + (0.0, 5.0), *others) for position, *others in bodies], *rest)
+    return ([((p[0], p[1] + 5.0), *others) for p, *others in bodies], *rest)
 
 
 def test_a_flipper_that_follows_keeps_the_exact_grid_of_angles() -> None:
