@@ -12,13 +12,15 @@ import llvmlite.binding
 import numpy as np
 import pymunk
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # carray
+from numba.core import cgutils
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray, Limits
 from flipperctl.api.engines import is_over
 from flipperctl.sim.jit import cached
-from flipperctl.sim.planar.plain import GROUND, TRACK, Bodies
+from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, Bodies
 
 _DOUBLE = 8  # bytes
 
@@ -30,6 +32,11 @@ def _double(struct: str, *path: str) -> int:
 
 _NORMAL = _double("cpArbiter", "n", "x")
 _SURFACE = _double("cpArbiter", "surface_vr", "x")
+_CONTACTS = _double("cpArbiter", "contacts")
+_COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
+_PRESS = _double("struct cpContact", "jnAcc")
+_DRIVE = _double("struct cpContact", "jtAcc")
+_CONTACT = int(ffi.sizeof("struct cpContact")) // _DOUBLE
 
 
 def _address(pointer: Any) -> int:
@@ -46,14 +53,37 @@ _step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
 _read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp, types.uintp))
 
 
+def _to_pointer(typing_context: Any, address: Any) -> Any:
+    """Compile the cast of an address to a pointer that ``carray`` takes."""
+
+    def cast(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.uintp), cast
+
+
+_pointer: Any = intrinsic(_to_pointer)
+
+
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
-def _belt(arbiter: Any, space: Any, speed: Any) -> None:
-    """Set a contact's belt velocity, as Chipmunk's pre-solve callback; ``speed`` [m/s]."""
+def _belt(arbiter: Any, space: Any, belt: Any) -> None:
+    """Set a contact's belt velocity and bound its remembered impulses, before it is solved.
+
+    ``belt``: speed [m/s] and largest remembered impulse [N s].
+    """
     numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
-    v = carray(speed, (1,), dtype=np.float64)[0]
+    speed, largest = carray(belt, (2,), dtype=np.float64)
     # If the ground is the first shape, normal and surface velocity both change sign.
-    numbers[_SURFACE] = -v * numbers[_NORMAL + 1]
-    numbers[_SURFACE + 1] = v * numbers[_NORMAL]
+    numbers[_SURFACE] = -speed * numbers[_NORMAL + 1]
+    numbers[_SURFACE + 1] = speed * numbers[_NORMAL]
+    count = carray(arbiter, (_COUNT + 1,), dtype=np.int32)[_COUNT]
+    address = carray(arbiter, (_CONTACTS + 1,), dtype=np.uintp)[_CONTACTS]
+    contacts = carray(_pointer(address), (count * _CONTACT,), dtype=np.float64)
+    for first in range(0, count * _CONTACT, _CONTACT):
+        press = contacts[first + _PRESS]
+        if press > largest:
+            contacts[first + _PRESS] = largest
+            contacts[first + _DRIVE] *= largest / press
 
 
 _is_over = cached(njit)(is_over)
@@ -95,11 +125,11 @@ class CompiledLoop:
     """Steps a space and samples the pose of its robot, equal to ``PlainLoop`` bit for bit."""
 
     def __init__(
-        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
+        self, space: pymunk.Space, bodies: Bodies, belt: Belt, substep: float, substeps: int
     ) -> None:
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
-        belt_speed = ffi.new("double *", speed)
-        handler.userData = belt_speed
+        numbers = ffi.new("double[2]", belt)
+        handler.userData = numbers
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
         # pymunk's batch reader puts position and angle into an array: x, y, angle of each body.
         pose = ffi.new("double[16]")  # larger than needed, so that it is never reallocated
@@ -109,7 +139,7 @@ class CompiledLoop:
         self._memory = (
             space,
             bodies,
-            belt_speed,
+            numbers,
             pose,
             array,
             request,

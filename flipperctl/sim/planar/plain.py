@@ -8,7 +8,7 @@ tangent, and it vanishes at a vertical face.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import pymunk
 
@@ -22,27 +22,42 @@ Bodies = tuple[pymunk.Body, pymunk.Body, pymunk.Body]
 """Bodies of the chassis, the front and the rear flippers."""
 
 
+class Belt(NamedTuple):
+    """What the callback sets at each contact of a track with the ground."""
+
+    speed: float
+    """Speed of the belt's surface along the outline [m/s]."""
+    largest: float
+    """Largest impulse that a contact remembers from one substep to the next [N s]."""
+
+
 class PlainLoop:
     """Steps a space and samples the pose of the robot in it."""
 
     def __init__(
-        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
+        self, space: pymunk.Space, bodies: Bodies, belt: Belt, substep: float, substeps: int
     ) -> None:
-        """Drive the belts at ``speed`` [m/s], with ``substeps`` of ``substep`` [s] per sample."""
+        """Drive the belts, with ``substeps`` of ``substep`` [s] per sample."""
         self._space, self._bodies = space, bodies
         self._substep, self._substeps = substep, substeps
-        self.drive(speed)
+        self.drive(belt)
 
-    def drive(self, speed: float) -> None:
-        """Let every contact between a track and the ground move at ``speed`` [m/s]."""
+    def drive(self, belt: Belt) -> None:
+        """Let every contact between a track and the ground move as the belt."""
+        speed, largest = belt
 
         # Chipmunk recomputes the surface velocity of an arbiter in each substep, after the
         # collision and before `pre_solve`, which therefore sets it every time.
-        def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        def pre_solve(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
             normal = arbiter.normal
             arbiter.surface_velocity = (-speed * normal.y, speed * normal.x)
+            found = arbiter._arbiter  # pymunk has no name for the remembered impulses
+            for contact in found.contacts[0 : found.count]:
+                if contact.jnAcc > largest:
+                    contact.jtAcc *= largest / contact.jnAcc
+                    contact.jnAcc = largest
 
-        self._space.on_collision(TRACK, GROUND, pre_solve=belt)
+        self._space.on_collision(TRACK, GROUND, pre_solve=pre_solve)
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Fill the rows of ``poses``, one per sample; return the number of filled rows.

@@ -12,7 +12,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar import world as world_module
 from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 from flipperctl.sim.planar.world import PlanarWorld
 
 FLAT = Profile([(0.0, 0.0)])
@@ -190,10 +190,10 @@ def test_one_constant_surface_velocity_would_stall_at_the_riser(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Constant(PlainLoop):
-        def drive(self, speed: float) -> None:
+        def drive(self, belt: Belt) -> None:
             for shape in self._space.shapes:
                 if shape.collision_type == TRACK:
-                    shape.surface_velocity = (-speed, 0.0)
+                    shape.surface_velocity = (-belt.speed, 0.0)
 
     monkeypatch.setattr(world_module, "_loop", lambda engine: Constant)
     level = PlanarWorld(FLAT, Robot(), Planar(), -5.0)
@@ -229,7 +229,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    loop(space, (track, track, track), 0.2, 0.005, 2).run(np.empty((100, 5)), Limits())
+    loop(space, (track, track, track), Belt(0.2, math.inf), 0.005, 2).run(np.empty((100, 5)), Limits())
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 
