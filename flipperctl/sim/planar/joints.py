@@ -6,7 +6,7 @@ Chipmunk corrects an error of a joint by a real velocity and an overlap of bodie
 a robot is wedged between two faces, the two contradict each other, and without bounds the impulses
 that the solver remembers grew to 9,000 N s, 200 times those of a hard landing. When one contact of
 the wedge opened, the others threw the robot away with up to 2,000 J. Bounds on the hinges and on
-the contacts (``largest_contact_impulse``) keep that energy out; no ordinary motion reaches them.
+the contacts (``largest_impulse``) keep that energy out; no ordinary motion reaches them.
 """
 
 from __future__ import annotations
@@ -15,15 +15,11 @@ import pymunk
 
 from flipperctl.api import Robot
 
-_CONTACT_SPEED = 1.25
-"""Largest impulse that a contact remembers, per mass of the robot [m/s]: 56 N s for 45 kg.
+_IMPULSE_SPEED = 1.25
+"""Largest impulse of a hinge in a substep, and of what a contact remembers, per mass of
+the robot [m/s]: 56 N s for 45 kg, or 11 kN over a substep of 5 ms.
 
-Rules and random actions press with up to 46 N s, in landings.
-"""
-_HINGE_SPEED = 0.6
-"""Largest impulse of a hinge in a substep, per mass of the robot [m/s]: 27 N s for 45 kg.
-
-Rules reach 20 N s, in landings; 27 N s in each substep of 5 ms are 5.4 kN.
+Rules reach 20 N s at the hinges and 40 N s at contacts, in landings.
 """
 _CLOSING_SPEED = 0.5
 """Largest speed at which a hinge corrects its error [m/s]; rules reach 0.4 m/s."""
@@ -37,9 +33,9 @@ little energy of the load that pushed it there.
 """
 
 
-def largest_contact_impulse(robot: Robot) -> float:
-    """Return the largest impulse that a contact remembers from one substep to the next [N s]."""
-    return _CONTACT_SPEED * _mass(robot)
+def largest_impulse(robot: Robot) -> float:
+    """Return the largest impulse of a hinge, and of what a contact remembers [N s]."""
+    return _IMPULSE_SPEED * (robot.chassis_mass + 2 * robot.flipper_mass)
 
 
 def join(
@@ -53,7 +49,7 @@ def join(
     hinge = pymunk.PivotJoint(chassis, flipper, (hinge_x, 0.0), (-reach, 0.0))
     hinge.error_bias = 0.0
     hinge.max_bias = _CLOSING_SPEED
-    hinge.max_force = _HINGE_SPEED * _mass(robot) / substep
+    hinge.max_force = largest_impulse(robot) / substep
     # A gear joint of ratio 1 holds the angle `phase` with at most the rate `max_bias` and the
     # torque `max_force`: a rate- and torque-limited servo without a callback.
     servo = pymunk.GearJoint(chassis, flipper, flipper.angle - chassis.angle, 1.0)
@@ -67,7 +63,3 @@ def join(
     assert chassis.space is not None
     chassis.space.add(hinge, servo, stop)  # the solver's order
     return servo
-
-
-def _mass(robot: Robot) -> float:
-    return robot.chassis_mass + 2 * robot.flipper_mass

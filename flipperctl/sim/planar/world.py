@@ -23,7 +23,8 @@ from flipperctl.api import (
     Robot,
     RobotState,
 )
-from flipperctl.sim.planar.joints import join, largest_contact_impulse
+from flipperctl.sim.planar.energy import Budget
+from flipperctl.sim.planar.joints import join, largest_impulse
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 
 if TYPE_CHECKING:
@@ -82,7 +83,8 @@ class PlanarWorld:
         self._loop = loop(
             space,
             (self._chassis, self._front, self._rear),
-            Belt(robot.track_speed, largest_contact_impulse(robot)),
+            Belt(robot.track_speed, largest_impulse(robot)),
+            Budget.of(robot, sim.gravity),
             sim.substep,
             substeps,
         )
