@@ -1,4 +1,4 @@
-"""Checks of an engine: it drives, repeats, stops at limits and restores snapshots."""
+"""Checks of an engine: it drives, repeats, stops at limits, has end stops, restores snapshots."""
 
 from __future__ import annotations
 
