@@ -93,9 +93,12 @@ class Meter:
         return np.array(poses)
 
 
-def measure(env: FlipperEnv, seed: int) -> Balance:
-    """Play an episode of random actions and return what was measured."""
-    rng = np.random.default_rng(seed)
+def measure(env: FlipperEnv, seed: int, actions: int | None = None) -> Balance:
+    """Play an episode of random actions and return what was measured.
+
+    ``actions``: seed of the actions, without it that of the episode.
+    """
+    rng = np.random.default_rng(seed if actions is None else actions)
     env.reset(seed=seed)
     world = env.drive.world
     meter = Meter(world)
