@@ -58,7 +58,8 @@ class Sliding:
             speed = self._robot.track_speed * (1 - self._slowdown * abs(math.sin(self.pitch)))
             self._x += speed * math.cos(self.pitch) * api.SAMPLE_PERIOD
             turn = self._robot.flipper_speed * api.SAMPLE_PERIOD
-            self._angles = self._angles + np.clip(self._targets - self._angles, -turn, turn)
+            turned = self._angles + np.clip(self._targets - self._angles, -turn, turn)
+            self._angles = np.clip(turned, -self._robot.angle_limit, self._robot.angle_limit)
             self._time += api.SAMPLE_PERIOD
             poses.append([*self.position, self.pitch, *self._angles])
             if limits.reached(*self.position, self.pitch):

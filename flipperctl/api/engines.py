@@ -73,7 +73,10 @@ class World(Protocol):
         """Pitch of the chassis, nose up positive [rad]."""
 
     def command(self, front: float, rear: float) -> None:
-        """Set the target angles of the flippers in frame R [rad]."""
+        """Set the target angles of the flippers in frame R [rad].
+
+        End stops hold the flippers within ``robot.angle_limit``, whatever is commanded.
+        """
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
         """Simulate up to ``samples`` sample periods; return the pose at the end of each.

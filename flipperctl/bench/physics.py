@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, SAMPLE_PERIOD, Profile, Start, Transition
+from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
@@ -55,21 +55,17 @@ class Recording:
 
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     """Play an episode with a controller plugin and record it."""
-    env, robot = FlipperEnv(config=config), config.robot
+    env = FlipperEnv(config=config)
     policy = resolver.create("controller", controller, "bench.controller").build()
     env.reset(seed=seed)
     state = env.state
-    target = Start(float(state.position[0]), state.front, state.rear)
-    recording = Recording(seed, env.profile, target)
+    start = Start(float(state.position[0]), state.front, state.rear)
+    recording = Recording(seed, env.profile, start)
     recording.snapshots.append(bare.snapshot(_world(env)))
     for decision in decisions(env, policy, seed):
-        world, move = _world(env), ACTIONS[decision.action]
-        target = target._replace(
-            front=robot.clip(target.front + move[0] * robot.angle_step),
-            rear=robot.clip(target.rear + move[1] * robot.angle_step),
-        )
+        world = _world(env)
         recording.actions.append(decision.action)
-        recording.targets.append((target.front, target.rear))
+        recording.targets.append(env.drive.targets)
         recording.snapshots.append(bare.snapshot(world))
         recording.contacts.append(bare.contacts(world))
         recording.transitions.append(decision.transition)

@@ -26,6 +26,7 @@ from flipperctl.api import (
 from flipperctl.config import Episode
 from flipperctl.env.ends import Ends
 from flipperctl.guard import fault
+from flipperctl.runtime.targets import TargetRule
 
 _TURN, _PERCEIVE, _END = range(3)
 """Events within a decision; those of one sample happen in this order."""
@@ -58,7 +59,9 @@ class Drive:
         self.poses = self._pose()
         """Poses of the last decision at 100 Hz, from the pose before it on, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
-        self._target = [start.front, start.rear]
+        self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
+        self.targets = (start.front, start.rear)
+        """Commanded angles of the front and the rear flippers in frame R [rad]."""
         whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
         act = min(whole, round(self.robot.actuator_delay / SAMPLE_PERIOD))
         perceive = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
@@ -67,11 +70,11 @@ class Drive:
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
-        robot = self.robot
-        self._target = [
-            robot.clip(target + turn * robot.angle_step)
-            for target, turn in zip(self._target, ACTIONS[action], strict=True)
-        ]
+        front, rear = ACTIONS[action]
+        step, state = self.robot.angle_step, self.state
+        self.targets = self._rule.next_targets(
+            self.targets, (state.front, state.rear), (front * step, rear * step)
+        )
         outcome = self._run()
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
@@ -93,7 +96,7 @@ class Drive:
                     return outcome
                 done += len(poses)
             if event == _TURN:
-                world.command(*self._target)
+                world.command(*self.targets)
             elif event == _PERCEIVE and not self._undelayed:
                 self.delayed_state = world.state()
         return None
@@ -105,12 +108,10 @@ class Drive:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
-        targets = tuple(self._target)
-        return self.world.save(), self.ends.save(), self.state, self.delayed_state, targets
+        return self.world.save(), self.ends.save(), self.state, self.delayed_state, self.targets
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Return to a snapshot."""
-        world, ends, self.state, self.delayed_state, target = saved
+        world, ends, self.state, self.delayed_state, self.targets = saved
         self.world.load(world)
         self.ends.load(ends)
-        self._target = list(target)

@@ -13,6 +13,7 @@ from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import resolver
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
+from flipperctl.runtime.targets import MEANING
 
 
 def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
@@ -29,6 +30,7 @@ def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
         "bin_width": layout.bin_width,
         "frames": config.network.frames,
         "actions": table,
+        "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
         "decision_period": robot.decision_period,
         "robot": geometry,
         "terrain": config.terrain.plugin_name,

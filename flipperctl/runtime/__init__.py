@@ -6,5 +6,6 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 
 from flipperctl.runtime.interface import Interface, Quantity
 from flipperctl.runtime.policy import OnnxPolicy
+from flipperctl.runtime.targets import TargetRule
 
-__all__ = ["Interface", "OnnxPolicy", "Quantity"]
+__all__ = ["Interface", "OnnxPolicy", "Quantity", "TargetRule"]

@@ -6,6 +6,7 @@ In: the metadata of an ONNX model. Out: an ``Interface``, checked.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,11 +19,14 @@ from numpy.typing import NDArray
 
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
+from flipperctl.runtime.targets import TargetRule
 
 ANGLES = 3
 """Number of angles after the heights: theta_f1, theta_f2 and theta_R."""
 ACTIONS = 9
 """Number of actions."""
+TARGETS = f"{PREFIX}targets"
+"""Entry of the rule for the flippers' targets."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,11 @@ class Interface:
     """Number of consecutive observations that form one input of the network, oldest first."""
     actions: NDArray[np.float64]
     """Turns of the front and the rear flippers by each action, (9, 2) [rad]."""
+    targets: TargetRule
+    """How an action turns the flippers; see ``states_targets``."""
+    states_targets: bool
+    """Whether the file states that rule. If it does not, the policy was trained with targets that
+    no measured angle bounds, so that ``targets.window`` is infinite."""
     decision_period: float
     """Time between two actions [s]."""
     robot: Mapping[str, float]
@@ -124,6 +133,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         bin_width=entry("bin_width", "a length above 0", _is_positive),
         frames=entry("frames", "a whole number above 0", _is_count, absent="1"),
         actions=actions,
+        targets=_targets(metadata, where, robot),
+        states_targets=TARGETS in metadata,
         decision_period=entry("decision_period", "a time above 0", _is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,
@@ -131,6 +142,22 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
     )
+
+
+def _targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]) -> TargetRule:
+    """Return the rule for the targets; without its entry, that of the earlier versions."""
+    if TARGETS not in metadata:
+        return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
+    rule = _entry(
+        metadata,
+        where,
+        TARGETS.removeprefix(PREFIX),
+        "a mapping with the angles window and limit, each above 0",
+        lambda v: (
+            isinstance(v, dict) and all(_is_positive(v.get(key)) for key in ("window", "limit"))
+        ),
+    )
+    return TargetRule(window=rule["window"], limit=rule["limit"])
 
 
 def _entry(

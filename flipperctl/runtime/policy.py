@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _Shapes = dict[str, tuple[str, list[int | str | None]]]
+FloatPair = NDArray[np.float64]
 INPUT, OUTPUT = "observation", "q_values"
 _LOGGER = logging.getLogger(__name__)
 
@@ -87,6 +88,39 @@ class OnnxPolicy:
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
         return action
+
+    def next_targets(self, targets: ArrayLike, angles: ArrayLike, action: int) -> FloatPair:
+        """Return the angles to which an action turns the front and the rear flippers, (2,) [rad].
+
+        ``targets``: the last targets, at the start of an episode the measured angles; ``angles``:
+        the measured angles; each of the front and the rear flippers in frame R, (2,) [rad]. The
+        rule is ``interface.targets``, the environment's own.
+
+        Raises:
+            PolicyError: an argument is not two numbers, or there is no such action.
+            NonFiniteError: an angle is NaN or infinite.
+        """
+        if not self.interface.states_targets:
+            _warn_of_targets(str(self.path))
+        if not 0 <= action < ACTIONS:
+            raise PolicyError(
+                f"{self.path}: there is no action {action}; 0 to {ACTIONS - 1} is allowed"
+            )
+        last, measured = self._pair("targets", targets), self._pair("angles", angles)
+        turns = self.interface.actions[action].tolist()
+        return np.array(self.interface.targets.next_targets(last, measured, turns))
+
+    def _pair(self, name: str, angles: ArrayLike) -> list[float]:
+        try:
+            pair = np.asarray(angles, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(f"{self.path}: the {name} are not numbers: {error}") from error
+        if pair.shape != (2,):
+            raise PolicyError(f"{self.path}: the {name} have shape {pair.shape}; (2,) is allowed")
+        if not np.isfinite(pair).all():
+            raise NonFiniteError(f"{self.path}: the {name} are {pair}; finite numbers are allowed")
+        numbers: list[float] = pair.tolist()
+        return numbers
 
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Return the Q-values (9,) of one input (frames · (N + 3),), or (B, 9) of a batch of B.
@@ -189,6 +223,16 @@ def _warn_once(path: str) -> None:
     _LOGGER.warning(
         "%s was exported by flipperctl 0.1, without a checksum: whether it is damaged cannot be "
         "checked, and it holds only the name of its terrain; export it again",
+        path,
+    )
+
+
+@functools.cache
+def _warn_of_targets(path: str) -> None:
+    _LOGGER.warning(
+        "%s does not state how a blocked flipper is turned (flipperctl.targets): it was exported "
+        "by an earlier flipperctl, whose targets no measured angle bounds; they are computed as "
+        "in its training. Export it again to bound them",
         path,
     )
 

@@ -1,4 +1,4 @@
-"""Checks of an engine: it drives, repeats, stops at limits and restores snapshots."""
+"""Checks of an engine: it drives, repeats, stops at limits, has end stops, restores snapshots."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
 START = Start(-0.6)
 _TARGET = 0.3
 """Commanded angle of both flipper pairs [rad]."""
+_BEYOND = 0.05
+"""Distance past its limit that a flipper may give way [rad]."""
 
 
 def drives(engine: Engine) -> None:
@@ -29,6 +31,21 @@ def drives(engine: Engine) -> None:
         require(
             turned > 0.1,
             f"the {name} flippers are at {turned:.2f} rad 1 s after a command of {_TARGET} rad",
+        )
+
+
+def end_stops(engine: Engine) -> None:
+    """Check that the flippers turn no farther than their limit, whatever is commanded."""
+    limit = Robot().angle_limit
+    for sign in (1, -1):
+        begun = sign * (limit - _TARGET)
+        world = engine.place(Profile([(0.0, 0.0)]), Robot(), Start(START.x, begun, begun))
+        world.command(sign * (limit + _TARGET), sign * (limit + _TARGET))
+        angles = world.advance(2 * SAMPLES)[:, 3:]
+        require(
+            float(np.abs(angles).max()) < limit + _BEYOND,
+            f"turns the flippers to {sign * np.abs(angles).max():.2f} rad when they are commanded "
+            f"to {sign * (limit + _TARGET):.2f} rad; their limit is ±{limit:.2f} rad",
         )
 
 

@@ -100,6 +100,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
 
             yield at_defaults("drives", engine.drives)
             yield at_defaults("stops", engine.stops)
+            yield at_defaults("end stops", engine.end_stops)
             yield at_all("samples", engine.samples)
             yield at_all("repeats", engine.repeats)
             yield at_all("returns", engine.returns)

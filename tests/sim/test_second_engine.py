@@ -50,6 +50,19 @@ def test_engine_and_sensor_keep_the_contract() -> None:
         check()
 
 
+@pytest.mark.usefixtures("registry")
+def test_an_engine_without_end_stops_breaks_the_contract(tmp_path: Path) -> None:
+    text = KINEMATIC.read_text()
+    free = text.replace("np.clip(turned, -self._robot.angle_limit", "np.clip(turned, -math.pi")
+    free = free.replace(", self._robot.angle_limit)", ", math.pi)")
+    assert free != text
+    (tmp_path / "free.py").write_text(free)
+    plugins.load([tmp_path / "free.py"])
+    (check,) = (c for c in checks(registry["sim", "kinematic"]) if c.name == "end stops")
+    with pytest.raises(AssertionError, match=r"turns the flippers to 1\.35 rad .* limit is ±1\.05"):
+        check()
+
+
 def test_an_engine_that_fails_is_named_with_its_line(tmp_path: Path) -> None:
     text = KINEMATIC.read_text()
     broken = text.replace("        poses = []\n", '        raise KeyError("no poses")\n', 1)

@@ -6,19 +6,28 @@ contact. ``plain`` computes the same numbers through pymunk's public interface.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import llvmlite.binding
 import numpy as np
 import pymunk
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # carray
+from numba.core import cgutils
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray, Limits
 from flipperctl.api.engines import is_over
 from flipperctl.sim.jit import cached
-from flipperctl.sim.planar.plain import GROUND, TRACK, Bodies
+from flipperctl.sim.planar.energy import (
+    STATE,
+    Budget,
+    kinetic_energy,
+    potential_energy,
+    slowdown,
+)
+from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, Bodies
 
 _DOUBLE = 8  # bytes
 
@@ -30,6 +39,11 @@ def _double(struct: str, *path: str) -> int:
 
 _NORMAL = _double("cpArbiter", "n", "x")
 _SURFACE = _double("cpArbiter", "surface_vr", "x")
+_CONTACTS = _double("cpArbiter", "contacts")
+_COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
+_PRESS = _double("struct cpContact", "jnAcc")
+_DRIVE = _double("struct cpContact", "jtAcc")
+_CONTACT = int(ffi.sizeof("struct cpContact")) // _DOUBLE
 
 
 def _address(pointer: Any) -> int:
@@ -44,19 +58,100 @@ def _c_function(name: str, signature: Any) -> Any:
 
 _step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
 _read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp, types.uintp))
+_write = _c_function("pmSpaceBodySetIteratorFuncBatched", types.void(types.uintp, types.uintp))
+
+
+def _to_pointer(typing_context: Any, address: Any) -> Any:
+    """Compile the cast of an address to a pointer that ``carray`` takes."""
+
+    def cast(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.uintp), cast
+
+
+_pointer: Any = intrinsic(_to_pointer)
+
+
+@njit
+def _contacts(arbiter: Any) -> Any:
+    """Return the numbers of an arbiter's contacts, ``_CONTACT`` each."""
+    count = carray(arbiter, (_COUNT + 1,), dtype=np.int32)[_COUNT]
+    address = carray(arbiter, (_CONTACTS + 1,), dtype=np.uintp)[_CONTACTS]
+    return carray(_pointer(address), (count * _CONTACT,), dtype=np.float64)
 
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
-def _belt(arbiter: Any, space: Any, speed: Any) -> None:
-    """Set a contact's belt velocity, as Chipmunk's pre-solve callback; ``speed`` [m/s]."""
+def _belt(arbiter: Any, space: Any, belt: Any) -> None:
+    """Set a contact's belt velocity and bound its remembered impulses, before it is solved.
+
+    ``belt``: speed [m/s], largest remembered impulse [N s] and work of the sample [J].
+    """
     numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
-    v = carray(speed, (1,), dtype=np.float64)[0]
+    speed, largest, _ = carray(belt, (3,), dtype=np.float64)
     # If the ground is the first shape, normal and surface velocity both change sign.
-    numbers[_SURFACE] = -v * numbers[_NORMAL + 1]
-    numbers[_SURFACE + 1] = v * numbers[_NORMAL]
+    numbers[_SURFACE] = -speed * numbers[_NORMAL + 1]
+    numbers[_SURFACE + 1] = speed * numbers[_NORMAL]
+    contacts = _contacts(arbiter)
+    for first in range(0, len(contacts), _CONTACT):
+        press = contacts[first + _PRESS]
+        if press > largest:
+            contacts[first + _PRESS] = largest
+            contacts[first + _DRIVE] *= largest / press
+
+
+@cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
+def _work(arbiter: Any, space: Any, belt: Any) -> None:
+    """Add a contact's largest work of the belt, after it is solved; ``belt`` as for ``_belt``."""
+    numbers = carray(belt, (3,), dtype=np.float64)
+    contacts = _contacts(arbiter)
+    for first in range(0, len(contacts), _CONTACT):
+        numbers[2] += numbers[0] * abs(contacts[first + _DRIVE])
 
 
 _is_over = cached(njit)(is_over)
+_kinetic = cached(njit)(kinetic_energy)
+_potential = cached(njit)(potential_energy)
+_slowdown = cached(njit)(slowdown)
+
+
+class _Access(NamedTuple):
+    """Addresses and memory through which compiled code reads and writes the robot's bodies."""
+
+    chassis: int
+    front: int
+    rear: int
+    reading: int
+    """pymunk's request to append the states of a body."""
+    read: NDArray[np.int32]
+    """Count of the numbers in ``states`` that are filled, (1,)."""
+    states: FloatArray
+    """States of chassis, front and rear flippers in their order, flat; see ``energy.STATE``."""
+    writing: int
+    """pymunk's request to take the velocities of a body."""
+    written: NDArray[np.int32]
+    """Count of the numbers in ``velocities`` that are taken, (1,)."""
+    velocities: FloatArray
+    """Velocity (x, z) [m/s] and angular velocity [rad/s] of the bodies, flat."""
+
+
+@cached(njit)
+def _read_states(bodies: _Access) -> None:
+    bodies.read[0] = 0
+    _read(bodies.chassis, bodies.reading)
+    _read(bodies.front, bodies.reading)
+    _read(bodies.rear, bodies.reading)
+
+
+@cached(njit)
+def _slow_down(bodies: _Access, factor: float) -> None:
+    for body in range(3):
+        for i in range(3):
+            bodies.velocities[3 * body + i] = factor * bodies.states[STATE * body + 3 + i]
+    bodies.written[0] = 0
+    _write(bodies.chassis, bodies.writing)
+    _write(bodies.front, bodies.writing)
+    _write(bodies.rear, bodies.writing)
 
 
 @cached(njit)
@@ -64,28 +159,38 @@ def _run(
     space: int,
     substep: float,
     substeps: int,
-    chassis: int,
-    front: int,
-    rear: int,
-    request: int,
-    filled: NDArray[np.int32],
-    pose: FloatArray,
+    bodies: _Access,
+    inertia: FloatArray,
+    belt: FloatArray,
+    gravity: float,
+    servos: float,
+    belts: float,
+    tolerance: float,
     poses: FloatArray,
     angle_limit: float,
     x_limit: float,
     top: float,
     half: float,
 ) -> int:
+    states = bodies.states
+    _read_states(bodies)
+    energy = _kinetic(states, inertia) + _potential(states, inertia, gravity)
     for sample in range(len(poses)):
+        belt[2] = 0.0
         for _ in range(substeps):
             _step(space, substep)
-        filled[0] = 0  # the reader appends
-        _read(chassis, request)
-        _read(front, request)
-        _read(rear, request)
-        x, z, angle = pose[0], pose[1], pose[2]
+        _read_states(bodies)
+        kinetic, potential = _kinetic(states, inertia), _potential(states, inertia, gravity)
+        given = servos + min(belt[2], belts) + tolerance
+        excess = kinetic + potential - (energy + given)
+        energy = kinetic + potential
+        if excess > 0.0:
+            _slow_down(bodies, _slowdown(kinetic, excess))
+            energy -= min(excess, kinetic)
+        x, z, angle = states[0], states[1], states[2]
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
-        poses[sample, 3], poses[sample, 4] = pose[5] - angle, angle - pose[8]
+        poses[sample, 3] = states[STATE + 2] - angle
+        poses[sample, 4] = angle - states[2 * STATE + 2]
         if _is_over(x, z, angle, angle_limit, x_limit, top, half):
             return sample + 1
     return len(poses)
@@ -95,35 +200,55 @@ class CompiledLoop:
     """Steps a space and samples the pose of its robot, equal to ``PlainLoop`` bit for bit."""
 
     def __init__(
-        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
+        self,
+        space: pymunk.Space,
+        bodies: Bodies,
+        belt: Belt,
+        budget: Budget,
+        substep: float,
+        substeps: int,
     ) -> None:
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
-        belt_speed = ffi.new("double *", speed)
-        handler.userData = belt_speed
+        numbers = ffi.new("double[3]", [*belt, 0.0])
+        handler.userData = numbers
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
-        # pymunk's batch reader puts position and angle into an array: x, y, angle of each body.
-        pose = ffi.new("double[16]")  # larger than needed, so that it is never reallocated
-        array = ffi.new("pmFloatArray *", {"num": 0, "max": 16, "arr": pose})
-        fields = lib.POSITION | lib.ANGLE
-        request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
-        self._memory = (
-            space,
-            bodies,
-            belt_speed,
-            pose,
-            array,
-            request,
-        )  # must live as long as the loop
-        filled = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
+        handler.postSolveFunc = ffi.cast("cpCollisionPostSolveFunc", _work.address)
+        velocity = lib.VELOCITY | lib.ANGULAR_VELOCITY
+        read = _Batch(lib.POSITION | lib.ANGLE | velocity, 3 * STATE)
+        write = _Batch(velocity, 9)
         chassis, front, rear = (_address(body._body) for body in bodies)
+        access = _Access(chassis, front, rear, *read.parts, *write.parts)
+        self._memory = space, bodies, numbers, read, write  # must live as long as the loop
+        self._belt = np.frombuffer(ffi.buffer(numbers))
         self._arguments = (
-            *(_address(space._space), substep, substeps, chassis, front, rear, _address(request)),
-            *(filled, np.frombuffer(ffi.buffer(pose))),
+            *(_address(space._space), substep, substeps, access),
+            np.array([[body.mass, body.moment] for body in bodies]),
+            self._belt,
+            *budget,
         )
+
+    @property
+    def work(self) -> float:
+        """Work of the belts in the last sample, without their slip [J]."""
+        return float(self._belt[2])
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Fill the rows of ``poses``; see ``PlainLoop.run``."""
         return int(_run(*self._arguments, poses, *limits))
+
+
+class _Batch:
+    """Memory through which pymunk's batch functions read or write numbers of bodies."""
+
+    def __init__(self, fields: int, size: int) -> None:
+        # Larger than needed, so that pymunk never reallocates it.
+        numbers = ffi.new("double[]", 2 * size)
+        array = ffi.new("pmFloatArray *", {"num": 0, "max": 2 * size, "arr": numbers})
+        request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
+        self._memory = numbers, array, request
+        count = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
+        self.parts = _address(request), count, np.frombuffer(ffi.buffer(numbers))
+        """Address of the request, count of numbers (1,), numbers."""
 
 
 @cached(njit)

@@ -8,11 +8,13 @@ tangent, and it vanishes at a vertical face.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import pymunk
 
 from flipperctl.api import FloatArray, Limits
+from flipperctl.sim.planar.energy import Budget, kinetic_energy, potential_energy, slowdown
 
 TRACK, GROUND = 1, 2
 """Collision types of the tracks and of the ground."""
@@ -22,27 +24,54 @@ Bodies = tuple[pymunk.Body, pymunk.Body, pymunk.Body]
 """Bodies of the chassis, the front and the rear flippers."""
 
 
+class Belt(NamedTuple):
+    """What the callback sets at each contact of a track with the ground."""
+
+    speed: float
+    """Speed of the belt's surface along the outline [m/s]."""
+    largest: float
+    """Largest impulse that a contact remembers from one substep to the next [N s]."""
+
+
 class PlainLoop:
     """Steps a space and samples the pose of the robot in it."""
 
     def __init__(
-        self, space: pymunk.Space, bodies: Bodies, speed: float, substep: float, substeps: int
+        self,
+        space: pymunk.Space,
+        bodies: Bodies,
+        belt: Belt,
+        budget: Budget,
+        substep: float,
+        substeps: int,
     ) -> None:
-        """Drive the belts at ``speed`` [m/s], with ``substeps`` of ``substep`` [s] per sample."""
-        self._space, self._bodies = space, bodies
+        """Drive the belts, with ``substeps`` of ``substep`` [s] per sample."""
+        self._space, self._bodies, self._budget = space, bodies, budget
         self._substep, self._substeps = substep, substeps
-        self.drive(speed)
+        self._inertia = np.array([[body.mass, body.moment] for body in bodies])
+        self.work = 0.0
+        """Work of the belts in the last sample, without their slip [J]."""
+        self.drive(belt)
 
-    def drive(self, speed: float) -> None:
-        """Let every contact between a track and the ground move at ``speed`` [m/s]."""
+    def drive(self, belt: Belt) -> None:
+        """Let every contact between a track and the ground move as the belt."""
+        speed, largest = belt
 
         # Chipmunk recomputes the surface velocity of an arbiter in each substep, after the
         # collision and before `pre_solve`, which therefore sets it every time.
-        def belt(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        def pre_solve(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
             normal = arbiter.normal
             arbiter.surface_velocity = (-speed * normal.y, speed * normal.x)
+            for contact in _contacts(arbiter):
+                if contact.jnAcc > largest:
+                    contact.jtAcc *= largest / contact.jnAcc
+                    contact.jnAcc = largest
 
-        self._space.on_collision(TRACK, GROUND, pre_solve=belt)
+        def post_solve(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+            for contact in _contacts(arbiter):
+                self.work += speed * abs(contact.jtAcc)
+
+        self._space.on_collision(TRACK, GROUND, pre_solve=pre_solve, post_solve=post_solve)
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Fill the rows of ``poses``, one per sample; return the number of filled rows.
@@ -51,12 +80,47 @@ class PlainLoop:
         z [m], pitch, front and rear flipper angle [rad].
         """
         step, dt, (body, front, rear) = self._space.step, self._substep, self._bodies
+        energy = sum(self._energies())
         for sample in range(len(poses)):
+            self.work = 0.0
             for _ in range(self._substeps):
                 step(dt)
+            energy = self._balance(energy)
             x, z = body.position
             angle = body.angle
             poses[sample] = x, z, angle, front.angle - angle, angle - rear.angle
             if limits.reached(x, z, angle):
                 return sample + 1
         return len(poses)
+
+    def _energies(self) -> tuple[float, float]:
+        """Return the kinetic and the potential energy of the robot [J]."""
+        states = np.array(
+            [
+                (*body.position, body.angle, *body.velocity, body.angular_velocity)
+                for body in self._bodies
+            ]
+        ).ravel()
+        kinetic = kinetic_energy(states, self._inertia)
+        return kinetic, potential_energy(states, self._inertia, self._budget.gravity)
+
+    def _balance(self, before: float) -> float:
+        """Take from the velocities what no drive gave since ``before`` [J]; return the energy."""
+        kinetic, potential = self._energies()
+        _, servos, belts, tolerance = self._budget
+        given = servos + min(self.work, belts) + tolerance
+        excess = kinetic + potential - (before + given)
+        if excess <= 0.0:
+            return kinetic + potential
+        factor = slowdown(kinetic, excess)
+        for body in self._bodies:
+            vx, vz = body.velocity
+            body.velocity = factor * vx, factor * vz
+            body.angular_velocity *= factor
+        return kinetic + potential - min(excess, kinetic)
+
+
+def _contacts(arbiter: pymunk.Arbiter) -> Any:
+    """Return the contacts of an arbiter, whose remembered impulses pymunk does not show."""
+    found = arbiter._arbiter
+    return found.contacts[0 : found.count]

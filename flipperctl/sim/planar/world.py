@@ -23,7 +23,9 @@ from flipperctl.api import (
     Robot,
     RobotState,
 )
-from flipperctl.sim.planar.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.planar.energy import Budget
+from flipperctl.sim.planar.joints import join, largest_impulse
+from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 
 if TYPE_CHECKING:
     from flipperctl.sim.planar.compiled import CompiledLoop
@@ -81,7 +83,8 @@ class PlanarWorld:
         self._loop = loop(
             space,
             (self._chassis, self._front, self._rear),
-            robot.track_speed,
+            Belt(robot.track_speed, largest_impulse(robot)),
+            Budget.of(robot, sim.gravity),
             sim.substep,
             substeps,
         )
@@ -120,16 +123,7 @@ class PlanarWorld:
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)
-        pivot = pymunk.PivotJoint(self._chassis, body, (hinge_x, 0.0), (-reach, 0.0))
-        pivot.error_bias = 0.0
-        # A gear joint of ratio 1 holds the angle `phase` with at most the rate `max_bias` and the
-        # torque `max_force`: a rate- and torque-limited servo without a callback.
-        gear = pymunk.GearJoint(self._chassis, body, turned, 1.0)
-        gear.max_bias = robot.flipper_speed
-        gear.max_force = robot.flipper_torque
-        gear.error_bias = 0.0
-        self.space.add(pivot, gear)
-        return body, gear
+        return body, join(self._chassis, body, hinge_x, robot, self.sim.substep)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R [rad]."""

@@ -12,10 +12,12 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar import world as world_module
 from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.plain import GROUND, TRACK, PlainLoop
+from flipperctl.sim.planar.energy import Budget
+from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 from flipperctl.sim.planar.world import PlanarWorld
 
 FLAT = Profile([(0.0, 0.0)])
+UNBOUNDED = Budget(gravity=0.0, servos=0.0, belts=0.0, tolerance=math.inf)
 STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
 
 
@@ -190,10 +192,10 @@ def test_one_constant_surface_velocity_would_stall_at_the_riser(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Constant(PlainLoop):
-        def drive(self, speed: float) -> None:
+        def drive(self, belt: Belt) -> None:
             for shape in self._space.shapes:
                 if shape.collision_type == TRACK:
-                    shape.surface_velocity = (-speed, 0.0)
+                    shape.surface_velocity = (-belt.speed, 0.0)
 
     monkeypatch.setattr(world_module, "_loop", lambda engine: Constant)
     level = PlanarWorld(FLAT, Robot(), Planar(), -5.0)
@@ -221,7 +223,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
 ) -> None:
     space = pymunk.Space()
     space.gravity = pull
-    track = pymunk.Body(1.0, math.inf)
+    track = pymunk.Body(1.0, 1e9)  # it hardly turns
     wheel = pymunk.Circle(track, 0.1)
     outward = pymunk.Vec2d(*pull).normalized()
     along = outward.perpendicular() * 5.0
@@ -229,7 +231,9 @@ def test_the_belt_runs_along_the_face_that_it_touches(
     wheel.friction = face.friction = 1.0
     wheel.collision_type, face.collision_type = TRACK, GROUND
     space.add(track, wheel, face)
-    loop(space, (track, track, track), 0.2, 0.005, 2).run(np.empty((100, 5)), Limits())
+    loop(space, (track, track, track), Belt(0.2, math.inf), UNBOUNDED, 0.005, 2).run(
+        np.empty((100, 5)), Limits()
+    )
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
 
 
@@ -243,6 +247,29 @@ def test_flippers_turn_one_angle_step_in_one_decision(sign: int) -> None:
     run(world, 0.3)
     assert world.state().front == pytest.approx(target, rel=0.02)
     assert world.state().rear == pytest.approx(target, rel=0.02)
+
+
+@pytest.mark.parametrize("engine", ["plain", "compiled"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_flippers_stop_at_their_limit(sign: int, engine: str) -> None:
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(engine=engine), 0.0)
+    world.command(sign * 1.5, sign * 1.5)
+    run(world, 4.0)  # 25 °/s · 4 s = 100°
+    limit = math.pi / 3
+    assert world.state().front == pytest.approx(sign * limit, abs=5e-3)
+    assert world.state().rear == pytest.approx(sign * limit, abs=5e-3)
+
+
+def test_a_stop_that_is_not_touched_changes_nothing() -> None:
+    free, stopped = (PlanarWorld(FLAT, Robot(), Planar(), 0.0) for _ in range(2))
+    for constraint in free.space.constraints:
+        if isinstance(constraint, pymunk.RotaryLimitJoint):
+            constraint.min, constraint.max = -math.pi, math.pi
+    for world in (free, stopped):
+        world.command(math.pi / 3, math.pi / 3)
+        run(world, 3.0)
+    assert stopped.state().front == pytest.approx(math.pi / 3, abs=1e-6)
+    assert stopped.save()[0] == free.save()[0]
 
 
 # Each pair carries half of 45 kg at 0.336 m, less its own weight at 0.168 m:
