@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -101,6 +102,14 @@ class Model:
             *(self._ground, self._numbers, found, place, swing, steepest),
         )
         return Branch(found, place, swing, steepest)
+
+
+@cache
+def compile_now() -> None:
+    """Compile the dynamics, or read them from the cache on disk."""
+    model = Model(np.zeros((1, 2)), Robot())
+    state = model.state((0.0, 0.2, 0.0), (0.0, 0.0))
+    model.expand(state[None], np.zeros((1, 2)), 0.02)
 
 
 def _inertia(mass: float, axle: float, radius: float) -> float:

@@ -22,8 +22,8 @@ class Mpc(Controller):
     posture and pitch at the horizon. It needs no training and runs in real time on one core.
     """
 
-    beam: int = Field(8, ge=1, le=1000, description="nodes kept at each depth of the search [-]")
-    horizon: int = Field(8, ge=1, le=50, description="depth of the search in decisions [-]")
+    beam: int = Field(12, ge=1, le=1000, description="nodes kept at each depth of the search [-]")
+    horizon: int = Field(9, ge=1, le=50, description="depth of the search in decisions [-]")
     wider: float = Field(
         3.0, ge=1, le=100, description="width of the second search as a multiple of ``beam`` [-]"
     )

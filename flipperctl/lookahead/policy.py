@@ -21,8 +21,9 @@ from flipperctl.api import (
     Simulator,
 )
 from flipperctl.lookahead.ground_map import GroundMap
-from flipperctl.lookahead.model import TARGETS, Model
-from flipperctl.lookahead.search import HOLD, Plan, Search
+from flipperctl.lookahead.model import TARGETS, Model, compile_now
+from flipperctl.lookahead.search import Plan, Search
+from flipperctl.runtime.targets import TargetRule
 
 if TYPE_CHECKING:
     from flipperctl.lookahead.mpc import Mpc
@@ -42,13 +43,14 @@ class MpcPolicy:
 
     def _forget(self) -> None:
         self._map = GroundMap(self._settings.memory)
-        self._targets: FloatArray | None = None
+        self._targets = 0.0, 0.0
         self._plan: Plan | None = None
         self._hurried = False
 
     def reset(self, simulator: Simulator) -> None:
         """Forget the last episode; the simulator of the scene is not used."""
         self._forget()
+        compile_now()  # not at the first decision, which may be timed
 
     def act(self, p: Perception) -> int:
         """Return the first action of the best plan from here."""
@@ -56,12 +58,14 @@ class MpcPolicy:
         begun = time.perf_counter()
         deadline = begun + settings.time_limit if settings.time_limit else math.inf
         robot = nominal(p.robot)
+        if self._plan is None:
+            self._targets = p.front, p.rear
         model, root = self._scene(p, robot)
         plan = self._search(model, root, robot, deadline)
-        action = plan.actions[0] if plan.actions else HOLD
+        action = plan.actions[0]
         self._plan = plan
-        turned = root[TARGETS:] + np.array(ACTIONS[action]) * robot.angle_step
-        self._targets = np.clip(turned, -robot.angle_limit, robot.angle_limit)
+        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
+        self._targets = _rule(robot).next_targets(self._targets, (p.front, p.rear), turns)
         return action
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
@@ -96,16 +100,12 @@ class MpcPolicy:
         pose = (0.0, _touching(line, p, robot), p.pitch)
         rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
         root = model.state(pose, (p.front, p.rear), rates)
-        if self._plan is not None and self._plan.actions:
+        if self._plan is not None:
             before, expected = self._plan.states[:2]
             moved = expected[:3] - (before[0], before[1], 0.0)
             if (np.abs(moved - (*motion, p.pitch)) < _AS_EXPECTED).all():
                 root[3:6] = expected[3:6]
-        angles = np.array([p.front, p.rear])
-        if self._targets is not None:
-            blocked = np.abs(self._targets - angles) > robot.angle_step
-            angles = np.where(blocked, angles, self._targets)
-        root[TARGETS:] = angles
+        root[TARGETS:] = _rule(robot).next_targets(self._targets, (p.front, p.rear), (0.0, 0.0))
         if settings.latency:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
@@ -113,7 +113,7 @@ class MpcPolicy:
     def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
         """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""
         guess = (0.0, 0.0)
-        if self._plan is not None and self._plan.actions:
+        if self._plan is not None:
             before, expected = self._plan.states[:2]
             guess = float(expected[0] - before[0]), float(expected[1] - before[1])
         motion = self._map.add(p.points, guess)
@@ -121,6 +121,10 @@ class MpcPolicy:
         if not len(line):  # nothing is perceived: level ground under the tracks
             line = np.array([[0.0, -robot.track_radius]])
         return line, motion
+
+
+def _rule(robot: RobotGeometry) -> TargetRule:
+    return TargetRule(robot.angle_step, robot.angle_limit)
 
 
 def nominal(geometry: RobotGeometry) -> Robot:

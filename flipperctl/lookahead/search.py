@@ -54,8 +54,8 @@ class Plan:
     """The result of a search."""
 
     actions: tuple[int, ...]
-    """Indices into ``ACTIONS`` of the cheapest plan; fewer than its horizon if all others overturn
-    the robot, none if every action does so at once."""
+    """Indices into ``ACTIONS`` of the cheapest plan; fewer than the horizon if every longer plan
+    overturns the robot or the time is up."""
     states: FloatArray
     """State before the plan and after each action, (len(actions) + 1, ``STATE``)."""
     late: float
@@ -128,11 +128,14 @@ class Search:
             steep = np.maximum(here.steep[parent], found.steepest)
             distance = found.places[:, 0] - begin
             lost = robot.decision_period * (step + 1) - distance / robot.track_speed
+            lost = np.maximum(lost, 0.0)  # else plans would flap along on their flippers
             rest = paid + _end(found.states, lost, steep, prices)
             cost = rest + prices.swing * swing
             alive = found.steepest < model.overturn
             if not alive.any():
-                break
+                if step:
+                    break
+                alive = found.steepest == found.steepest.min()  # as far from falling as possible
             follows = np.flatnonzero(
                 alive
                 & (parent == here.seed)
