@@ -72,6 +72,8 @@ class Controller(Plugin):
     kind: ClassVar[str] = "controller"
     searches_first: ClassVar[bool] = False
     """Whether ``reset`` of the policy searches the scene, which may take long."""
+    baselines: ClassVar[tuple[str, ...]] = ()
+    """Names of the controllers that ``eval`` compares this one with unless others are named."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.evaluation.results import EvaluationResult
+    from flipperctl.policies.source import PolicySource
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
 
@@ -50,7 +52,11 @@ def run(
     ] = None,
     baseline: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="A controller to compare with on the same episodes."),
+        typer.Option(
+            metavar="NAMES",
+            help="Controllers, such as okada,level, to compare with on the same episodes "
+            "(mpc and planner: okada,level unless named here; none: no comparison).",
+        ),
     ] = None,
     passable: Annotated[
         str | None,
@@ -81,17 +87,15 @@ def run(
     from flipperctl.evaluation import files
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.files import make_folder
-    from flipperctl.policies.source import PolicySource
 
     loader.load(plugins or ())
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
     arguments = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
     found = scenes(arguments, checkpoint, controller)
-    against = PolicySource.of_plugin(baseline, "--baseline") if baseline else None
-    names = [name for name in (passable or "").split(",") if name]
-    references = [PolicySource.of_plugin(name, "--passable") for name in names]
+    against = _sources(baseline, "--baseline", found[0][1].baselines())
+    references = _sources(passable, "--passable")
     folder = make_folder(output) if output else None
-    result = evaluate(found, baseline=against, references=references, progress=episodes_progress)
+    result = evaluate(found, baselines=against, references=references, progress=episodes_progress)
     if folder:
         from flipperctl.report.scenes import draw_scenes
 
@@ -103,14 +107,21 @@ def run(
         _print(result)
 
 
+def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
+    from flipperctl.policies.source import PolicySource
+
+    chosen = default if names is None else [] if names == "none" else names.split(",")
+    return [PolicySource.of_plugin(name, option) for name in chosen if name]
+
+
 def _print(result: EvaluationResult) -> None:
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
-    from flipperctl.cli.eval_tables import comparison, table
+    from flipperctl.cli.eval_tables import comparisons, table
 
     console().print(table(result))
-    if any(scene.baseline for scene in result.scenes):
-        console().print(comparison(result))
+    for comparison in comparisons(result):
+        console().print(comparison)
     for line in condition_lines(
         (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
     ):

@@ -1,6 +1,6 @@
 """The tables of ``flipperctl eval``.
 
-In: the result of an evaluation. Out: a table of its scenes, and one of the differences to a
+In: the result of an evaluation. Out: a table of its scenes, and one of the differences to each
 baseline.
 """
 
@@ -16,6 +16,7 @@ from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.env.measures import Measure
 from flipperctl.evaluation.episode import further_measures
 from flipperctl.evaluation.results import (
+    BaselineResult,
     Differences,
     EvaluationResult,
     Interval,
@@ -42,19 +43,19 @@ def table(result: EvaluationResult) -> Table:
     return found
 
 
-def comparison(result: EvaluationResult) -> Table:
-    """Return a table of the paired differences to the baseline.
+def comparisons(result: EvaluationResult) -> Iterator[Table]:
+    """Yield a table of the paired differences to each baseline."""
+    for index, _ in enumerate(result.scenes[0].baselines):
+        yield _comparison([(n, scene.baselines[index]) for n, scene in _named(result)])
 
-    Raises:
-        IndexError: no scene has a baseline.
-    """
-    scenes = [(name, scene.baseline) for name, scene in _named(result)]
-    compared = [(name, other) for name, other in scenes if other is not None]
+
+def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     baseline = compared[0][1].controller
     title = f"difference to {baseline} on the same episodes, where both reached the finish"
     found = Table(title=title, title_justify="left")
     swings = (f"Δ {HEADING}", f"Δ {PAPERS_HEADING}")
-    for heading in ("terrain", "pairs", f"{baseline}: success", *swings, "Δ t_cost [s]"):
+    theirs = (f"{baseline}: success", f"{baseline}: {HEADING}")
+    for heading in ("terrain", "pairs", *theirs, *swings, "Δ t_cost [s]"):
         found.add_column(escape(heading))
     for name, other in compared:
         found.add_row(*_difference_cells(name, other.summary, other.difference))
@@ -104,6 +105,7 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
         name,
         str(pairs.episodes if pairs else 0),
         _format_interval(other.success, 3),
+        _format_interval(other.pitch_variation_100hz),
         _format_interval(pairs),
         _format_interval(difference.pitch_variation),
         _format_interval(difference.t_cost, 1),

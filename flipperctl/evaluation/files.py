@@ -29,15 +29,14 @@ def write(folder: Path, result: EvaluationResult) -> None:
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
-    """Yield a flat row per episode: for each scene the policy's, then its baseline's."""
+    """Yield a flat row per episode: for each scene the policy's, then its baselines'."""
     for scene in result.scenes:
         conditions = {
             "conditions": scene.conditions.name,
             "conditions_hash": scene.conditions.hash,
         }
         players = [(result.controller, scene.episodes)]
-        if scene.baseline:
-            players.append((scene.baseline.controller, scene.baseline.episodes))
+        players += [(other.controller, other.episodes) for other in scene.baselines]
         for label, episodes in players:
             for episode in episodes:
                 who = {"scene": scene.terrain, "controller": label}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -185,7 +185,7 @@ class SceneResult:
     seed: int
     """Seed of the evaluation."""
     conditions: Conditions
-    baseline: BaselineResult | None
+    baselines: tuple[BaselineResult, ...]
     episodes: tuple[EpisodeResult, ...]
 
     @property
@@ -199,7 +199,7 @@ class SceneResult:
             **self.summary.container(),
             "seed": self.seed,
             "conditions": self.conditions.container(),
-            **({"baseline": self.baseline.container()} if self.baseline else {}),
+            **_baselines(self.baselines),
         }
 
 
@@ -225,6 +225,13 @@ class EvaluationResult:
 
 def _data(interval: Interval | None) -> dict[str, float] | None:
     return None if interval is None else interval.container()
+
+
+def _baselines(baselines: Sequence[BaselineResult]) -> dict[str, Any]:
+    """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
+    found = [baseline.container() for baseline in baselines]
+    first = {"baseline": found[0]} if found else {}
+    return first | ({"baselines": found} if len(found) > 1 else {})
 
 
 def _parts(parts: Mapping[str, Summary] | Mapping[str, Differences]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Evaluate a policy on scenes, together with a baseline and references.
+"""Evaluate a policy on scenes, together with baselines and references.
 
 In: a configuration and a policy's source for each scene. Out: an ``EvaluationResult`` for
 the command line, reports and other programs; nothing is printed or written here.
@@ -34,13 +34,13 @@ def no_progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
 def evaluate(
     scenes: Sequence[Scene],
     *,
-    baseline: PolicySource | None = None,
+    baselines: Sequence[PolicySource] = (),
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
 ) -> EvaluationResult:
     """Evaluate one policy on each scene.
 
-    ``baseline`` plays the same episodes for comparison. ``references`` try in turn the episodes
+    ``baselines`` play the same episodes for comparison. ``references`` try in turn the episodes
     that the policy did not cross, to find out which can be crossed at all.
 
     Raises:
@@ -49,14 +49,14 @@ def evaluate(
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    results = [evaluate_scene(c, s, baseline, references, progress) for c, s in scenes]
+    results = [evaluate_scene(c, s, baselines, references, progress) for c, s in scenes]
     return EvaluationResult(scenes[0][1].label(), tuple(results))
 
 
 def evaluate_scene(
     config: EvalConfig,
     source: PolicySource,
-    baseline: PolicySource | None = None,
+    baselines: Sequence[PolicySource] = (),
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
 ) -> SceneResult:
@@ -65,16 +65,16 @@ def evaluate_scene(
     episodes = play_scene(config, source, terrain, progress)
     if references:
         episodes = _crossed_by_references(config, source, references, episodes, progress)
-    other = None
-    if baseline is not None:
+    others = []
+    for baseline in baselines:
         label = baseline.label()
         played = play_scene(config, baseline, f"{terrain}, {label}", progress)
-        other = compare(terrain, episodes, label, played)
+        others.append(compare(terrain, episodes, label, played))
     return SceneResult(
         summarise(terrain, episodes),
         config.eval.seed,
         Conditions.of(config),
-        other,
+        tuple(others),
         tuple(episodes),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
@@ -22,6 +22,7 @@ class Mpc(Controller):
     posture and pitch at the horizon. It needs no training and runs in real time on one core.
     """
 
+    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
     beam: int = Field(12, ge=1, le=1000, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=50, description="depth of the search in decisions [-]")
     wider: float = Field(

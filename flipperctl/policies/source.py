@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.api import ObservationLayout, Policy
+from flipperctl.api import Controller, ObservationLayout, Policy
 from flipperctl.checkpoint import read
 from flipperctl.config import resolver
 from flipperctl.errors import CheckpointError
@@ -44,6 +44,14 @@ class PolicySource:
         if self.checkpoint is not None:
             return str(self.checkpoint)
         return str((self.settings or {})["name"])
+
+    def baselines(self) -> tuple[str, ...]:
+        """Return the controllers that stand beside this one's results, unless others are named."""
+        if self.checkpoint is not None:
+            return ()
+        found = resolver.create("controller", self.settings, "controller")
+        assert isinstance(found, Controller)
+        return found.baselines
 
     def build(self, layout: ObservationLayout) -> Policy:
         """Build the policy for observations of this layout.

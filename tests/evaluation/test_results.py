@@ -56,7 +56,7 @@ def scene(document: dict[str, Any], rows: list[dict[str, str]], controller: str)
     terrain = document["terrain"]
     other = compare(terrain, episodes, label, others)
     summary = summarise(terrain, episodes)
-    return SceneResult(summary, document["seed"], conditions, other, tuple(episodes))
+    return SceneResult(summary, document["seed"], conditions, (other,), tuple(episodes))
 
 
 @pytest.mark.parametrize("name", ["mix", "two"])

@@ -23,7 +23,9 @@ FLAT = EvalConfig(terrain="flat", eval=TWO)
 
 
 def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
-    found = evaluate([(STEP, LEVEL), (FLAT, LEVEL)], baseline=OKADA, references=[RANDOM, OKADA])
+    found = evaluate(
+        [(STEP, LEVEL), (FLAT, LEVEL)], baselines=[OKADA, RANDOM], references=[RANDOM, OKADA]
+    )
     assert found.controller == "level"
     step, flat = found.scenes
     assert (step.terrain, flat.terrain) == ("step", "flat")
@@ -34,18 +36,20 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     assert step.summary.outcomes == Outcomes(reached=0, overturned=0, stuck=2, timeout=0)
     assert [e.crossed_by for e in step.episodes] == ["okada", "okada"]
     assert step.summary.passable == Passable(2, 0.0, Interval(0.0, 0.0, 0.0))
-    assert step.baseline is not None
-    assert step.baseline.controller == "okada"
-    assert step.baseline.summary.success_rate == 1.0
-    assert step.baseline.difference.t_cost is None
+    step_okada, step_random = step.baselines
+    assert step_random.controller == "random"
+    assert step_okada.controller == "okada"
+    assert step_okada.summary.success_rate == 1.0
+    assert step_okada.difference.t_cost is None
     played = play_episodes(STEP, OKADA, episodes=2, seed=4)
-    assert step.baseline.episodes == tuple(played)
+    assert step_okada.episodes == tuple(played)
 
     assert [e.crossed_by for e in flat.episodes] == ["level", "level"]
     assert flat.summary.passable == Passable(2, 1.0, Interval(1.0, 1.0, 1.0))
-    assert flat.baseline is not None
-    assert flat.baseline.difference.t_cost == PairedDifference(0.0, 0.0, 0.0, 2)
-    assert [e.crossed_by for e in flat.baseline.episodes] == [None, None]
+    flat_okada, flat_random = flat.baselines
+    assert flat_random.controller == "random"
+    assert flat_okada.difference.t_cost == PairedDifference(0.0, 0.0, 0.0, 2)
+    assert [e.crossed_by for e in flat_okada.episodes] == [None, None]
 
 
 def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
@@ -60,7 +64,7 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
         yield done.append
 
     for config in (STEP, FLAT):
-        evaluate_scene(config, LEVEL, OKADA, [OKADA], progress)
+        evaluate_scene(config, LEVEL, [OKADA], [OKADA], progress)
     assert opened == [
         ("step", 2),
         ("step, okada on what was not crossed", 2),
@@ -74,7 +78,7 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
 
 def test_without_references_no_episode_says_who_crossed_it() -> None:
     found = evaluate_scene(FLAT, LEVEL)
-    assert found.baseline is None
+    assert found.baselines == ()
     assert found.summary.passable is None
     assert "crossed_by" not in found.episodes[0].row()
 

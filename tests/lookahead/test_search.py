@@ -1,0 +1,71 @@
+"""The search: it finds what is cheap, keeps its former plan, and is repeatable."""
+
+import time
+
+import numpy as np
+
+from flipperctl.api import ACTIONS, Robot, action_index
+from flipperctl.lookahead.model import Model
+from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.search import Search
+
+ROBOT = Robot()
+STEP = np.array([[0.0, 0.0], [0.0, 0.3], [3.0, 0.3]])
+HOLD = action_index(0, 0)
+
+
+def before_the_step() -> tuple[Model, np.ndarray]:
+    model = Model(STEP, ROBOT)
+    return model, model.state((-0.75, 0.1, 0.0), (0.0, 0.0), (0.2, 0.0, 0.0))
+
+
+def test_on_level_ground_it_holds_level_flippers_still() -> None:
+    model = Model(np.array([[0.0, 0.0]]), ROBOT)
+    root = model.state((0.0, 0.1, 0.0), (0.0, 0.0), (0.2, 0.0, 0.0))
+    plan = Search(ROBOT, Mpc().prices(), width=6, depth=4).run(model, root)
+    assert plan.actions == (HOLD,) * 4
+    assert plan.late < 0.1
+
+
+def test_before_a_step_it_raises_the_front_flippers() -> None:
+    model, root = before_the_step()
+    plan = Search(ROBOT, Mpc().prices(), width=8, depth=6).run(model, root)
+    raised = sum(ACTIONS[action][0] for action in plan.actions[:3])
+    assert raised >= 2
+    assert plan.states[-1][0] > root[0] + 0.3
+
+
+def test_the_cheapest_first_action_is_that_of_the_plan_and_a_wider_beam_is_no_worse() -> None:
+    model, root = before_the_step()
+    narrow, wide = (Search(ROBOT, Mpc().prices(), w, 5).run(model, root) for w in (4, 32))
+    for plan in (narrow, wide):
+        assert plan.costs.argmin() == plan.actions[0]
+    assert wide.costs.min() <= narrow.costs.min()
+    assert wide.simulated > narrow.simulated
+
+
+def test_a_former_plan_stays_in_the_beam() -> None:
+    model = Model(STEP, ROBOT)
+    root = model.state((-0.3, 0.45, 0.35), (0.8, -0.5), (0.1, 0.1, 0.0))  # on the edge, nose up
+    good = Search(ROBOT, Mpc().prices(), 32, 6).run(model, root)
+    blind = Search(ROBOT, Mpc().prices(), 1, 6).run(model, root)
+    kept = Search(ROBOT, Mpc().prices(), 1, 6).run(model, root, former=good.actions)
+    assert blind.costs.min() > good.costs.min()
+    assert kept.costs.min() <= good.costs.min() + 1e-9
+
+
+def test_it_repeats_itself_and_ends_at_its_deadline() -> None:
+    model, root = before_the_step()
+    search = Search(ROBOT, Mpc().prices(), 8, 6)
+    first, second = (search.run(model, root) for _ in range(2))
+    assert first.actions == second.actions
+    assert np.array_equal(first.costs, second.costs)
+    hasty = search.run(model, root, deadline=time.perf_counter() - 1.0)
+    assert len(hasty.actions) == 1
+
+
+def test_where_every_action_overturns_it_takes_the_least_dangerous() -> None:
+    model = Model(np.array([[0.0, 0.0]]), ROBOT, overturn=0.5)
+    root = model.state((0.0, 0.6, 0.49), (0.0, 0.0), (0.0, 0.0, 3.0))
+    plan = Search(ROBOT, Mpc().prices(), 4, 3).run(model, root)
+    assert len(plan.actions) == 1
