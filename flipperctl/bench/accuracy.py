@@ -59,6 +59,7 @@ def measure(bench: Bench) -> dict[str, Any]:
         "about": ABOUT,
         "quantities": quantities,
         "ratios": ratios,
+        "by_terrain": policies["by_terrain"],
         "missing": policies["missing"],
     }
 

@@ -29,7 +29,7 @@ _KEY = "pitch_variation_100hz"
 
 
 def measure_policies(bench: Bench, begun: float) -> dict[str, Any]:
-    """Measure relative changes of θ̂_R and changed outcomes [-] by policy.
+    """Measure relative changes of θ̂_R and changed outcomes [-] by policy, and by terrain too.
 
     ``begun``: fraction of the whole measure that is done before this part.
     """
@@ -43,21 +43,29 @@ def measure_policies(bench: Bench, begun: float) -> dict[str, Any]:
     quantities: dict[str, Any] = {}
     missing: list[str] = []
     runs = [(name, family) for name in sources for family in families]
-    found: dict[str, list[tuple[Row, Row]]] = {name: [] for name in sources}
+    found: dict[str, dict[str, list[tuple[Row, Row]]]] = {name: {} for name in sources}
     for index, (name, family) in enumerate(runs):
         done = begun + (1 - begun) * index / len(runs)
         bench.report_progress(f"{name} on {family} at two substeps", done)
         config = with_overrides(bench.config.environment(), {"terrain": family})
         try:
-            found[name] += _play_both(bench, config, sources[name])
+            found[name][family] = _play_both(bench, config, sources[name])
         except CheckpointError as error:  # the policy needs another observation layout
             missing = [str(error)]
-    for name, pairs in found.items():
+    for name, by_family in found.items():
+        pairs = [pair for family in by_family.values() for pair in family]
         if values := changes(pairs):
             quantities[f"{name}.change"] = quantity(values, "-")
         if pairs:
             quantities[f"{name}.changed_outcomes"] = quantity([changed_outcomes(pairs)], "-")
-    return {"quantities": quantities, "missing": missing}
+    by_terrain = {
+        name: {
+            family: {"changes": changes(pairs), "changed_outcomes": changed_outcomes(pairs)}
+            for family, pairs in by_family.items()
+        }
+        for name, by_family in found.items()
+    }
+    return {"quantities": quantities, "by_terrain": by_terrain, "missing": missing}
 
 
 def changes(pairs: Sequence[tuple[Row, Row]]) -> list[float]:

@@ -17,6 +17,8 @@ def test_each_substep_is_compared_with_the_finest() -> None:
         assert len(change) == 2  # both starts reach the finish, at both substeps
         assert all(0 < value < 0.5 for value in change)
         assert found["quantities"][f"{policy}.changed_outcomes"]["values"] == [0.0]
+        by_terrain = found["by_terrain"][policy]
+        assert by_terrain == {"step": {"changes": change, "changed_outcomes": 0.0}}
     assert found["missing"] == []
     for scene in ("paper_step", "paper_stair", "paper_step.100hz", "paper_stair.100hz"):
         coarse, finest = f"{scene}.5ms", f"{scene}.1.25ms"
