@@ -10,7 +10,6 @@ from __future__ import annotations
 from bisect import bisect_left
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from flipperctl.api import (
@@ -22,7 +21,6 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.sim.jit import cached
 
 
 @sensor("planar")
@@ -66,6 +64,9 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
+        from flipperctl.sim.planar.bins import sum_bins  # numba takes a third of a second to import
+
+        self._sum_bins = sum_bins
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -104,28 +105,10 @@ class TerrainSensor:
         """
         s = self.settings
         total, count = np.zeros(s.bins), np.zeros(s.bins)
-        seen = _sum_bins(points, self._reach, s.bin_width, total, count)
+        seen = self._sum_bins(points, self._reach, s.bin_width, total, count)
         if seen == s.bins:
             return total / count
         if not seen:
             return total
         where = np.flatnonzero(count)
         return np.interp(np.arange(s.bins), where, total[where] / count[where])
-
-
-@cached(njit)
-def _sum_bins(
-    points: FloatArray, reach: float, width: float, total: FloatArray, count: FloatArray
-) -> int:
-    """Sum up the heights of each bin's points and count them; return the number of bins with any.
-
-    ``points`` are (P, 2) in frame L within ``reach`` [m]; ``total`` and ``count`` are (N,) zeros.
-    """
-    seen = 0
-    for i in range(len(points)):
-        index = min(int((points[i, 0] + reach) / width), len(total) - 1)
-        if count[index] == 0:
-            seen += 1
-        total[index] += points[i, 1]
-        count[index] += 1
-    return seen
