@@ -11,10 +11,25 @@ from pydantic import Field
 from flipperctl.api import Settings
 from flipperctl.config import TrainConfig, parse, with_overrides
 
+FAMILIES = (
+    "step",
+    "stair",
+    "building_stair",
+    "ramp",
+    "uplift",
+    "gap",
+    "wave",
+    "rubble",
+    "pallet",
+    "plum",
+)
+"""Terrains of the generalist's training, for measures over all kinds of ground."""
+
 SMALL: Mapping[str, Any] = {
     "repeats": 2,
     "episodes": 1,
     "starts": 1,
+    "families": 1,
     "updates": 4,
     "batch_sizes": (32,),
     "transitions": 300,
@@ -38,10 +53,24 @@ class BenchSettings(Settings):
     )
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers [-]")
     controller: str = Field(
-        "okada", description="physics, accuracy: controller plugin that drives [-]"
+        "okada", description="physics, accuracy, lookahead: controller plugin that drives [-]"
     )
-    episodes: int = Field(4, ge=1, le=1000, description="physics: episodes per round [-]")
-    starts: int = Field(20, ge=1, le=10_000, description="accuracy: starts per scene [-]")
+    episodes: int = Field(
+        4,
+        ge=1,
+        le=1000,
+        description="physics: episodes per round; lookahead: episodes per terrain and controller "
+        "whose decisions are predicted [-]",
+    )
+    starts: int = Field(
+        20, ge=1, le=10_000, description="accuracy: starts per scene, episodes per terrain [-]"
+    )
+    families: int = Field(
+        len(FAMILIES),
+        ge=1,
+        le=len(FAMILIES),
+        description=f"accuracy, lookahead: terrains, the first of {', '.join(FAMILIES)} [-]",
+    )
     updates: int = Field(200, ge=1, le=100_000, description="learner: updates per round [-]")
     batch_sizes: tuple[int, ...] = Field(
         (32, 128, 512), min_length=1, description="learner: transitions per update [-]"

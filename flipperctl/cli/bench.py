@@ -18,12 +18,16 @@ if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings
     from flipperctl.config import TrainConfig
 
-MEASURES = ("physics", "accuracy", "learner", "solve", "latency", "startup", "discovery", "scaling")
+MEASURES = (
+    *("physics", "accuracy", "lookahead", "learner", "solve"),
+    *("latency", "startup", "discovery", "scaling"),
+)
 SECTION = "bench."
 
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of its substep;
+[bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
 [bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes
 succeed, against it too;
 [bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
@@ -31,7 +35,7 @@ succeed, against it too;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
-updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
+families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
 in_a_row, calls, decisions, commands, modules.
 
 [bold]Examples[/]

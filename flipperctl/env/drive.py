@@ -103,8 +103,9 @@ class Drive:
 
     def _pose(self) -> FloatArray:
         """Return the pose at the last decision, (1, 5), in the order of ``poses``."""
-        world, state = self.world, self.state
-        return np.array([[*world.position, world.pitch, state.front, state.rear]])
+        state = self.state
+        x, z = state.position
+        return np.array([[x, z, state.pitch, state.front, state.rear]])
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""

@@ -46,6 +46,8 @@ class MpcPolicy:
         self._targets = 0.0, 0.0
         self._plan: Plan | None = None
         self._hurried = False
+        self.simulated = 0
+        """Decisions simulated for the last action, by all of its searches [-]."""
 
     def reset(self, simulator: Simulator) -> None:
         """Forget the last episode; the simulator of the scene is not used."""
@@ -74,12 +76,14 @@ class MpcPolicy:
         calm = Search(robot, settings.prices(), settings.beam, settings.horizon)
         width = round(settings.wider * settings.beam)
         wide = Search(robot, settings.prices(hurry=True), width, settings.horizon)
-        plan = None
+        plan, self.simulated = None, 0
         if not self._hurried:
             plan = calm.run(model, root, former, deadline)
+            self.simulated = plan.simulated
             self._hurried = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
         if self._hurried and time.perf_counter() < deadline:
             plan = wide.run(model, root, former, deadline)
+            self.simulated += plan.simulated
             self._hurried = plan.late > settings.stuck_from / 2
         assert plan is not None
         return plan

@@ -29,5 +29,7 @@ class Pitch(RewardTerm):
         rising = abs(t.after.pitch) > abs(t.before.pitch)
         if abs(t.after.pitch) > math.pi / 4 and rising:
             return -1.0
-        swing = float(np.abs(np.diff(t.pitches[-self.window :])).mean())
+        pitches = t.pitches[-self.window :]
+        changes = np.abs(pitches[1:] - pitches[:-1])
+        swing = float(np.add.reduce(changes)) / len(changes)  # faster than numpy's mean
         return -min(1.0, self.lambda_2 * swing)

@@ -28,5 +28,6 @@ class Swing(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]: 0 for a transition without a path."""
-        swing = float(np.abs(np.diff(t.path[:, 2])).sum())  # [rad]
+        pitch = t.path[:, 2]
+        swing = float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1])))  # [rad]
         return -min(1.0, self.slope * swing)

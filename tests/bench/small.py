@@ -7,7 +7,7 @@ import pytest
 from flipperctl.bench.settings import Bench, sizes
 from flipperctl.config import TrainConfig
 
-UNITS = {"rad", "1/s", "s", "ms", "µs", "MiB", "-"}
+UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
 
 
 def small_bench(**changes: object) -> Bench:

@@ -36,7 +36,8 @@ class PitchVariation100Hz:
 
     def add(self, t: Transition) -> None:
         """Add the absolute changes of the pitch within one decision."""
-        self.value += float(np.abs(np.diff(t.path[:, 2])).sum())
+        pitch = t.path[:, 2]
+        self.value += float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1])))
 
 
 class MaxPitch:
@@ -52,4 +53,4 @@ class MaxPitch:
 
     def add(self, t: Transition) -> None:
         """Update the maximum with the poses of one decision, including the pose before it."""
-        self.value = max(self.value, float(np.abs(t.path[:, 2]).max()))
+        self.value = max(self.value, float(np.maximum.reduce(np.abs(t.path[:, 2]))))
