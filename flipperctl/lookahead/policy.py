@@ -80,12 +80,12 @@ class MpcPolicy:
         if not self._hurried:
             plan = calm.run(model, root, former, deadline)
             self.simulated = plan.simulated
-            self._hurried = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
-        if self._hurried and time.perf_counter() < deadline:
+            stuck = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
+            self._hurried = stuck and time.perf_counter() < deadline
+        if plan is None or self._hurried:
             plan = wide.run(model, root, former, deadline)
             self.simulated += plan.simulated
             self._hurried = plan.late > settings.stuck_from / 2
-        assert plan is not None
         return plan
 
     def _scene(self, p: Perception, robot: Robot) -> tuple[Model, FloatArray]:

@@ -1,6 +1,7 @@
 """``mpc``: it crosses what it perceives, more smoothly than the rules, and repeats itself."""
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from flipperctl.api import Controller, Outcome
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.episode import decisions, play
 from tests.cli.call import call
 
 
@@ -49,6 +50,15 @@ def test_latency_is_simulated_before_the_search() -> None:
     late, aware = (played(env, "mpc", 3, latency=seconds) for seconds in (0.0, 0.3))
     assert late["outcome"] == aware["outcome"] == Outcome.REACHED
     assert late["pitch_variation"] != aware["pitch_variation"]
+
+
+def test_a_time_limit_ends_the_search_and_not_the_drive() -> None:
+    env = FlipperEnv("pallet")
+    found = resolver.create("controller", {"name": "mpc", "time_limit": 1e-6}, "controller")
+    assert isinstance(found, Controller)
+    policy = found.build()
+    for _ in islice(decisions(env, policy, 4), 12):
+        assert len(policy._plan.actions) == 1  # type: ignore[attr-defined]  # one depth
 
 
 def test_the_rules_stand_beside_it_unless_others_are_named(tmp_path: Path) -> None:
