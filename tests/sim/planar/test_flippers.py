@@ -2,6 +2,7 @@
 
 import math
 
+import pymunk
 import pytest
 
 from flipperctl.api import Profile, Robot
@@ -9,6 +10,7 @@ from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
 
 FLAT = Profile([(0.0, 0.0)])
+STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
 
 
 def run(world: PlanarWorld, seconds: float) -> None:
