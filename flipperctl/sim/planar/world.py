@@ -170,11 +170,12 @@ class PlanarWorld:
     def state(self) -> RobotState:
         """Return the current state."""
         chassis = self._chassis
+        pitch = chassis.angle
         return RobotState(
             position=np.array(chassis.position),
-            pitch=chassis.angle,
-            front=self._front.angle - chassis.angle,
-            rear=chassis.angle - self._rear.angle,
+            pitch=pitch,
+            front=self._front.angle - pitch,
+            rear=pitch - self._rear.angle,
             velocity=np.array(chassis.velocity),
             pitch_rate=chassis.angular_velocity,
             time=self._time,
