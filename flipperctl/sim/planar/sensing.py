@@ -7,10 +7,7 @@ the horizon.
 
 from __future__ import annotations
 
-from bisect import bisect_left
-
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from flipperctl.api import (
@@ -22,7 +19,6 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.sim.jit import cached
 
 
 @sensor("planar")
@@ -65,7 +61,6 @@ class TerrainSensor:
         self.settings = settings
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
-        self._reach = settings.reach
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -73,19 +68,21 @@ class TerrainSensor:
         """Sense the ground around the robot, then its posture."""
         s = self.settings
         points = self.points(state.position, rng)
-        front, rear = state.front + s.flipper_bias, state.rear + s.flipper_bias
-        pitch = state.pitch + s.pitch_bias
+        angles = np.array(
+            [state.front + s.flipper_bias, state.rear + s.flipper_bias, state.pitch + s.pitch_bias]
+        )
         if s.angle_noise > 0:
-            front, rear, pitch = (front, rear, pitch) + rng.normal(0.0, s.angle_noise, 3)
+            angles = angles + rng.normal(0.0, s.angle_noise, 3)
+        front, rear, pitch = map(float, angles)
         ground = SensedGround(points, self.heights(points))
-        return ground, SensedAngles(float(front), float(rear), float(pitch))
+        return ground, SensedAngles(front, rear, pitch)
 
     def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
         s = self.settings
-        x = float(position[0])
-        low = bisect_left(self._x.data, x - self._reach)
-        high = bisect_left(self._x.data, x + min(self._reach, s.horizon))
+        low, high = np.searchsorted(
+            self._x, (position[0] - s.reach, position[0] + min(s.reach, s.horizon))
+        )
         points = self._cloud[low:high] - position
         if s.bias:
             points[:, 1] += s.bias
@@ -102,29 +99,14 @@ class TerrainSensor:
         any points, every height is 0.
         """
         s = self.settings
-        total, count = np.zeros(s.bins), np.zeros(s.bins)
-        seen = _sum_bins(points, self._reach, s.bin_width, total, count)
-        if seen == s.bins:
-            return total / count
-        if not seen:
-            return total
-        where = np.flatnonzero(count)
+        index = ((points[:, 0] + s.reach) / s.bin_width).astype(np.intp)
+        index = np.minimum(index, s.bins - 1)
+        count = np.bincount(index, minlength=s.bins)
+        total = np.bincount(index, weights=points[:, 1], minlength=s.bins)
+        seen = count > 0
+        if seen.all():
+            return np.asarray(total / count)
+        if not seen.any():
+            return np.zeros(s.bins)
+        where = np.flatnonzero(seen)
         return np.interp(np.arange(s.bins), where, total[where] / count[where])
-
-
-@cached(njit)
-def _sum_bins(
-    points: FloatArray, reach: float, width: float, total: FloatArray, count: FloatArray
-) -> int:
-    """Sum up the heights of each bin's points and count them; return the number of bins with any.
-
-    ``points`` are (P, 2) in frame L within ``reach`` [m]; ``total`` and ``count`` are (N,) zeros.
-    """
-    seen = 0
-    for i in range(len(points)):
-        index = min(int((points[i, 0] + reach) / width), len(total) - 1)
-        if count[index] == 0:
-            seen += 1
-        total[index] += points[i, 1]
-        count[index] += 1
-    return seen

@@ -170,12 +170,11 @@ class PlanarWorld:
     def state(self) -> RobotState:
         """Return the current state."""
         chassis = self._chassis
-        pitch = chassis.angle
         return RobotState(
             position=np.array(chassis.position),
-            pitch=pitch,
-            front=self._front.angle - pitch,
-            rear=pitch - self._rear.angle,
+            pitch=chassis.angle,
+            front=self._front.angle - chassis.angle,
+            rear=chassis.angle - self._rear.angle,
             velocity=np.array(chassis.velocity),
             pitch_rate=chassis.angular_velocity,
             time=self._time,
