@@ -8,7 +8,6 @@ obstacle would displace those that climb it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -90,14 +89,13 @@ class Beam:
     """Length of a stretch [m]."""
     cell: float
     """Nodes closer than this in position and pitch, with equal targets, are merged [m, rad]."""
-    report: Callable[[float], None] = lambda fraction: None
     spent: int = field(default=0, init=False)
 
-    def search(self, root: FloatArray, budget: float = math.inf) -> Way:
+    def search(self, root: FloatArray, budget: float = math.inf, bound: float = math.inf) -> Way:
         """Return the cheapest plan from the state ``root``, (``STATE``,).
 
-        If no plan leads as far as asked, or ``budget`` decisions are spent before, return the one
-        that came farthest.
+        If no plan below the cost ``bound`` [s] leads as far as asked, or ``budget`` decisions are
+        spent before, return the one that came farthest.
         """
         place = np.array([self.model.chassis(root)])
         zero = np.zeros(1)
@@ -107,7 +105,7 @@ class Beam:
         start = _Nodes(root[None], place, zero, zero, zero, zero, none, none)
         stretches: dict[int, list[_Nodes]] = {0: [start]}
         expanded: list[_Nodes] = []
-        count, best, final, farthest = 0, math.inf, (-1, -1), (begin, -1, -1)
+        count, best, final, farthest = 0, bound, (-1, -1), (begin, -1, -1)
         limit = self.spent + budget
         while stretches and self.spent < limit:
             index = min(stretches)
@@ -143,12 +141,11 @@ class Beam:
                 fresh = [children.take(bins == index)]
                 if not len(fresh[0].cost):
                     break
-            self.report(min(1.0, (farthest[0] - begin) / max(1e-6, last - begin)))
         complete = final[0] >= 0
         tail = final if complete else farthest[1:]
         actions = _trace(expanded, *tail)
         gone = (last if complete else farthest[0]) - begin
-        return Way(actions, best, gone, complete)
+        return Way(actions, best if complete else math.inf, gone, complete)
 
     def follow(self, root: FloatArray, actions: tuple[int, ...]) -> Way:
         """Simulate a plan from the state ``root``, in the same costs as those of ``search``."""

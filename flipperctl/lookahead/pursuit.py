@@ -6,16 +6,20 @@ predictions only choose the actions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, FloatArray, Outcome, Policy, Robot, Simulator
-from flipperctl.lookahead.beam import Beam, Way
+from flipperctl.api import ACTIONS, FloatArray, Outcome, Policy, Simulator
+from flipperctl.lookahead.beam import Beam
 from flipperctl.lookahead.model import TARGETS
 from flipperctl.lookahead.search import HOLD
 from flipperctl.runtime.targets import TargetRule
+
+_LEANING = 0.5
+"""Pitch at the end of a short search that is taken for granted [rad]."""
 
 
 @dataclass
@@ -75,10 +79,74 @@ def root(drive: Drive, beam: Beam) -> FloatArray:
     return found
 
 
-def play(simulator: Simulator, policy: Policy, smoothness: float) -> Drive:
-    """Return the drive of a policy, which perceives what it does in the episode."""
+def play(
+    simulator: Simulator,
+    policy: Policy,
+    smoothness: float,
+    report: Callable[[float], None] = lambda fraction: None,
+) -> Drive:
+    """Return the drive of a policy, which perceives what it does in the episode.
+
+    ``report`` is called with the fraction of the way that is done.
+    """
     drive = Drive(simulator, smoothness)
+    begin = drive.gone
     policy.reset(simulator)
     while drive.outcome is None:
         drive.step(policy.act(simulator.perceive()))
+        report(min(1.0, max(0.0, (drive.gone - begin) / (simulator.finish - begin))))
     return drive
+
+
+@dataclass(frozen=True)
+class Pursuit:
+    """A drive by plans that are searched anew where the simulator departs from the prediction."""
+
+    beam: Beam
+    patience: int
+    """Decisions after which a plan is searched anew in any case [-]."""
+    tolerance: float
+    """Increase of a plan's predicted cost from which it is searched anew [s]."""
+    report: Callable[[], None] = lambda: None
+    """Called after each search."""
+
+    def drive(
+        self,
+        simulator: Simulator,
+        prefix: Sequence[int] = (),
+        bound: float = math.inf,
+        budget: float = math.inf,
+    ) -> Drive:
+        """Return a drive that begins with the actions ``prefix``.
+
+        It breaks off, without an outcome, where no plan is predicted to cost less than ``bound``
+        [s], or after ``budget`` predicted decisions.
+        """
+        beam = self.beam
+        drive, limit = Drive(simulator, beam.goal.smoothness), beam.spent + budget
+        for action in prefix:
+            if drive.outcome is None:
+                drive.step(action)
+        plan: tuple[int, ...] = ()
+        expected, age = 0.0, 0
+        while drive.outcome is None:
+            left = max(0.0, simulator.finish - drive.gone) / simulator.speed
+            if drive.cost + left >= bound or beam.spent >= limit:
+                break
+            here = root(drive, beam)
+            way = beam.follow(here, plan)
+            if not way.complete or age >= self.patience or way.cost > expected + self.tolerance:
+                slack = self.tolerance + beam.goal.pitch * _LEANING
+                found = beam.search(here, limit - beam.spent, bound - drive.cost + slack)
+                self.report()
+                age = 0
+                if not (way.complete and way.cost <= found.cost):
+                    way = found
+                if not way.complete and math.isfinite(bound):
+                    break  # nothing cheaper than the bound leads on from here
+            plan = way.actions or (HOLD,)
+            before = drive.cost - drive.gone / simulator.speed
+            drive.step(plan[0])
+            paid = drive.cost - drive.gone / simulator.speed - before
+            plan, expected, age = plan[1:], way.cost - paid, age + 1
+        return drive
