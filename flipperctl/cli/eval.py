@@ -106,11 +106,13 @@ def run(
 def _print(result: EvaluationResult) -> None:
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
-    from flipperctl.cli.eval_tables import comparison, table
+    from flipperctl.cli.eval_tables import comparison, search_lines, table
 
     console().print(table(result))
     if any(scene.baseline for scene in result.scenes):
         console().print(comparison(result))
+    for line in search_lines(result):
+        console().print(line, highlight=False, markup=False, soft_wrap=True)
     for line in condition_lines(
         (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
     ):

@@ -106,10 +106,10 @@ class _Search:
                 for cut in _CUTS:
                     kept = self.best.actions[: int(cut * len(self.best.actions))]
                     self._pursue("improved", width, patience, kept, way, pitch)
-            if math.isfinite(before):
-                if self._cost > before - _LEAST and width > self._settings.width:
-                    break
-            width *= 2
+            if self._cost > before - _LEAST:
+                break
+            if math.isinf(self._cost):
+                width *= 2
 
     def result(self) -> dict[str, float | str]:
         """Return how the best drive was found."""

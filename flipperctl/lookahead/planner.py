@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from flipperctl.api import Controller, Policy, controller
+from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from flipperctl.lookahead.best_known import PlannerPolicy
@@ -52,12 +53,28 @@ class Planner(Controller):
         "starts from as well; empty: none [-]",
     )
 
-    def build(self) -> PlannerPolicy:
-        """Return a policy that searches for a plan at the start of each episode."""
-        return self.build_from(None)
+    _trained: Policy | None = PrivateAttr(None)
 
-    def build_from(self, trained: Policy | None) -> PlannerPolicy:
-        """Return it with the policy that ``policy`` names, which is found where files are read."""
+    def starting_from(self, trained: Policy) -> Planner:
+        """Return these settings with the policy that ``policy`` names.
+
+        Files are read by the caller: this package knows neither checkpoints nor networks.
+        """
+        settings = self.model_copy()
+        settings._trained = trained
+        return settings
+
+    def build(self) -> PlannerPolicy:
+        """Return a policy that searches for a plan at the start of each episode.
+
+        Raises:
+            ConfigError: ``policy`` names one, and ``starting_from`` was not given it.
+        """
         from flipperctl.lookahead.best_known import PlannerPolicy
 
-        return PlannerPolicy(self, trained)
+        if self.policy and self._trained is None:
+            raise ConfigError(
+                f"controller.policy={self.policy}: this command reads no policy for the planner; "
+                "flipperctl eval and inspect reward do"
+            )
+        return PlannerPolicy(self, self._trained)
