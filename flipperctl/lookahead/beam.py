@@ -194,7 +194,7 @@ class Beam:
         time = nodes.time[parent] + period
         swing = nodes.swing[parent] + found.swing
         steep = np.maximum(nodes.steep[parent], found.steepest)
-        left = np.maximum(0.0, self.goal.finish - found.places[:, 0]) / speed
+        left = (self.goal.finish - found.places[:, 0]) / speed  # negative: it arrived before
         cost = time + left + self.goal.smoothness * swing
         cost += _STEEP * np.maximum(0.0, steep - _STEEP_FROM)
         children = _Nodes(
