@@ -32,7 +32,7 @@ class Planner(Controller):
         30.0, ge=0, le=1000, description="time that a radian of pitch variation is worth [s/rad]"
     )
     budget: int = Field(
-        250_000,
+        200_000,
         ge=1,
         le=100_000_000,
         description="largest number of predicted decisions in the searches of an episode [-]",
