@@ -7,7 +7,14 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import Outcome, Perception, RobotGeometry, RobotState
+from flipperctl.api.values import (
+    FloatArray,
+    Outcome,
+    Perception,
+    Profile,
+    RobotGeometry,
+    RobotState,
+)
 
 
 class Simulator(Protocol):
@@ -29,8 +36,27 @@ class Simulator(Protocol):
     def finish(self) -> float:
         """World x that the chassis centre must pass [m]."""
 
+    @property
+    def profile(self) -> Profile:
+        """True ground of the episode."""
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5).
+
+        Columns: x [m], z [m], pitch, front and rear flipper angle [rad].
+        """
+
     def step(self, action: int) -> Outcome | None:
         """Simulate one decision; return the outcome, or None while the episode runs."""
+
+    def perceive(self) -> Perception:
+        """Return what a policy perceives now.
+
+        Called once after ``restart`` and once after each ``step``, it returns the perceptions of
+        the episode itself, noise included, so that a policy which is played in the simulator takes
+        the same actions as in the episode. Snapshots hold neither noise nor earlier perceptions.
+        """
 
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``."""
@@ -47,6 +73,9 @@ class Simulator(Protocol):
 
     def report_progress(self, fraction: float) -> None:
         """Report the completed fraction of a long search, in [0, 1]."""
+
+    def report_result(self, **values: float | str) -> None:
+        """Report numbers and words about the search, which stand in the result of the episode."""
 
 
 class Policy(Protocol):

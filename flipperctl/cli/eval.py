@@ -117,11 +117,13 @@ def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> lis
 def _print(result: EvaluationResult) -> None:
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
-    from flipperctl.cli.eval_tables import comparisons, table
+    from flipperctl.cli.eval_tables import comparisons, search_lines, table
 
     console().print(table(result))
     for comparison in comparisons(result):
         console().print(comparison)
+    for line in search_lines(result):
+        console().print(line, highlight=False, markup=False, soft_wrap=True)
     for line in condition_lines(
         (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
     ):

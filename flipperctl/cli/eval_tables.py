@@ -7,7 +7,7 @@ baseline.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from rich.markup import escape
 from rich.table import Table
@@ -63,6 +63,20 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
             cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
             found.add_row(*cells, style="dim")
     return found
+
+
+def search_lines(result: EvaluationResult) -> Iterator[str]:
+    """Yield a line for each scene whose policy searched: means of numbers, counts of words."""
+    for name, scene in _named(result):
+        parts = []
+        for key, value in scene.summary.search.items():
+            if isinstance(value, Mapping):
+                counts = (f"{word} {count}" for word, count in value.items())
+                parts.append(f"{key}: {', '.join(counts)}")
+            else:
+                parts.append(f"{key} {value:.6g}")
+        if parts:
+            yield f"search on {name}, means: {'; '.join(parts)}"
 
 
 def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:

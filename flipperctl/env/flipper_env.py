@@ -7,7 +7,6 @@ transition → reward terms.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from numbers import Real
 from typing import Any
@@ -20,10 +19,8 @@ from numpy.typing import NDArray
 from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
-    MAX_HISTORY,
     SAMPLE_PERIOD,
     Outcome,
-    Perception,
     Profile,
     RobotState,
     Start,
@@ -33,11 +30,11 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground, measures
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
+from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
-from flipperctl.guard import fault
 from flipperctl.messages import close_match
 
 Observation = NDArray[np.float32]
@@ -121,13 +118,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._running = False
         super().reset(seed=seed)
         # Each has a generator of its own, so that sensing noise never changes the drawn terrain.
-        terrain_rng, start_rng, self._sensor_rng, self._controller_rng, randomise_rng = (
-            self.np_random.spawn(5)
-        )
+        terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
         config, episode = self.config, self.config.episode
         drawn = config.randomise.sample(randomise_rng)
         sections = config.with_drawn_values(drawn)
-        _, self.robot, perception = sections
+        self.robot = sections[1]
         self.profile = self._draw(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
@@ -142,11 +137,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"terrain {config.terrain.plugin_name!r} starts in the robot: they overlap by "
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
-        margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        try:
-            self._sensor = perception.over(self.profile, margin + 2.0)
-        except BaseException as error:
-            raise fault(error, perception, "over") from error
+        self._rngs = rngs[0], rngs[1]
+        self._perceiver = self._new_perceiver(self._rngs)
         self._drawn_values = {
             "start_shift": shift,
             "start_front": front,
@@ -156,8 +148,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
         self._metrics = measures.EpisodeMetrics(measures.MEASURES)
-        self._recent: deque[Observation] = deque(maxlen=MAX_HISTORY)
-        self.perception = self._perceive(self.drive.delayed_state)
+        self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
         return self.perception.observation, {}
 
@@ -166,6 +157,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         period = config.robot.decision_period
         return Drive(self.profile, self._sections, config.episode, self._start, period)
 
+    def _new_perceiver(self, rngs: tuple[np.random.Generator, np.random.Generator]) -> Perceiver:
+        config, episode = self.config, self.config.episode
+        margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
+        return Perceiver(self._sections[2], self.profile, margin + 2.0, config.robot, rngs)
+
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None
     ) -> SceneSimulator:
@@ -173,7 +169,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
-        return SceneSimulator(self._drive, report_progress)
+        first, second = self._rngs
+        return SceneSimulator(
+            self._drive,
+            lambda: self._new_perceiver((fresh(first), fresh(second))),
+            self.profile,
+            report_progress,
+        )
 
     @property
     def state(self) -> RobotState:
@@ -228,7 +230,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)
-        self.perception = self._perceive(self.drive.delayed_state)
+        self.perception = self._perceiver.perceive(self.drive.delayed_state)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
             self._running = False
@@ -250,27 +252,6 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{self.config.terrain.plugin_name!r}: {state}"
             )
         return state
-
-    def _perceive(self, state: RobotState) -> Perception:
-        observation = np.empty(self.layout.size, dtype=np.float32)
-        try:
-            ground, angles = self._sensor.sense(state, self._sensor_rng)
-            observation[: self.layout.bins] = ground.heights
-            observation[self.layout.bins :] = angles.front, angles.rear, angles.pitch
-        except BaseException as error:
-            raise fault(error, self.config.perception, "sense") from error
-        self._recent.append(observation)
-        return Perception(
-            observation,
-            ground.points,
-            angles.pitch,
-            angles.front,
-            angles.rear,
-            self.config.robot,
-            self.layout,
-            self._controller_rng,
-            tuple(self._recent),
-        )
 
     @property
     def scene(self) -> Scene:

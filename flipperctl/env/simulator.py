@@ -6,17 +6,31 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-from flipperctl.api import Outcome, RobotGeometry, RobotState
+from flipperctl.api import FloatArray, Outcome, Perception, Profile, RobotGeometry, RobotState
 from flipperctl.env.drive import Drive
+from flipperctl.env.perceiving import Perceiver
 
 
 class SceneSimulator:
     """Implements ``flipperctl.api.Simulator``; its world is built when it is first used."""
 
-    def __init__(self, make: Callable[[], Drive], report_progress: Callable[[float], None]) -> None:
-        """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``."""
-        self._make, self._report_progress = make, report_progress
+    def __init__(
+        self,
+        make: Callable[[], Drive],
+        perceiver: Callable[[], Perceiver],
+        profile: Profile,
+        report_progress: Callable[[float], None],
+    ) -> None:
+        """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``.
+
+        ``perceiver`` returns a new one, whose noise is that of the episode.
+        """
+        self._make, self._make_perceiver = make, perceiver
+        self._profile, self._report_progress = profile, report_progress
         self._made: Drive | None = None
+        self._perceiver: Perceiver | None = None
+        self.results: dict[str, float | str] = {}
+        """What the policy reported about its search."""
 
     @property
     def _drive(self) -> Drive:
@@ -44,6 +58,22 @@ class SceneSimulator:
         """World x that the chassis centre must pass [m]."""
         return self._drive.ends.finish
 
+    @property
+    def profile(self) -> Profile:
+        """True ground of the episode."""
+        return self._profile
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5)."""
+        return self._drive.poses
+
+    def perceive(self) -> Perception:
+        """Return what a policy perceives now; see ``flipperctl.api.Simulator``."""
+        if self._perceiver is None:
+            self._perceiver = self._make_perceiver()
+        return self._perceiver.perceive(self._drive.delayed_state)
+
     def step(self, action: int) -> Outcome | None:
         """Simulate one decision; return the outcome, or None while the episode runs."""
         return self._drive.decide(action)
@@ -58,11 +88,15 @@ class SceneSimulator:
 
     def restart(self) -> None:
         """Return to the start in a new world, which reproduces the episode bit for bit."""
-        self._made = None
+        self._made = self._perceiver = None
 
     def report_progress(self, fraction: float) -> None:
         """Report the completed fraction of a long search, in [0, 1]."""
         self._report_progress(fraction)
+
+    def report_result(self, **values: float | str) -> None:
+        """Report numbers and words about the search, which stand in the result of the episode."""
+        self.results.update(values)
 
     def tell(self, share: float) -> None:
         """Report progress; deprecated in favour of ``report_progress``."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from flipperctl.api import Outcome
 from flipperctl.env import measures
+from flipperctl.rollout.episode import SEARCH
 
 _REWARD = "reward_"
 """Prefix of the columns of reward terms."""
@@ -46,6 +47,8 @@ class EpisodeResult:
     """Values sampled for the start and for the settings of ``randomise``, by name; SI units."""
     further: Mapping[str, float] = field(default_factory=dict)
     """Measures of ``env.measures.MEASURES`` beyond those above, by name, in their own units."""
+    search: Mapping[str, float | str] = field(default_factory=dict)
+    """What the policy reported about its search, by name; empty for policies without one."""
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
@@ -58,6 +61,7 @@ class EpisodeResult:
             KeyError: the row lacks a measure.
         """
         rest = dict(row)
+        search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
         further = {measure.name: rest.pop(measure.name) for measure in further_measures()}
         return cls(
             episode,
@@ -74,6 +78,7 @@ class EpisodeResult:
             rewards={n.removeprefix(_REWARD): rest.pop(n) for n in row if n.startswith(_REWARD)},
             sampled=rest,
             further=further,
+            search=search,
         )
 
     @property
@@ -98,6 +103,7 @@ class EpisodeResult:
             "return": self.episode_return,
             **{f"{_REWARD}{name}": value for name, value in self.rewards.items()},
             **self.sampled,
+            **{f"{SEARCH}{name}": value for name, value in self.search.items()},
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
         }
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from flipperctl.api import Outcome
@@ -115,6 +115,9 @@ class Summary:
     """Further measures by name, in their own units."""
     parts: Mapping[str, Summary]
     """Where several kinds of terrain were sampled, the summary of each by label; else empty."""
+    search: Mapping[str, float | Mapping[str, int]] = field(default_factory=dict)
+    """What a policy reported about its searches, by name: the mean of numbers over all episodes,
+    and how often each word occurred."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -132,6 +135,7 @@ class Summary:
             **({"passable": self.passable.container()} if self.passable else {}),
             "max_pitch": self.max_pitch.container(),
             "return": self.episode_return.container(),
+            **({"search": dict(self.search)} if self.search else {}),
             **_parts(self.parts),
         }
 

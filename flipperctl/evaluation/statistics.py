@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -101,7 +102,19 @@ def _summary(
         },
         passable=_passable(episodes, len(good)),
         parts=parts,
+        search=_search(episodes),
     )
+
+
+def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str, int]]:
+    """Return the mean of each number that the searches reported, and the counts of each word."""
+    found: dict[str, float | Mapping[str, int]] = {}
+    for name in episodes[0].search:
+        values = [e.search[name] for e in episodes if name in e.search]
+        words = [value for value in values if isinstance(value, str)]
+        numbers = [value for value in values if not isinstance(value, str)]
+        found[name] = dict(Counter(words).most_common()) if words else sum(numbers) / len(numbers)
+    return found
 
 
 def _success(episodes: Sequence[EpisodeResult]) -> Interval:

@@ -1,5 +1,6 @@
-"""Controllers that simulate what lies ahead; importing this package registers ``mpc``."""
+"""Controllers that simulate what lies ahead; importing this package registers them."""
 
 from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.planner import Planner
 
-__all__ = ["Mpc"]
+__all__ = ["Mpc", "Planner"]

@@ -119,7 +119,7 @@ class Search:
         simulated = 0
         for step in range(self.depth):
             here = levels[-1]
-            parent, action, targets = _moves(here.states[:, TARGETS:], robot)
+            parent, action, targets = moves(here.states[:, TARGETS:], robot)
             found = model.expand(here.states[parent], targets, robot.decision_period)
             simulated += len(parent)
             first = action if step == 0 else here.first[parent]
@@ -174,7 +174,7 @@ class Search:
         return kept[np.argsort(cost[kept], kind="stable")]
 
 
-def _moves(
+def moves(
     targets: FloatArray, robot: Robot
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
     """Return node, action and new targets of every move that turns no flipper against its stop."""

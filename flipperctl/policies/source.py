@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Controller, ObservationLayout, Policy
-from flipperctl.checkpoint import read
+from flipperctl.checkpoint import find, read
 from flipperctl.config import resolver
 from flipperctl.errors import CheckpointError
+from flipperctl.lookahead import Planner
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
@@ -63,7 +64,11 @@ class PolicySource:
             PluginFailedError: the controller's code failed.
         """
         if self.checkpoint is None:
-            return PluginPolicy(resolver.create("controller", self.settings, "controller"))
+            controller = resolver.create("controller", self.settings, "controller")
+            if isinstance(controller, Planner) and controller.policy:
+                file = find(Path(controller.policy))
+                controller = controller.starting_from(PolicySource(file).build(layout))
+            return PluginPolicy(controller)
         bins, bin_width, policy = _open(self.checkpoint)
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(

@@ -20,6 +20,8 @@ from flipperctl.errors import FlipperctlError
 
 Row = dict[str, Any]
 """Seed, outcome and metrics of one episode."""
+SEARCH = "search_"
+"""Prefix of the keys of what a policy reported about its search."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def decisions(
         FlipperctlError: the policy returned an action that does not exist.
     """
     env.reset(seed=seed, options={"difficulty": difficulty})
-    policy.reset(env.simulator(report_progress))
+    simulator = env.simulator(report_progress)
+    policy.reset(simulator)
     ending: Row | None = None
     while ending is None:
         if pace is not None:
@@ -78,6 +81,7 @@ def decisions(
         _, reward, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
+            ending |= {f"{SEARCH}{name}": value for name, value in simulator.results.items()}
         yield Decision(
             perception, action, reward, info["rewards"], env.transition, env.perception, ending
         )

@@ -1,5 +1,5 @@
 """Built-in controllers: baselines that need no training."""
 
-from . import level, okada, planner, random
+from . import level, okada, random
 
-__all__ = ["level", "okada", "planner", "random"]
+__all__ = ["level", "okada", "random"]

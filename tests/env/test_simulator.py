@@ -1,5 +1,6 @@
 """The simulator that policies look ahead with."""
 
+import numpy as np
 import pytest
 
 from flipperctl.env.flipper_env import FlipperEnv
@@ -14,3 +15,48 @@ def test_progress_is_reported_by_its_new_and_by_its_old_name() -> None:
     with pytest.warns(DeprecationWarning, match=r"tell is deprecated .* use report_progress"):
         simulator.tell(0.5)
     assert reported == [0.25, 0.5]
+
+
+def test_the_simulator_repeats_the_episode_without_changing_it() -> None:
+    env, reference = FlipperEnv("stair"), FlipperEnv("stair")
+    env.reset(seed=4)
+    reference.reset(seed=4)
+    simulator = env.simulator()
+    actions = [8, 8, 1, 4, 3, 0, 5]
+    for action in actions:
+        simulator.step(action)
+        reference.step(action)
+    assert simulator.state.pitch == reference.state.pitch
+    assert np.array_equal(simulator.poses, reference.drive.poses)
+    assert simulator.profile is env.profile
+    assert env.state.time == 0.0
+    saved = simulator.save()
+    ahead = [simulator.step(4) for _ in range(3)]
+    there = simulator.state
+    simulator.load(saved)
+    assert simulator.state.time == pytest.approx(reference.state.time)
+    assert [simulator.step(4) for _ in range(3)] == ahead
+    assert simulator.state.position == pytest.approx(there.position, abs=0.02)
+    simulator.restart()
+    assert simulator.state.time == 0.0
+
+
+def test_a_policy_perceives_in_the_simulator_what_it_does_in_the_episode() -> None:
+    noise = {"perception.noise": 0.01, "perception.dropout": 0.2, "perception.delay": 0.1}
+    env = FlipperEnv("stair", **noise)
+    env.reset(seed=7)
+    simulator = env.simulator()
+    for _ in range(2):
+        simulator.restart()
+        perceived = []
+        for _ in range(5):
+            p = simulator.perceive()
+            perceived.append((p.observation, p.points, len(p.recent), p.rng.random()))
+            simulator.step(8)
+        env.reset(seed=7)
+        for observation, points, recent, number in perceived:
+            p = env.perception
+            assert np.array_equal(p.observation, observation)
+            assert np.array_equal(p.points, points)
+            assert (len(p.recent), p.rng.random()) == (recent, number)
+            env.step(8)

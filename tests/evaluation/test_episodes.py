@@ -10,7 +10,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
@@ -133,3 +133,14 @@ def test_a_trace_is_the_episode_at_its_decisions() -> None:
     assert profile.label == "step"
     swing = sum(abs(b.pitch - a.pitch) for a, b in pairwise(states))
     assert swing == pytest.approx(result.pitch_variation)
+
+
+def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
+    env = FlipperEnv("flat")
+    level = resolver.create("controller", "level", "test").build()
+    level.reset = lambda simulator: simulator.report_result(width=3, source="guess")
+    row = play(env, level, seed=0)
+    assert (row["search_width"], row["search_source"]) == (3, "guess")
+    result = EpisodeResult.of(0, row)
+    assert result.search == {"width": 3, "source": "guess"}
+    assert result.row() == {"episode": 0, **row}
