@@ -238,6 +238,8 @@ class Perception:
     """Generator for random policies, seeded by the episode."""
     recent: tuple[NDArray[np.float32], ...]
     """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
+    filled: NDArray[np.bool_] | None = None
+    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
 
 
 @dataclass(frozen=True)

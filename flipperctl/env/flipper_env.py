@@ -270,6 +270,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             self.layout,
             self._controller_rng,
             tuple(self._recent),
+            ground.filled,
         )
 
     @property
