@@ -24,7 +24,7 @@ class SensedGround:
     """The sensed ground around the robot, in frame L."""
 
     points: FloatArray
-    """(P, 2) sensed points, x never decreasing [m]."""
+    """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
     heights: FloatArray
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
     filled: NDArray[np.bool_] | None = None

@@ -225,7 +225,7 @@ class Perception:
     observation: NDArray[np.float32]
     """The observation in the order of ``layout``, (N + 3,) in SI units."""
     points: FloatArray
-    """Sensed terrain points in frame L, (P, 2) [m]."""
+    """Sensed terrain points in frame L, and those ``filled``, x never decreasing, (P, 2) [m]."""
     pitch: float
     """Sensed pitch of the chassis, nose up positive [rad]."""
     front: float
