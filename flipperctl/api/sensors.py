@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl.api.plugin import Plugin, register
@@ -23,9 +24,11 @@ class SensedGround:
     """The sensed ground around the robot, in frame L."""
 
     points: FloatArray
-    """(P, 2) sensed points, x never decreasing [m]."""
+    """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
     heights: FloatArray
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
+    filled: NDArray[np.bool_] | None = None
+    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
 
 
 @dataclass(frozen=True)

@@ -225,7 +225,7 @@ class Perception:
     observation: NDArray[np.float32]
     """The observation in the order of ``layout``, (N + 3,) in SI units."""
     points: FloatArray
-    """Sensed terrain points in frame L, (P, 2) [m]."""
+    """Sensed terrain points in frame L, and those ``filled``, x never decreasing, (P, 2) [m]."""
     pitch: float
     """Sensed pitch of the chassis, nose up positive [rad]."""
     front: float
@@ -238,6 +238,8 @@ class Perception:
     """Generator for random policies, seeded by the episode."""
     recent: tuple[NDArray[np.float32], ...]
     """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
+    filled: NDArray[np.bool_] | None = None
+    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
 
 
 @dataclass(frozen=True)

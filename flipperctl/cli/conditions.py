@@ -29,13 +29,21 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
         ConfigError: an override sets a randomised setting; the text has the range.
     """
     for override in parse_overrides(overrides):
+        key = override.key_or_group
         for section, name, ends in config.randomise.ranges():
             # The nominal turning rate still sets the decision period.
-            if override.key_or_group == f"{section}.{name}" and name != "flipper_speed":
+            if key == f"{section}.{name}" and name != "flipper_speed":
                 shown = "[{:g},{:g}]".format(*ends)
                 raise ConfigError(
                     f"{override.input_line}: it has no effect, since randomise.{name}={shown} "
                     f"samples it for every episode; add randomise.{name}=null, or change that range"
+                )
+        for section, name, probability in config.randomise.probabilities():
+            if key == f"{section}.{name}":
+                raise ConfigError(
+                    f"{override.input_line}: it has no effect, since "
+                    f"randomise.{name}={probability:g} samples it for every episode; add "
+                    f"randomise.{name}=null, or change that probability"
                 )
 
 

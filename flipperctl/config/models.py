@@ -104,14 +104,15 @@ class EnvConfig(Settings):
 
     @model_validator(mode="after")
     def _check_randomise(self) -> EnvConfig:
-        for section, name, ends in self.randomise.ranges():
+        for section, name, _ in (*self.randomise.ranges(), *self.randomise.probabilities()):
             settings = getattr(self, section)
-            model = type(settings)
-            if name not in model.model_fields:
+            if name not in type(settings).model_fields:
                 raise ConfigError(
                     f"randomise.{name}: {section}={settings.plugin_name} has no setting {name!r}; "
                     f"drop it with randomise.{name}=null"
                 )
+        for section, name, ends in self.randomise.ranges():
+            model = type(getattr(self, section))
             for value in ends:
                 try:
                     model(**{name: value})

@@ -45,15 +45,18 @@ SECTION_OF = {
     "flipper_bias": "perception",
     "delay": "perception",
 }
-"""Section of each randomised setting; values are sampled in this order."""
+"""Section of each setting that is sampled from a range; values are sampled in this order."""
+
+SWITCHES = {"occlusion": "perception"}
+"""Section of each setting that is on with a probability; sampled after those with a range."""
 
 
 class Randomise(Settings):
     """The settings that are sampled anew for every episode of a training or an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
-    and must lie within its bounds. The start is sampled by ``episode.start_noise`` and
-    ``episode.start_angle_noise``.
+    and must lie within its bounds; a setting that is on or off has a probability. The start is
+    sampled by ``episode.start_noise`` and ``episode.start_angle_noise``.
     """
 
     friction: Range = Field(None, description="of sim.friction [-]")
@@ -73,6 +76,9 @@ class Randomise(Settings):
     pitch_bias: Range = Field(None, description="of perception.pitch_bias [rad]")
     flipper_bias: Range = Field(None, description="of perception.flipper_bias [rad]")
     delay: Range = Field(None, description="of perception.delay [s]")
+    occlusion: float | None = Field(
+        None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
+    )
 
     def ranges(self) -> Iterator[tuple[str, str, tuple[float, float]]]:
         """Yield the section, name and range of each sampled setting."""
@@ -80,20 +86,31 @@ class Randomise(Settings):
             if (found := getattr(self, name)) is not None:
                 yield section, name, found
 
+    def probabilities(self) -> Iterator[tuple[str, str, float]]:
+        """Yield the section, name and probability of each setting that is switched at random."""
+        for name, section in SWITCHES.items():
+            if (found := getattr(self, name)) is not None:
+                yield section, name, found
+
     @property
     def names(self) -> list[str]:
         """Names of the sampled settings."""
-        return [name for _, name, _ in self.ranges()]
+        return [name for _, name, _ in (*self.ranges(), *self.probabilities())]
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
-        """Sample a value of each randomised setting, in SI units."""
-        return {name: float(rng.uniform(*found)) for _, name, found in self.ranges()}
+        """Sample a value of each randomised setting, in SI units; a switch is 1 or 0."""
+        values = {name: float(rng.uniform(*found)) for _, name, found in self.ranges()}
+        for _, name, probability in self.probabilities():
+            values[name] = float(rng.random() < probability)
+        return values
 
 
 def replace_settings(sections: Mapping[str, Any], sampled: Mapping[str, float]) -> dict[str, Any]:
     """Return the sections with the sampled values in place of their own."""
     result = dict(sections)
     for name, value in sampled.items():
-        section = SECTION_OF[name]
-        result[section] = result[section].model_copy(update={name: value})
+        switch = name in SWITCHES
+        section = SWITCHES[name] if switch else SECTION_OF[name]
+        update = {name: bool(value) if switch else value}
+        result[section] = result[section].model_copy(update=update)
     return result

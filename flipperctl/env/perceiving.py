@@ -67,6 +67,7 @@ class Perceiver:
             layout,
             self._controller_rng,
             tuple(self._recent),
+            ground.filled,
         )
 
 

@@ -135,6 +135,10 @@ class Renderer:
         (self._points,) = axes.plot(
             [], [], ".", color=INK, markersize=2.2, zorder=4, label="sensed points"
         )
+        (self._filled,) = axes.plot(
+            [], [], "o", color=INK, markerfacecolor="none", markersize=3.0, markeredgewidth=0.6,
+            zorder=4,
+        )  # fmt: skip
         self._robot = RobotArtist(axes, zorder=5.0)
         (self._ray,) = axes.plot(
             [], [], color=INK, linewidth=1.4, dashes=(4, 2), zorder=5.5,
@@ -175,7 +179,9 @@ class Renderer:
 
     def _draw_perception(self, p: Perception, state: RobotState) -> None:
         cloud = p.points + state.position
-        self._points.set_data(cloud[:, 0], cloud[:, 1])
+        filled = np.zeros(len(cloud), np.bool_) if p.filled is None else p.filled
+        for line, part in ((self._points, cloud[~filled]), (self._filled, cloud[filled])):
+            line.set_data(part[:, 0], part[:, 1])
         bins = _bins(p) + state.position
         self._heights.set_data(bins[:, 0], bins[:, 1])
         hinge = axles(state, p.robot)[0, 1]

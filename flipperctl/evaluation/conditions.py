@@ -101,6 +101,8 @@ class Conditions:
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return f"{name} {'on' if value else 'off'}"
     ends = value if isinstance(value, list | tuple) else [value]
     number = " to ".join(f"{end:.4g}" if isinstance(end, int | float) else str(end) for end in ends)
     of = unit(model, name)

@@ -70,6 +70,10 @@ def test_overrides_lie_over_the_conditions_and_one_without_effect_is_refused(
     done = call(*noise, cwd=tmp_path)
     assert done.code == 2
     assert "perception.noise=0.05: it has no effect, since randomise.noise=[0,0.01]" in done.err
+    switch = ["eval", "--controller", "okada", "perception.occlusion=true"]
+    done = call(*switch, "randomise.occlusion=0.5", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "it has no effect, since randomise.occlusion=0.5 samples it" in done.err
     ((config, _),) = scenes([*noise[3:], "randomise.noise=null"], None, "okada")
     assert (config.perception.noise, config.randomise.noise) == (0.05, None)
 

@@ -47,7 +47,7 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
-    assert set(RANGES) == set(Randomise.model_fields)
+    assert {*RANGES, "occlusion"} == set(Randomise.model_fields)
     for seed in range(5):
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
@@ -73,6 +73,28 @@ def test_a_drawn_value_acts_as_the_setting_itself() -> None:
     one, other = episode(3, **fixed), episode(3, **drawn)
     assert {name: other[name] for name in one} == one
     assert one["pitch_variation"] != episode(3)["pitch_variation"]
+
+
+def test_occlusion_is_on_with_its_probability() -> None:
+    env = FlipperEnv(config=config(**{"randomise.occlusion": 0.5, "randomise.noise": [0, 0.02]}))
+    drawn = []
+    for seed in range(20):
+        env.reset(seed=seed)
+        drawn.append(env.perception.filled is not None)
+    assert 4 <= sum(drawn) <= 16  # 10 ± √5; each seed draws the same every time
+    switched = next(seed for seed, on in enumerate(drawn) if on)
+    row = episode(switched, **{"randomise.occlusion": 0.5, "randomise.noise": [0, 0.02]})
+    assert row["occlusion"] == 1.0
+    # sampled last, so that it leaves the other samples of a seed as they were
+    assert row["noise"] == episode(switched, **{"randomise.noise": [0, 0.02]})["noise"]
+
+
+@pytest.mark.parametrize(("probability", "setting"), [(0, False), (1, True)])
+def test_a_certain_switch_acts_as_the_setting_itself(probability: int, setting: bool) -> None:
+    one = episode(3, **{"perception.occlusion": setting})
+    other = episode(3, **{"randomise.occlusion": probability})
+    assert {name: other[name] for name in one} == one
+    assert other["occlusion"] == probability
 
 
 def test_drawing_leaves_terrain_and_start_alone() -> None:
@@ -133,6 +155,7 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
         ({"dropout": [-0.5, 0.5]}, r"randomise\.dropout.*-0\.5"),
         ({"frictoin": [0.5, 1]}, r"randomise\.frictoin.*did you mean 'friction'"),
         ({"friction": [0.5]}, r"randomise\.friction"),
+        ({"occlusion": 1.5}, r"randomise\.occlusion.*1\.5"),
     ],
 )
 def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str) -> None:

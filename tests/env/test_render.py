@@ -108,6 +108,16 @@ def test_noisy_and_missing_points_are_no_problem(renderer: Renderer) -> None:
     assert renderer(env.scene).shape == (HEIGHT, WIDTH, 3)
 
 
+def test_filled_points_look_unlike_sensed_ones(renderer: Renderer) -> None:
+    env = FlipperEnv("gap", perception={"occlusion": True})
+    env.reset(seed=2)
+    assert env.perception.filled is not None
+    assert env.perception.filled.any()
+    marked = renderer(env.scene)
+    env.perception = replace(env.perception, filled=None)
+    assert (marked != renderer(env.scene)).any()
+
+
 def test_matplotlib_is_loaded_late_and_pyplot_never() -> None:
     code = (
         "import sys, flipperctl.env.flipper_env as e; assert 'matplotlib' not in sys.modules;"

@@ -1,8 +1,8 @@
 """``perception=planar``: terrain points in the side plane, with noise and a horizon.
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
-Nothing is occluded: points hidden by an edge or inside a trench are sensed from everywhere within
-the horizon.
+Without ``occlusion``, points hidden by an edge or inside a trench are sensed from everywhere within
+the horizon; with it, ``occlusion.SeenGround`` says which points a sensor on a mast has seen.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl.api import (
@@ -21,6 +22,7 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
+from flipperctl.sim.planar.occlusion import SeenGround
 
 
 @sensor("planar")
@@ -50,6 +52,33 @@ class PlanarSensor(Sensor):
         0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
     )
 
+    occlusion: bool = Field(
+        False,
+        description="points hidden from the mount are missing until they are seen; what was never "
+        "seen is filled linearly between its neighbours, and level past the last one [-]",
+    )
+    mount_x: float = Field(
+        0.25,
+        ge=-2,
+        le=2,
+        description="place of the ranging sensor ahead of the chassis centre, along the chassis: "
+        "just behind the front flippers' hinge; not given in the paper [m]",
+    )
+    mount_z: float = Field(
+        0.4,
+        gt=0,
+        le=2,
+        description="height of the ranging sensor above the chassis centre: a short mast, 0.5 m "
+        "above level ground; not given in the paper [m]",
+    )
+    body_length: float = Field(
+        0.76,
+        ge=0,
+        le=3,
+        description="length of the chassis, which hides the ground below it from the mount; the "
+        "flippers beside it hide nothing [m]",
+    )
+
     def over(self, profile: Profile, margin: float) -> TerrainSensor:
         """Return a sensor that samples the profile once for the whole episode."""
         return TerrainSensor(profile, self, margin)
@@ -64,6 +93,7 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
+        self._seen_ground = SeenGround(profile, settings, margin) if settings.occlusion else None
         from flipperctl.sim.planar.bins import sum_bins  # numba takes a third of a second to import
 
         self._sum_bins = sum_bins
@@ -73,29 +103,52 @@ class TerrainSensor:
     ) -> tuple[SensedGround, SensedAngles]:
         """Sense the ground around the robot, then its posture."""
         s = self.settings
-        points = self.points(state.position, rng)
+        if self._seen_ground is not None:
+            self._seen_ground.scan(state)
+        points, filled = self._sensed(state.position, rng)
         front, rear = state.front + s.flipper_bias, state.rear + s.flipper_bias
         pitch = state.pitch + s.pitch_bias
         if s.angle_noise > 0:
             noise = rng.normal(0.0, s.angle_noise, 3)
             front, rear, pitch = front + noise[0], rear + noise[1], pitch + noise[2]
-        ground = SensedGround(points, self.heights(points))
+        ground = SensedGround(points, self.heights(points), filled)
         return ground, SensedAngles(float(front), float(rear), float(pitch))
 
     def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
+        return self._sensed(position, rng)[0]
+
+    def _sensed(
+        self, position: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, NDArray[np.bool_] | None]:
+        """Return the points, and with occlusion which of them are filled."""
         s = self.settings
         x = float(position[0])
+        near = min(self._reach, s.horizon)
         low = bisect_left(self._x.data, x - self._reach)
-        high = bisect_left(self._x.data, x + min(self._reach, s.horizon))
-        points = self._cloud[low:high] - position
+        high = bisect_left(self._x.data, x + near)
+        if self._seen_ground is None:
+            points = self._disturbed(self._cloud[low:high] - position, rng)
+            return (points[self._kept(points, rng)] if s.dropout > 0 else points), None
+        index = self._seen_ground.known(low, high)
+        points = self._disturbed(self._cloud[index] - position, rng)
+        offered = (index >= low) & (index < high)
+        if s.dropout > 0:
+            offered &= self._kept(points, rng)
+        return self._seen_ground.fill(points, index, offered, (-self._reach, near))
+
+    def _disturbed(self, points: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Add bias and noise to the heights of ``points``, in place, and return them."""
+        s = self.settings
         if s.bias:
             points[:, 1] += s.bias
         if s.noise > 0:
             points[:, 1] += rng.normal(0.0, s.noise, len(points))
-        if s.dropout > 0:
-            points = points[rng.random(len(points)) >= s.dropout]
         return points
+
+    def _kept(self, points: FloatArray, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Return which points do not drop out, (P,)."""
+        return np.asarray(rng.random(len(points)) >= self.settings.dropout)
 
     def heights(self, points: FloatArray) -> FloatArray:
         """Return the mean height of the points of each bin, (N,) in frame L [m] (paper Eq. 1).

@@ -1,0 +1,75 @@
+"""What a sensor on a mast has seen of the ground since the episode began.
+
+In: the ground, and the robot's state at each scan. Out: the points that were seen, whose number
+grows while the robot drives.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray, Profile, RobotState
+
+if TYPE_CHECKING:
+    from flipperctl.sim.planar.sensing import PlanarSensor
+
+_BEHIND = 10.0
+"""Range of the sensor behind the robot [m]; ahead it is the horizon."""
+
+
+class SeenGround:
+    """Remembers which points of the sampled outline a line of sight has reached."""
+
+    def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
+        """Remember nothing yet of ``profile`` with ``margin`` [m] of level ground on both sides."""
+        from flipperctl.sim.planar import rays  # numba takes a third of a second to import
+
+        self._rays, self._settings = rays, settings
+        self._spacing = 1 / settings.density
+        cloud = profile.sample(self._spacing, margin)
+        # Edges between two sampled points hide the ground too, so the vertices stand among them.
+        vertices = profile.extended(margin, margin)
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
+        at = np.concatenate([np.arange(len(cloud)) * self._spacing, along])  # (M,) [m]
+        order = np.argsort(at, kind="stable")
+        self._outline = np.concatenate([cloud, vertices])[order]
+        self._index = np.where(order < len(cloud), order, -1)
+        self._seen = np.zeros(len(cloud), dtype=np.bool_)
+
+    def scan(self, state: RobotState) -> None:
+        """Cast rays from the mount and remember the points that they reach."""
+        s = self._settings
+        x, z = state.position.tolist()
+        self._rays.mark_seen(
+            self._outline,
+            self._index,
+            (x, z, float(state.pitch)),
+            (s.mount_x, s.mount_z),
+            s.body_length,
+            (x - _BEHIND, x + s.horizon),
+            self._seen,
+        )
+
+    def known(self, low: int, high: int) -> NDArray[np.int64]:
+        """Return the numbers of the seen points, (K,); see ``rays.known_points``."""
+        found: NDArray[np.int64] = self._rays.known_points(self._seen, low, high)
+        return found
+
+    def fill(
+        self,
+        points: FloatArray,
+        index: NDArray[np.int64],
+        offered: NDArray[np.bool_],
+        limits: tuple[float, float],
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the offered points and, where the ground was never seen, filled ones.
+
+        See ``rays.fill_gaps``.
+        """
+        found: tuple[FloatArray, NDArray[np.bool_]] = self._rays.fill_gaps(
+            points, index, offered, self._spacing, limits
+        )
+        return found
