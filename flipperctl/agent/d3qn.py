@@ -20,11 +20,12 @@ from flipperctl.agent.building import (
     record_plugin,
 )
 from flipperctl.agent.heads import choose_head
+from flipperctl.agent.losses import teacher_cross_entropy
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import Agent
+from flipperctl.config import Agent, Teacher
 from flipperctl.errors import ConfigError, NonFiniteError
 from flipperctl.guard import fault, refusal
 
@@ -65,8 +66,10 @@ class D3qn:
         *,
         seed: int,
         device: str = "cpu",
+        teacher: Teacher | None = None,
     ) -> None:
-        self.settings = settings
+        """``teacher``: how its labels, which every batch then has, count; None without labels."""
+        self.settings, self._teacher = settings, teacher
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -109,7 +112,8 @@ class D3qn:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
         ``batch`` holds the transitions of one or more steps, whose targets are all computed before
-        the first step. ``fraction`` of the run is complete, which sets the learning rate.
+        the first step. ``fraction`` of the run is complete, which sets the learning rate and the
+        weight of the labels.
 
         Raises:
             NonFiniteError: a loss is not finite.
@@ -128,11 +132,14 @@ class D3qn:
         self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
-            targets = self._head.targets(reward, batch, self.online, self.target)
+            imitates = self._teacher is not None and not self._teacher.td_weight
+            targets = (
+                reward if imitates else self._head.targets(reward, batch, self.online, self.target)
+            )
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
-            value = self._step(batch.observation[part], batch.action[part], targets[part], rate)
+            value = self._step(batch.rows(part), targets[part], rate, fraction)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
@@ -140,11 +147,23 @@ class D3qn:
                 )
         return value
 
-    def _step(
-        self, observation: torch.Tensor, action: torch.Tensor, target: torch.Tensor, rate: float
-    ) -> float:
+    def _loss(self, batch: Batch, target: torch.Tensor, fraction: float) -> torch.Tensor:
+        """Return the temporal-difference loss, joined with the teacher's if there are labels."""
+        s = self._teacher
+        if s is None:
+            return self._head.loss(self.online, batch.observation, batch.action, target)
+        assert batch.label is not None  # the replay of a run with a teacher has labels
+        values = self.online(batch.observation)
+        imitation = teacher_cross_entropy(values, batch.label, s.q_temperature)
+        loss = linear(s.weight, s.weight_end, fraction) * imitation
+        if not s.td_weight:
+            return loss
+        td = self._head.loss(self.online, batch.observation, batch.action, target)
+        return s.td_weight * td + loss
+
+    def _step(self, batch: Batch, target: torch.Tensor, rate: float, fraction: float) -> float:
         self._noise.draw(self.noise_rng)
-        loss = self._head.loss(self.online, observation, action, target)
+        loss = self._loss(batch, target, fraction)
         value = float(loss.detach())
         if not math.isfinite(value):
             return value  # the caller raises; the weights are not changed

@@ -15,11 +15,18 @@ _FLOAT = 4  # bytes
 
 
 def check_demand(
-    network: Network, layout: ObservationLayout, n_actions: int, settings: Agent, decisions: int
+    network: Network,
+    layout: ObservationLayout,
+    n_actions: int,
+    settings: Agent,
+    decisions: int,
+    *,
+    labelled: bool = False,
 ) -> None:
     """Refuse a training whose network, replay or batches would not fit into memory.
 
-    ``decisions``: the run's budget, which also limits the transitions in the replay.
+    ``decisions``: the run's budget, which also limits the transitions in the replay, each of which
+    has a label if the run is ``labelled``.
 
     Raises:
         ConfigError: the memory does not suffice; the text says how much is needed and free.
@@ -30,7 +37,7 @@ def check_demand(
         inside = _numbers_inside(module, inputs)
     rows = min(settings.replay_size, decisions)
     memory.require(
-        rows * row_bytes(inputs),
+        rows * row_bytes(inputs, n_actions if labelled else 0),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "keep fewer, or let the network see less",
     )

@@ -25,6 +25,19 @@ def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.smooth_l1_loss(prediction, target)
 
 
+def teacher_cross_entropy(
+    values: torch.Tensor, labels: torch.Tensor, temperature: float
+) -> torch.Tensor:
+    """Return the mean cross-entropy between ``labels`` and softmax(values / temperature) [-].
+
+    ``values`` (B, A) are Q-values, ``labels`` (B, A) distributions over the actions. The mean is
+    over the labelled rows; a row of zeros has no label.
+    """
+    logarithms = torch.log_softmax(values / temperature, dim=1)
+    labelled = (labels.sum(dim=1) > 0).sum().clamp(min=1)
+    return -(labels * logarithms).sum() / labelled
+
+
 def double_quantile_target(
     reward: torch.Tensor,
     discount: torch.Tensor,

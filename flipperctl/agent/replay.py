@@ -17,10 +17,15 @@ from numpy.typing import NDArray
 from flipperctl.agent.memory import gigabytes
 from flipperctl.errors import ConfigError
 
+_Label = NDArray[np.float32] | None
 
-def row_bytes(size: int) -> int:
-    """Return the memory of one transition whose observations have ``size`` numbers [B]."""
-    return 2 * 4 * size + 8 + 4 + 4
+
+def row_bytes(size: int, labels: int = 0) -> int:
+    """Return the memory of one transition [B].
+
+    Its observations have ``size`` numbers and its label has ``labels``.
+    """
+    return 2 * 4 * size + 8 + 4 + 4 + 4 * labels
 
 
 @dataclass(frozen=True)
@@ -37,21 +42,31 @@ class Batch:
     """Input rows up to n decisions later, (B, frames · (N + 3)) float32 in SI units."""
     discount: torch.Tensor
     """Factors of the next value: γⁿ, or 0 where nothing is bootstrapped, (B,) float32 [-]."""
+    label: torch.Tensor | None = None
+    """The teacher's distribution over actions, (B, 9) float32; zeros where there is no label."""
+
+    def rows(self, part: slice) -> Batch:
+        """Return a part of the batch."""
+        found = {name: getattr(self, name)[part] for name in Replay.FIELDS}
+        return Batch(**found, label=None if self.label is None else self.label[part])
 
     def to(self, device: torch.device) -> Batch:
         """Return the batch on ``device``."""
         if device.type == "cpu":
             return self
-        return Batch(**{name: getattr(self, name).to(device) for name in Replay.FIELDS})
+        found = {name: getattr(self, name).to(device) for name in Replay.FIELDS}
+        return Batch(**found, label=None if self.label is None else self.label.to(device))
 
 
 class Replay:
-    """A ring buffer of ``capacity`` transitions."""
+    """A ring buffer of ``capacity`` transitions, with labels if there is a teacher."""
 
     FIELDS = ("observation", "action", "reward", "next_observation", "discount")
 
-    def __init__(self, capacity: int, size: int, n_step: int, gamma: float) -> None:
-        """Allocate the arrays; ``size`` is the length of an input row.
+    def __init__(
+        self, capacity: int, size: int, n_step: int, gamma: float, labels: int = 0
+    ) -> None:
+        """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -65,14 +80,17 @@ class Replay:
                 "next_observation": np.zeros((capacity, size), np.float32),
                 "discount": np.zeros(capacity, np.float32),
             }
+            if labels:
+                self.arrays["label"] = np.zeros((capacity, labels), np.float32)
         except MemoryError as error:
+            needed = gigabytes(capacity * row_bytes(size, labels))
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
-                f"{gigabytes(capacity * row_bytes(size))} of memory, more than there is; keep fewer"
+                f"{needed} of memory, more than there is; keep fewer"
             ) from error
         self.added = 0
         self._gamma = gamma
-        self._pending: deque[tuple[NDArray[np.float32], int, float]] = deque()
+        self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
         self._n_step = n_step
 
     def __len__(self) -> int:
@@ -87,12 +105,14 @@ class Replay:
         *,
         over: bool,
         bootstrap: bool,
+        label: _Label = None,
     ) -> None:
         """Add one decision.
 
-        ``over``: the episode ended with it; ``bootstrap``: the target bootstraps after that end.
+        ``over``: the episode ended with it; ``bootstrap``: the target bootstraps after that end;
+        ``label``: the teacher's distribution over actions at ``observation``, if there is one.
         """
-        self._pending.append((observation, action, reward))
+        self._pending.append((observation, action, reward, label))
         continues = 1.0 if bootstrap or not over else 0.0
         if len(self._pending) == self._n_step:
             self._flush(next_observation, continues)
@@ -101,20 +121,22 @@ class Replay:
 
     def _flush(self, next_observation: NDArray[np.float32], continues: float) -> None:
         total = 0.0
-        for _, _, reward in reversed(self._pending):
+        for _, _, reward, _ in reversed(self._pending):
             total = reward + self._gamma * total
         length = len(self._pending)
-        observation, action, _ = self._pending.popleft()
+        observation, action, _, label = self._pending.popleft()
         row = self.added % self.capacity
         values = (observation, action, total, next_observation, continues * self._gamma**length)
         for name, value in zip(self.FIELDS, values, strict=True):
             self.arrays[name][row] = value
+        if "label" in self.arrays:
+            self.arrays["label"][row] = 0.0 if label is None else label
         self.added += 1
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
         """Return ``size`` transitions, drawn uniformly with replacement."""
         rows = rng.integers(len(self), size=size)
-        return Batch(**{n: torch.from_numpy(self.arrays[n][rows]) for n in self.FIELDS})
+        return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def drop_pending(self) -> None:
         """Discard the decisions that still wait for their n-th reward."""
@@ -128,15 +150,15 @@ class Replay:
         """
         if self._pending:
             raise RuntimeError("the replay is saved between episodes only")
-        return {name: self.arrays[name][: len(self)] for name in self.FIELDS}
+        return {name: array[: len(self)] for name, array in self.arrays.items()}
 
     def blank(self, added: int) -> dict[str, NDArray[np.generic]]:
         """Return arrays of the shapes and types of ``filled`` after ``added`` transitions."""
-        return {name: self.arrays[name][: min(added, self.capacity)] for name in self.FIELDS}
+        return {n: array[: min(added, self.capacity)] for n, array in self.arrays.items()}
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` transitions."""
-        for name in self.FIELDS:
-            self.arrays[name][: len(arrays[name])] = arrays[name]
+        for name, array in self.arrays.items():
+            array[: len(arrays[name])] = arrays[name]
         self.added = added
         self._pending.clear()

@@ -11,7 +11,13 @@ and rear alike; the pitch is positive nose up.
 import warnings
 from typing import TYPE_CHECKING
 
-from flipperctl.api.controllers import Controller, Policy, Simulator, controller
+from flipperctl.api.controllers import (
+    Controller,
+    CostPolicy,
+    Policy,
+    Simulator,
+    controller,
+)
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
@@ -51,6 +57,7 @@ __all__ = [
     "SAMPLE_PERIOD",
     "AnyTerrain",
     "Controller",
+    "CostPolicy",
     "Engine",
     "FloatArray",
     "GroundSensor",

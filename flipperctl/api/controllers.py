@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.values import (
@@ -89,6 +89,24 @@ class Policy(Protocol):
 
     def act(self, p: Perception, /) -> int:
         """Return the index into ``ACTIONS`` of the next action."""
+
+
+@runtime_checkable
+class CostPolicy(Policy, Protocol):
+    """A policy that also offers the cost of each action, so that it can teach by more than its own.
+
+    A decision is either one call of ``act``, or one call of ``costs`` followed by one of ``took``.
+    """
+
+    def costs(self, p: Perception, /) -> FloatArray:
+        """Return the cost of each action of ``ACTIONS``, (9,) [s]; every cost is finite.
+
+        The cost is that of the cheapest behaviour which begins with the action. An action without
+        a known behaviour has a cost far above the others'.
+        """
+
+    def took(self, action: int, /) -> None:
+        """Receive the action that was taken after ``costs``, the cheapest or any other."""
 
 
 class Controller(Plugin):

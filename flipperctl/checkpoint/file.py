@@ -86,6 +86,8 @@ def describe(
 
     plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     plugged += config.rewards.values()
+    if config.teacher.controller is not None:
+        plugged.append(config.teacher.controller)
     used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]
     return Document(
         format=documents.FORMAT,

@@ -20,6 +20,7 @@ from flipperctl.config import (
     EvalConfig,
     LocalCollector,
     RayCollector,
+    Teacher,
     TrainConfig,
     container,
     resolver,
@@ -33,7 +34,7 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
 )
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 GROUPS = (
-    *("terrain", "rewards", "network", "collector"),
+    *("terrain", "rewards", "network", "collector", "teacher"),
     *("sim", "perception", "conditions"),
 )
 """Config groups whose choice is stored under a key of the same name."""
@@ -46,8 +47,13 @@ _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 def register_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
+    teaching = container(Teacher())
+    store.store(group="teacher", name="none", node=teaching)
     for (kind, name), cls in registry.items():
-        store.store(group=kind, name=name, node=resolver.defaults(cls))
+        defaults = resolver.defaults(cls)
+        store.store(group=kind, name=name, node=defaults)
+        if kind == "controller":
+            store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
     for collector in (LocalCollector(), RayCollector()):
         store.store(group="collector", name=collector.name, node=container(collector))
     for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):

@@ -221,7 +221,8 @@ def _check_network(config: TrainConfig) -> None:
     from flipperctl.api import ACTIONS
 
     check_demand(
-        config.network, config.perception, len(ACTIONS), config.agent, config.train.decisions
+        *(config.network, config.perception, len(ACTIONS), config.agent, config.train.decisions),
+        labelled=config.teacher.controller is not None,
     )
 
 

@@ -21,6 +21,7 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
+from flipperctl.config.teacher import Teacher
 
 __all__ = [
     "DEFAULT_ENGINE",
@@ -33,6 +34,7 @@ __all__ = [
     "LocalCollector",
     "Randomise",
     "RayCollector",
+    "Teacher",
     "Train",
     "TrainConfig",
     "container",

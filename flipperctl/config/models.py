@@ -31,6 +31,7 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
+from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
 
@@ -156,6 +157,7 @@ class TrainConfig(EnvConfig):
     agent: Agent = Agent()
     train: Train = Train()
     collector: LocalCollector | RayCollector = Field(LocalCollector(), discriminator="name")
+    teacher: Teacher = Teacher()
     eval: Eval = Eval()
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")

@@ -28,6 +28,8 @@ from flipperctl.runtime.targets import TargetRule
 if TYPE_CHECKING:
     from flipperctl.lookahead.mpc import Mpc
 
+NO_PLAN = 1000.0
+"""Cost of an action with which no plan survives the search [s]."""
 _CLOSE = 0.05
 """Gap or overlap between robot and sensed ground up to which they are taken to touch [m]."""
 _AS_EXPECTED = np.array([0.04, 0.04, 0.05])
@@ -39,12 +41,15 @@ class MpcPolicy:
 
     def __init__(self, settings: Mpc) -> None:
         self._settings = settings
+        self._robot = Robot()
         self._forget()
 
     def _forget(self) -> None:
         self._map = GroundMap(self._settings.memory)
         self._targets = 0.0, 0.0
         self._plan: Plan | None = None
+        self._former: tuple[int, ...] = ()
+        self._angles = 0.0, 0.0
         self._hurried = False
         self.simulated = 0
         """Decisions simulated for the last action, by all of its searches [-]."""
@@ -56,23 +61,39 @@ class MpcPolicy:
 
     def act(self, p: Perception) -> int:
         """Return the first action of the best plan from here."""
+        action = self._plan_from(p).actions[0]
+        self.took(action)
+        return action
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the cost of the best plan that begins with each action, (9,) [s]."""
+        costs = self._plan_from(p).costs
+        return np.where(np.isfinite(costs), costs, NO_PLAN)
+
+    def took(self, action: int) -> None:
+        """Turn the remembered targets by the action; keep the rest of the plan if it is its own."""
+        assert self._plan is not None  # costs() or act() made it
+        self._former = self._plan.actions[1:] if action == self._plan.actions[0] else ()
+        robot = self._robot
+        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
+        self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
+
+    def _plan_from(self, p: Perception) -> Plan:
+        """Search from here; remember the plan and the measured angles."""
         settings = self._settings
         begun = time.perf_counter()
         deadline = begun + settings.time_limit if settings.time_limit else math.inf
-        robot = nominal(p.robot)
+        robot = self._robot = nominal(p.robot)
+        self._angles = p.front, p.rear
         if self._plan is None:
             self._targets = p.front, p.rear
         model, root = self._scene(p, robot)
-        plan = self._search(model, root, robot, deadline)
-        action = plan.actions[0]
-        self._plan = plan
-        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
-        self._targets = _rule(robot).next_targets(self._targets, (p.front, p.rear), turns)
-        return action
+        self._plan = self._search(model, root, robot, deadline)
+        return self._plan
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
         """Search with the normal prices, and wider and in a hurry if that plan gets stuck."""
-        settings, former = self._settings, self._plan.actions[1:] if self._plan else ()
+        settings, former = self._settings, self._former
         calm = Search(robot, settings.prices(), settings.beam, settings.horizon)
         width = round(settings.wider * settings.beam)
         wide = Search(robot, settings.prices(hurry=True), width, settings.horizon)

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from flipperctl.api import Controller, Perception, Policy, Simulator
+import numpy as np
+
+from flipperctl.api import (
+    ACTIONS,
+    Controller,
+    CostPolicy,
+    FloatArray,
+    Perception,
+    Policy,
+    Simulator,
+)
 from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.guard import fault, refusal, short_repr
@@ -26,6 +36,11 @@ class PluginPolicy:
         if not all(callable(getattr(self._policy, name, None)) for name in ("reset", "act")):
             text = f"returned {short_repr(self._policy)}; an object with reset and act is allowed"
             raise refusal(controller, "build", text)
+
+    @property
+    def offers_costs(self) -> bool:
+        """Whether the policy offers the cost of each action."""
+        return isinstance(self._policy, CostPolicy)
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode.
@@ -54,3 +69,30 @@ class PluginPolicy:
             text = f"returned {short_repr(answer)}; {ALLOWED}"
             raise refusal(self._controller, "act", text, owner=owner)
         return index
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the policy's cost of each action, (9,) [s]; only if it ``offers_costs``.
+
+        Raises:
+            PluginFailedError: the controller's code failed, or a cost is missing or not finite.
+        """
+        try:
+            answer: object = self._policy.costs(p)  # type: ignore[attr-defined]
+            found = np.asarray(answer, np.float64)
+        except BaseException as error:
+            raise fault(error, self._controller, "costs") from error
+        if found.shape != (len(ACTIONS),) or not np.isfinite(found).all():
+            text = f"returned {short_repr(answer)}; {len(ACTIONS)} finite costs are allowed"
+            raise refusal(self._controller, "costs", text, owner=type(self._policy))
+        return found
+
+    def took(self, action: int) -> None:
+        """Tell the policy which action was taken after its ``costs``.
+
+        Raises:
+            PluginFailedError: the controller's code failed.
+        """
+        try:
+            self._policy.took(action)  # type: ignore[attr-defined]
+        except BaseException as error:
+            raise fault(error, self._controller, "took") from error

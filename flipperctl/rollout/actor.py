@@ -11,11 +11,13 @@ import torch
 from flipperctl import plugins
 from flipperctl.agent.building import build_network, module_fault
 from flipperctl.agent.frames import stacked
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration_rng
@@ -39,6 +41,9 @@ class Actor:
         self._module.requires_grad_(False)
         self._frames = settings.network.frames
         self._seed = settings.seed
+        self._teaching, self._learning_starts = settings.teacher, settings.agent.learning_starts
+        teacher = settings.teacher.controller
+        self._teacher = None if teacher is None else PluginPolicy(teacher)
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
         """Play one greedy episode for each seed; return their rows in the order of the seeds."""
@@ -54,14 +59,24 @@ class Actor:
         self._load(weights)
         self._module.train()
         rng = exploration_rng(self._seed, request.episode)
-        policy = ExploringPolicy(self._module, self._frames, lambda: request.epsilon, rng, rng)
-        episode = list(decisions(self._env, policy, request.seed, difficulty=request.difficulty))
+        policy: Policy = ExploringPolicy(
+            self._module, self._frames, lambda: request.epsilon, rng, rng
+        )
+        if self._teacher is not None:
+            learns = request.decision >= self._learning_starts
+            policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
+        episode, labels = [], []
+        for decision in decisions(self._env, policy, request.seed, difficulty=request.difficulty):
+            episode.append(decision)
+            if isinstance(policy, TaughtPolicy):
+                labels.append(policy.label)
         observations = [stacked(episode[0].perception.recent, self._frames)]
         observations += [stacked(d.next_perception.recent, self._frames) for d in episode]
         ending = {**(episode[-1].ending or {}), "difficulty": request.difficulty}
         actions = np.array([d.action for d in episode])
         rewards = np.array([d.reward for d in episode])
-        return Rollout(np.array(observations), actions, rewards, ending)
+        labelled = np.array(labels) if labels else None
+        return Rollout(np.array(observations), actions, rewards, ending, labelled)
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}

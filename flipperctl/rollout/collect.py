@@ -13,6 +13,7 @@ from typing import Protocol
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.values import (
     EvaluateHere,
@@ -91,7 +92,8 @@ class InProcessCollector:
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
             observation = stacked(d.perception.recent, frames)
             next_observation = stacked(d.next_perception.recent, frames)
-            yield Step(observation, d.action, d.reward, next_observation, ending)
+            label = self._policy.label if isinstance(self._policy, TaughtPolicy) else None
+            yield Step(observation, d.action, d.reward, next_observation, ending, label)
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere

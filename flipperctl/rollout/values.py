@@ -29,6 +29,8 @@ class Step:
     next_observation: NDArray[np.float32]
     ending: Row | None
     """``seed``, ``outcome`` and metrics of the episode after its last step; None before."""
+    label: NDArray[np.float32] | None = None
+    """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,8 @@ class Rollout:
     """Rewards, (T,)."""
     ending: Row
     """Seed, outcome, metrics and difficulty of the episode."""
+    labels: NDArray[np.float32] | None = None
+    """The teacher's distributions over actions, (T, 9), if there is a teacher."""
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in their order."""
@@ -68,4 +72,5 @@ class Rollout:
         for t, (action, reward) in enumerate(zip(self.actions, self.rewards, strict=True)):
             before, after = self.observations[t], self.observations[t + 1]
             ending = self.ending if t == last else None
-            yield Step(before, int(action), float(reward), after, ending)
+            label = None if self.labels is None else self.labels[t]
+            yield Step(before, int(action), float(reward), after, ending, label)

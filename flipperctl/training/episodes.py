@@ -9,10 +9,13 @@ import numpy as np
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.agent.schedules import linear
+from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, container
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import episode_seed
@@ -76,9 +79,18 @@ class EpisodeSource:
     def _in_process_collector(self) -> Collector:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
-        policy = ExploringPolicy(
+        policy: Policy = ExploringPolicy(
             agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng
         )
+        teacher, starts = self._config.teacher, self._config.agent.learning_starts
+        if teacher.controller is not None:
+            policy = TaughtPolicy(
+                policy,
+                PluginPolicy(teacher.controller),
+                teacher,
+                lambda: self._progress.decision >= starts,
+                self._rng,
+            )
         return InProcessCollector(
             env, policy, self._next_seed, lambda: self._progress.difficulty, frames
         )

@@ -43,7 +43,9 @@ def run_arrays(
         except ValueError as error:
             raise CheckpointError(f"{saved.path}: its part {part} is wrong: {error}") from error
     found = _arrays(saved, "replay")
-    for name, most in (("action", len(ACTIONS) - 1), ("discount", 1)):
+    bounded = [("action", len(ACTIONS) - 1), ("discount", 1)]
+    bounded += [("label", 1)] if "label" in found else []
+    for name, most in bounded:
         values = np.asarray(found[name], np.float64)
         if ((values < 0) | (values > most)).any():
             raise CheckpointError(f"{saved.path}: replay.{name} lies outside of 0 to {most}")

@@ -50,14 +50,21 @@ class Trainer:
         self.listeners = list(listeners)
         env = FlipperEnv(config=config.environment())
         layout, agent = env.layout, config.agent
-        check_demand(config.network, layout, len(ACTIONS), agent, config.train.decisions)
+        taught = config.teacher.controller is not None
+        check_demand(
+            *(config.network, layout, len(ACTIONS), agent, config.train.decisions), labelled=taught
+        )
         init, explore, sample = np.random.SeedSequence(config.seed).spawn(3)
         seed = int(init.generate_state(1)[0])
         self.agent = D3qn(
-            config.network, layout, len(ACTIONS), agent, seed=seed, device=config.device
+            *(config.network, layout, len(ACTIONS), agent),
+            seed=seed,
+            device=config.device,
+            teacher=config.teacher if taught else None,
         )
         size = input_size(config.network, layout)
-        self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma)
+        labels = len(ACTIONS) if taught else 0
+        self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma, labels)
         generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
@@ -134,6 +141,7 @@ class Trainer:
             step.next_observation,
             over=ending is not None,
             bootstrap=ending is not None and ending["outcome"] in bootstrapped,
+            label=step.label,
         )
 
     def _learn(self) -> None:

@@ -1,5 +1,7 @@
 """The mathematics of double Q-learning against numbers worked by hand."""
 
+import math
+
 import pytest
 import torch
 
@@ -8,6 +10,7 @@ from flipperctl.agent.losses import (
     double_quantile_target,
     huber,
     quantile_huber,
+    teacher_cross_entropy,
 )
 from flipperctl.agent.schedules import linear
 
@@ -68,3 +71,14 @@ def test_the_quantile_loss_is_least_at_the_quantiles() -> None:
 )
 def test_a_schedule_is_linear_and_stays_at_its_ends(fraction: float, value: float) -> None:
     assert linear(4.0, 2.0, fraction) == value
+
+
+def test_the_teachers_cross_entropy_by_hand() -> None:
+    values = torch.tensor([[0.0, 0.2], [5.0, -5.0], [0.0, 0.0]])
+    labels = torch.tensor([[0.25, 0.75], [0.0, 0.0], [1.0, 0.0]])  # the second row has no label
+    # softmax([0, 2]) is 1 / (1 + e²) and e² / (1 + e²); softmax([0, 0]) is one half each.
+    base = math.log(1 + math.exp(2))
+    expected = (0.25 * base + 0.75 * (base - 2) + math.log(2)) / 2
+    assert float(teacher_cross_entropy(values, labels, 0.1)) == pytest.approx(expected)
+    none = torch.zeros(3, 2)
+    assert float(teacher_cross_entropy(values, none, 0.1)) == 0.0

@@ -116,3 +116,18 @@ def test_a_ring_that_is_not_full_yet_is_restored() -> None:
     other.restore(saved.filled(), saved.added)
     feed(other, [3.0])
     assert [row[2] for row in rows(other)] == [1.0, 2.0, 3.0]
+
+
+def test_a_label_belongs_to_the_first_decision_of_its_transition() -> None:
+    replay = Replay(10, size=2, n_step=2, gamma=0.5, labels=3)
+    here = np.zeros(2, np.float32)
+    for step, label in enumerate(([1, 0, 0], None, [0, 0.5, 0.5])):
+        row = None if label is None else np.array(label, np.float32)
+        over = step == 2
+        replay.add(here, step, 0.0, here, over=over, bootstrap=False, label=row)
+    assert replay.filled()["label"].tolist() == [[1, 0, 0], [0, 0, 0], [0, 0.5, 0.5]]
+    batch = replay.sample(8, np.random.default_rng(0))
+    assert batch.label is not None
+    expected = replay.arrays["label"][batch.action.numpy()]
+    assert (batch.label.numpy() == expected).all()
+    assert Replay(10, size=2, n_step=1, gamma=0.5).arrays.keys() == set(Replay.FIELDS)

@@ -4,8 +4,11 @@ import pytest
 
 from flipperctl.api import Shaping
 from flipperctl.cli import compose, config_store
-from flipperctl.config import EnvConfig, TrainConfig, with_overrides
+from flipperctl.config import EnvConfig, Teacher, TrainConfig, container, with_overrides
+from flipperctl.lookahead.mpc import Mpc
 from flipperctl.sim.planar import PlanarSensor
+
+MPC = container(Mpc())
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +65,30 @@ def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
     terrain = config.terrain.model_dump()
     assert terrain["most"] == 6
     assert terrain["tread_down"] - terrain["tread_spread"] == pytest.approx(0.2)
+
+
+# Teachers
+
+
+def test_there_is_a_teacher_only_on_request() -> None:
+    paper, quick, generalist = (
+        compose.compose_train(words)[0].teacher
+        for words in (["terrain=stair"], ["experiment=quick"], ["experiment=generalist"])
+    )
+    assert paper == quick == generalist == Teacher()
+    assert paper.controller is None
+
+
+def test_a_teacher_and_its_settings_are_chosen_by_name() -> None:
+    (config,) = compose.compose_train(
+        ["teacher=mpc", "teacher.controller.beam=5", "teacher.td_weight=0"]
+    )
+    assert container(config.teacher.controller) == {**MPC, "beam": 5}
+    assert config.teacher.td_weight == 0
+    (config,) = compose.compose_train(["experiment=taught", "terrain=ramp"])
+    assert container(config.teacher.controller)["name"] == "mpc"
+    assert config.terrain.plugin_name == "ramp"
+    assert config.rewards == EnvConfig(terrain="ramp").rewards
 
 
 # Presets of rewards

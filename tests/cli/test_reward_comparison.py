@@ -22,7 +22,7 @@ def verdicts(scene: dict[str, Any]) -> dict[str, str]:
     return {ranking["rewards"]: ranking["verdict"] for ranking in scene["rankings"]}
 
 
-def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_prices_it_out(tmp_path: Path) -> None:
+def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path: Path) -> None:
     # Over a ramp mpc swings less than the rule and turns the flippers for it.
     small = ["controller.beam=4", "controller.horizon=6"]
     ramp = ["terrain=ramp", "terrain.slope_low=20", "terrain.slope_high=25"]

@@ -59,7 +59,8 @@ class NodeKiller:
 
 def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path: Path) -> None:
     collector = {"name": "ray", "address": cluster.address, "workers": 2}
-    config = short_config(**{"train.mode": "fast", "collector": collector, "train.decisions": 1500})
+    settings = {"train.mode": "fast", "collector": collector, "train.decisions": 1500}
+    config = short_config(**settings, **{"teacher.controller": {"name": "okada"}})
     learner = trainer(config, tmp_path)
     killer = NodeKiller(cluster, episode=10)
     learner.listeners.append(killer)
@@ -69,6 +70,8 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert len(cluster.list_all_nodes()) == 2
     assert summary["lost_episodes"] == len(killer.notes) >= 1
     assert max(killer.lags) > 0
+    labels = learner.replay.filled()["label"]  # they come with the rollouts that arrived
+    assert (labels.sum(axis=1) == 1).all()
 
 
 def test_an_address_without_a_cluster_is_named(tmp_path: Path) -> None:

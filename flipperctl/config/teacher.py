@@ -1,0 +1,90 @@
+"""The section ``teacher``: which controller teaches, who drives, and what the labels count.
+
+In: a controller's name or mapping with the settings of teaching. Out: frozen settings.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
+
+from flipperctl.api import Controller, Settings
+from flipperctl.config.resolver import container, create
+from flipperctl.errors import ConfigError
+
+
+def _controller(value: object) -> object:
+    return None if value is None else create("controller", value, "teacher.controller")
+
+
+def _plain(value: Controller | None) -> object:
+    return None if value is None else container(value)
+
+
+AnyController = Annotated[Controller | None, BeforeValidator(_controller), PlainSerializer(_plain)]
+
+
+class Teacher(Settings):
+    """A controller that labels every visited state with the actions that it would take.
+
+    The network learns from the labels by the cross-entropy between them and
+    softmax(Q / ``q_temperature``), beside or instead of the temporal difference.
+    """
+
+    controller: AnyController = Field(
+        None, description="controller that teaches; null for none, as teacher=none sets it [-]"
+    )
+    student_share: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="fraction of the episodes that the student drives once it learns; the teacher "
+        "drives the others [-]",
+    )
+    random: float = Field(
+        0.1, ge=0, le=1, description="fraction of random actions while the teacher drives [-]"
+    )
+    temperature: float = Field(
+        0.3,
+        gt=0,
+        le=1000,
+        description="difference of the teacher's costs by which an action becomes e times less "
+        "probable [s]",
+    )
+    weight: float = Field(
+        1.0, ge=0, le=1000, description="weight of the cross-entropy at the start [-]"
+    )
+    weight_end: float = Field(
+        1.0, ge=0, le=1000, description="its weight at the end, reached linearly [-]"
+    )
+    td_weight: float = Field(
+        1.0,
+        ge=0,
+        le=1000,
+        description="weight of the temporal-difference loss; 0 is pure imitation, whose Q-values "
+        "order the actions but estimate no return [-]",
+    )
+    q_temperature: float = Field(
+        0.1,
+        gt=0,
+        le=1000,
+        description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Teacher:
+        if self.controller is None:
+            return self
+        if self.controller.searches_first and (self.student_share or self.random):
+            raise ConfigError(
+                f"teacher.controller: {self.controller.plugin_name} plans whole episodes before "
+                "they begin and cannot label where others drive; set teacher.student_share=0 and "
+                "teacher.random=0"
+            )
+        if not self.td_weight and not (self.weight and self.weight_end):
+            raise ConfigError(
+                "teacher.td_weight: 0 needs teacher.weight and teacher.weight_end above 0, since "
+                "nothing else is learnt from"
+            )
+        return self

@@ -1,0 +1,70 @@
+"""The policy of training episodes with a teacher, which labels every state that is visited.
+
+In: a student's policy, a teacher, and who drives how often. Out: actions, and a label for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from flipperctl.api import ACTIONS, Perception, Policy, Simulator
+from flipperctl.config import Teacher
+from flipperctl.policies import labels
+from flipperctl.policies.plugin import PluginPolicy
+
+
+class TaughtPolicy:
+    """Lets the student or the teacher drive an episode; the teacher labels both (DAgger).
+
+    Ross, Gordon and Bagnell 2011, with whole episodes instead of single decisions mixed.
+    """
+
+    def __init__(
+        self,
+        student: Policy,
+        teacher: PluginPolicy,
+        settings: Teacher,
+        student_learns: Callable[[], bool],
+        rng: np.random.Generator,
+    ) -> None:
+        """``student_learns``: before it does, the teacher drives; called before each episode.
+
+        ``rng`` draws who drives, and the random actions of the teacher's episodes.
+        """
+        self._student, self._teacher, self._settings = student, teacher, settings
+        self._student_learns, self._rng = student_learns, rng
+        self._student_drives = False
+        self.label = labels.from_action(0)
+        """The teacher's distribution over actions at the last decision, (9,)."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode of both and draw who drives it."""
+        self._student.reset(simulator)
+        self._teacher.reset(simulator)
+        share = self._settings.student_share if self._student_learns() else 0.0
+        self._student_drives = self._rng.random() < share
+
+    def act(self, p: Perception) -> int:
+        """Return the driver's action; keep the teacher's label."""
+        teacher = self._teacher
+        if teacher.offers_costs:
+            costs = teacher.costs(p)
+            choice = int(costs.argmin())
+            self.label = labels.from_costs(costs, self._settings.temperature)
+        else:
+            choice = teacher.act(p)
+            self.label = labels.from_action(choice)
+        action = self._drive(p, choice)
+        if teacher.offers_costs:
+            teacher.took(action)
+        return action
+
+    def _drive(self, p: Perception, choice: int) -> int:
+        """Return the student's action, or the teacher's ``choice`` or a random one."""
+        if self._student_drives:
+            return self._student.act(p)
+        if self._rng.random() < self._settings.random:
+            return int(self._rng.integers(len(ACTIONS)))
+        return choice

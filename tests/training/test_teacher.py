@@ -1,0 +1,115 @@
+"""Training with a teacher: its labels, who drives, and runs that repeat and resume bit for bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.api import ACTIONS, Perception, Simulator
+from flipperctl.config import Teacher, TrainConfig, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.rollout.episode import decisions
+from tests.short import short_config, trainer
+
+OKADA = {"teacher.controller": {"name": "okada"}}
+LOOKAHEAD = {"teacher.controller": {"name": "mpc", "beam": 1, "horizon": 2}}
+
+
+class _Student:
+    """Takes action 8 always."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+
+    def act(self, p: Perception) -> int:
+        """Return action 8."""
+        return 8
+
+
+def drive(settings: Teacher, *, learns: bool = True, count: int = 10) -> list[tuple[int, int]]:
+    """Return the action taken and the teacher's most probable one at each decision."""
+    assert settings.controller is not None
+    policy = TaughtPolicy(
+        *(_Student(), PluginPolicy(settings.controller), settings),
+        *(lambda: learns, np.random.default_rng(0)),
+    )
+    found = []
+    for decision in decisions(FlipperEnv("step"), policy, 1):
+        found.append((decision.action, int(policy.label.argmax())))
+        assert policy.label.sum() == pytest.approx(1)
+        if len(found) == count:
+            break
+    return found
+
+
+@pytest.mark.parametrize("name", ["okada", "mpc"])
+def test_the_teacher_labels_what_the_student_drives(name: str) -> None:
+    driven = drive(Teacher(controller=name, student_share=1))
+    assert {action for action, _ in driven} == {8}
+    assert any(label != 8 for _, label in driven)
+
+
+def test_the_teacher_drives_the_other_episodes_and_all_before_the_student_learns() -> None:
+    for settings, learns in (({"student_share": 0}, True), ({"student_share": 1}, False)):
+        driven = drive(Teacher(controller="okada", random=0, **settings), learns=learns)
+        assert all(action == label for action, label in driven)
+
+
+def test_some_actions_of_the_teachers_episodes_are_random() -> None:
+    driven = drive(Teacher(controller="okada", student_share=0, random=0.5), count=30)
+    assert 5 < sum(action != label for action, label in driven) < 25
+
+
+def test_a_teacher_that_plans_whole_episodes_labels_only_its_own() -> None:
+    with pytest.raises(ConfigError, match=r"set teacher\.student_share=0 and teacher\.random=0"):
+        Teacher(controller="planner")
+    assert Teacher(controller="planner", student_share=0, random=0).controller is not None
+
+
+def test_something_must_be_learnt_from() -> None:
+    with pytest.raises(ConfigError, match=r"teacher\.td_weight: 0 needs"):
+        Teacher(controller="okada", td_weight=0, weight_end=0)
+
+
+def test_no_teacher_is_the_default() -> None:
+    assert TrainConfig(terrain="stair", network="at_d3qn").teacher == Teacher()
+    assert Teacher().controller is None
+
+
+def test_without_a_teacher_there_are_no_labels(short_run: Path) -> None:
+    assert "replay.label" not in checkpoint.read(short_run / checkpoint.LAST).tensors
+
+
+@pytest.mark.parametrize("mode", ["exact", "fast"])
+def test_a_taught_run_resumes_bit_for_bit_with_its_labels(tmp_path: Path, mode: str) -> None:
+    config = short_config(**{"train.mode": mode, "train.decisions": 400, **LOOKAHEAD})
+    trainer(config, tmp_path / "whole").run()
+    whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
+    first = trainer(config, tmp_path / "parts")
+    first.run(stop=lambda: first.progress.decision >= 150)
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.restore(stopped)
+    second.run()
+    for name in (checkpoint.BEST, checkpoint.LAST):  # as sha256sum sees it
+        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
+        assert parts.read_bytes() == at_once.read_bytes(), name
+    labels = whole.part("replay")["label"]
+    assert labels.shape == (whole.document.state.replay_added, len(ACTIONS))
+    assert torch.allclose(labels.sum(dim=1), torch.ones(len(labels)), atol=1e-5)
+    kinds = {(p.kind, p.name) for p in whole.document.plugins}
+    assert ("controller", config.teacher.controller.plugin_name) in kinds
+
+
+def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path) -> None:
+    config = with_overrides(
+        short_config(**OKADA),
+        {"teacher.td_weight": 0.0, "agent.epsilon_start": 0.1, "train.validation_episodes": 10},
+    )
+    summary = trainer(config, tmp_path).run()
+    assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600 decisions
