@@ -60,7 +60,15 @@ def smaller(command: list[str]) -> list[str]:
     if command[0] == "bench":
         return [*command, "--small"]
     if command[0] == "eval" or "--compare" in command:
-        return [*re.sub(r"--episodes \d+", "", " ".join(command)).split(), "--episodes", "1"]
+        quick = (
+            ["controller.budget=2000"] if ("--controller", "planner") in pairwise(command) else []
+        )
+        return [
+            *re.sub(r"--episodes \d+", "", " ".join(command)).split(),
+            "--episodes",
+            "1",
+            *quick,
+        ]
     return command
 
 

@@ -23,10 +23,10 @@ class Mpc(Controller):
     """
 
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
-    beam: int = Field(12, ge=1, le=1000, description="nodes kept at each depth of the search [-]")
-    horizon: int = Field(9, ge=1, le=50, description="depth of the search in decisions [-]")
+    beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
+    horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
     wider: float = Field(
-        3.0, ge=1, le=100, description="width of the second search as a multiple of ``beam`` [-]"
+        3.0, ge=1, le=8, description="width of the second search as a multiple of ``beam`` [-]"
     )
     stuck_from: float = Field(
         2.5, gt=0, le=100, description="lost time of a plan from which a second search is made [s]"
@@ -62,8 +62,8 @@ class Mpc(Controller):
     friction: float = Field(
         1.0, gt=0, le=10, description="friction between track and ground in the simulation [-]"
     )
-    step: float = Field(0.02, gt=0.0004, le=0.05, description="time step of the prediction [s]")
-    iterations: int = Field(8, ge=1, le=200, description="solver iterations per step [-]")
+    step: float = Field(0.02, ge=0.005, le=0.04, description="time step of the prediction [s]")
+    iterations: int = Field(8, ge=1, le=40, description="solver iterations per step [-]")
     memory: int = Field(10, ge=1, le=100, description="scans that are averaged under noise [-]")
     latency: float = Field(
         0.0,
