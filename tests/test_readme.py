@@ -96,7 +96,7 @@ def test_the_robots_example_runs(folder: Path, capsys: pytest.CaptureFixture[str
     with contextlib.chdir(folder):
         exec(example, names)
     turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
-    assert [names["front"], names["rear"]] == pytest.approx(turned)
+    assert names["targets"] == pytest.approx(turned)
     assert names["period"] == pytest.approx(0.6)
     assert "theta_R rad L pitch, nose up positive" in capsys.readouterr().out
 

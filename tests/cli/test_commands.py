@@ -121,7 +121,7 @@ def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
     table = call("eval", "--controller", "okada", *arguments[:-1], cwd=tmp_path)
     assert "difference to level" in table.out
     assert "[s]" in table.out  # units are no markup
-    assert table.out.count("[rad]") == 6
+    assert table.out.count("[rad]") == 7
 
 
 def test_eval_overrides_do_not_change_the_network(run: Path, tmp_path: Path) -> None:

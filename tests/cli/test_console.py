@@ -34,7 +34,7 @@ def test_tables_are_spelt_plainly_and_stay_aligned(
     encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines = call_encoded(monkeypatch, encoding, *EVAL)
-    assert "theta^_R 100 Hz [rad]" in lines[2]
+    assert "theta^_R at decisions [rad]" in lines[2]
     assert "flipper travel [rad]" in lines[2]
     assert len({len(line.rstrip()) for line in lines[1:]}) == 1
     assert all(line.isascii() for line in lines)

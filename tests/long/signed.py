@@ -62,7 +62,8 @@ def _model(data: bytes) -> tuple[Any, dict[str, str]]:
 def _old(data: bytes) -> bytes:
     """Return the policy as flipperctl 0.1 wrote it."""
     model, metadata = _model(data)
-    del metadata[CHECKSUM], metadata["flipperctl.terrain_config"]
+    for name in (CHECKSUM, "flipperctl.terrain_config", "flipperctl.targets"):
+        del metadata[name]
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**metadata, "flipperctl.format_version": "1"})
     return bytes(model.SerializeToString())
@@ -74,7 +75,7 @@ def read_checkpoint(path: Path) -> str:
     found = describe(saved)
     with contextlib.redirect_stdout(io.StringIO()):
         print(json.dumps(found))
-        show(found)
+        show(found, saved)
     config = saved.config()
     module = policy_module(saved)
     with torch.inference_mode():

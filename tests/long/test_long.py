@@ -10,7 +10,7 @@ import pytest
 @pytest.mark.parametrize(
     "command",
     [
-        ["kills", "--count", "3", "--early", "1", "--fast", "0"],
+        ["kills", "--count", "3", "--early", "2", "--fast", "0"],
         ["races", "--count", "3", "--fast", "0"],
     ],
     ids=["kills", "races"],
