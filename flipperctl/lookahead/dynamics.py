@@ -190,7 +190,10 @@ def advance(
     extra: FloatArray,
     motion: FloatArray,
 ) -> tuple[float, float]:
-    """Simulate ``steps`` steps in place; return the swing and the largest |pitch| [rad]."""
+    """Simulate ``steps`` steps in place; return the swing and the largest |pitch| [rad].
+
+    One function, since its parts would hand on a dozen numbers to each other.
+    """
     dt, mass = k[STEP], k[CHASSIS] + 2 * k[FLIPPER]
     reach = k[RADIUS] + _MARGIN
     swing, steep = 0.0, 0.0
