@@ -62,7 +62,7 @@ def smaller(command: list[str]) -> list[str]:
     if command[0] == "eval" or "--compare" in command:
         planner = ("--controller", "planner") in pairwise(command)
         words = re.sub(r"--episodes \d+", "", " ".join(command))
-        words = re.sub(r"terrain=(\w+,\w+,\w+)[\w,]+", r"terrain=\1", words).split()
+        words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()
         return [*words, "--episodes", "1", *(["controller.budget=2000"] if planner else [])]
     return command
 
