@@ -58,6 +58,12 @@ class Simulator(Protocol):
         the same actions as in the episode. Snapshots hold neither noise nor earlier perceptions.
         """
 
+    def perceive_exactly(self) -> Perception:
+        """Return what a sensor without errors and delay would perceive now.
+
+        Called like ``perceive``: once after ``restart`` and once after each ``step``.
+        """
+
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``."""
 

@@ -66,6 +66,13 @@ class Sensor(ObservationLayout, Plugin, ABC):
         view [m].
         """
 
+    def exact(self) -> Sensor:
+        """Return this sensor without errors, in the same layout; a privileged teacher perceives so.
+
+        Of a sensor whose defaults are not exact, this method must be overridden.
+        """
+        return type(self)(**self.layout.model_dump())
+
     @property
     def layout(self) -> ObservationLayout:
         """Layout of the observation, without the sensor's own settings."""

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from flipperctl.api import Settings
+from flipperctl.api import SAMPLE_PERIOD, Settings
 
 
 def _pair(value: object) -> object:
@@ -44,6 +44,11 @@ SECTION_OF = {
     "pitch_bias": "perception",
     "flipper_bias": "perception",
     "delay": "perception",
+    "flipper_torque": "robot",
+    "flipper_length": "robot",
+    "track_radius": "robot",
+    "substep": "sim",
+    "iterations": "sim",
 }
 """Section of each setting that is sampled from a range; values are sampled in this order."""
 
@@ -76,6 +81,17 @@ class Randomise(Settings):
     pitch_bias: Range = Field(None, description="of perception.pitch_bias [rad]")
     flipper_bias: Range = Field(None, description="of perception.flipper_bias [rad]")
     delay: Range = Field(None, description="of perception.delay [s]")
+    flipper_torque: Range = Field(None, description="of robot.flipper_torque [N m]")
+    flipper_length: Range = Field(
+        None, description="of robot.flipper_length; policies still believe in their own robot [m]"
+    )
+    track_radius: Range = Field(
+        None, description="of robot.track_radius; policies still believe in their own robot [m]"
+    )
+    substep: Range = Field(
+        None, description="of sim.substep, as the nearest divisor of the sampling time [s]"
+    )
+    iterations: Range = Field(None, description="of sim.iterations, as the nearest integer [-]")
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )
@@ -99,10 +115,19 @@ class Randomise(Settings):
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """Sample a value of each randomised setting, in SI units; a switch is 1 or 0."""
-        values = {name: float(rng.uniform(*found)) for _, name, found in self.ranges()}
+        values = {name: _fitting(name, rng.uniform(*found)) for _, name, found in self.ranges()}
         for _, name, probability in self.probabilities():
             values[name] = float(rng.random() < probability)
         return values
+
+
+def _fitting(name: str, value: float) -> float:
+    """Return the value that the setting can have next to a sampled one."""
+    if name == "iterations":
+        return round(value)
+    if name == "substep":
+        return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
+    return float(value)
 
 
 def replace_settings(sections: Mapping[str, Any], sampled: Mapping[str, float]) -> dict[str, Any]:

@@ -35,6 +35,11 @@ class Teacher(Settings):
     controller: AnyController = Field(
         None, description="controller that teaches; null for none, as teacher=none sets it [-]"
     )
+    privileged: bool = Field(
+        False,
+        description="the teacher perceives ground and posture exactly and at once, while "
+        "the student perceives as perception says [-]",
+    )
     student_share: float = Field(
         0.6,
         ge=0,

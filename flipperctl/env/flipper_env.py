@@ -23,6 +23,7 @@ from flipperctl.api import (
     Outcome,
     Profile,
     RobotState,
+    Sensor,
     Start,
     Transition,
 )
@@ -138,7 +139,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         self._rngs = rngs[0], rngs[1]
-        self._perceiver = self._new_perceiver(self._rngs)
+        self._perceiver = self._new_perceiver(self._sections[2], self._rngs)
         self._drawn_values = {
             "start_shift": shift,
             "start_front": front,
@@ -157,10 +158,12 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         period = config.robot.decision_period
         return Drive(self.profile, self._sections, config.episode, self._start, period)
 
-    def _new_perceiver(self, rngs: tuple[np.random.Generator, np.random.Generator]) -> Perceiver:
+    def _new_perceiver(
+        self, sensor: Sensor, rngs: tuple[np.random.Generator, np.random.Generator]
+    ) -> Perceiver:
         config, episode = self.config, self.config.episode
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        return Perceiver(self._sections[2], self.profile, margin + 2.0, config.robot, rngs)
+        return Perceiver(sensor, self.profile, margin + 2.0, config.robot, rngs)
 
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None
@@ -170,9 +173,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
         first, second = self._rngs
+        sensor = self._sections[2]
         return SceneSimulator(
             self._drive,
-            lambda: self._new_perceiver((fresh(first), fresh(second))),
+            lambda: self._new_perceiver(sensor, (fresh(first), fresh(second))),
+            lambda: self._new_perceiver(sensor.exact(), (fresh(first), fresh(second))),
             self.profile,
             report_progress,
         )

@@ -18,17 +18,21 @@ class SceneSimulator:
         self,
         make: Callable[[], Drive],
         perceiver: Callable[[], Perceiver],
+        exact_perceiver: Callable[[], Perceiver],
         profile: Profile,
         report_progress: Callable[[float], None],
     ) -> None:
         """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``.
 
-        ``perceiver`` returns a new one, whose noise is that of the episode.
+        ``perceiver`` returns a new one, whose noise is that of the episode; ``exact_perceiver`` a
+        new one without errors.
         """
         self._make, self._make_perceiver = make, perceiver
+        self._make_exact = exact_perceiver
         self._profile, self._report_progress = profile, report_progress
         self._made: Drive | None = None
         self._perceiver: Perceiver | None = None
+        self._exact: Perceiver | None = None
         self.results: dict[str, float | str] = {}
         """What the policy reported about its search."""
 
@@ -74,6 +78,12 @@ class SceneSimulator:
             self._perceiver = self._make_perceiver()
         return self._perceiver.perceive(self._drive.delayed_state)
 
+    def perceive_exactly(self) -> Perception:
+        """Return what a sensor without errors perceives; see ``flipperctl.api.Simulator``."""
+        if self._exact is None:
+            self._exact = self._make_exact()
+        return self._exact.perceive(self._drive.state)
+
     def step(self, action: int) -> Outcome | None:
         """Simulate one decision; return the outcome, or None while the episode runs."""
         return self._drive.decide(action)
@@ -88,7 +98,7 @@ class SceneSimulator:
 
     def restart(self) -> None:
         """Return to the start in a new world, which reproduces the episode bit for bit."""
-        self._made = self._perceiver = None
+        self._made = self._perceiver = self._exact = None
 
     def report_progress(self, fraction: float) -> None:
         """Report the completed fraction of a long search, in [0, 1]."""

@@ -36,6 +36,7 @@ class TaughtPolicy:
         self._student, self._teacher, self._settings = student, teacher, settings
         self._student_learns, self._rng = student_learns, rng
         self._student_drives = False
+        self._simulator: Simulator | None = None
         self.label = labels.from_action(0)
         """The teacher's distribution over actions at the last decision, (9,)."""
 
@@ -43,22 +44,28 @@ class TaughtPolicy:
         """Begin an episode of both and draw who drives it."""
         self._student.reset(simulator)
         self._teacher.reset(simulator)
+        if self._settings.privileged:
+            simulator.restart()  # the resets may have driven in it
+            self._simulator = simulator
         share = self._settings.student_share if self._student_learns() else 0.0
         self._student_drives = self._rng.random() < share
 
     def act(self, p: Perception) -> int:
         """Return the driver's action; keep the teacher's label."""
-        teacher = self._teacher
+        teacher, simulator = self._teacher, self._simulator
+        seen = p if simulator is None else simulator.perceive_exactly()
         if teacher.offers_costs:
-            costs = teacher.costs(p)
+            costs = teacher.costs(seen)
             choice = int(costs.argmin())
             self.label = labels.from_costs(costs, self._settings.temperature)
         else:
-            choice = teacher.act(p)
+            choice = teacher.act(seen)
             self.label = labels.from_action(choice)
         action = self._drive(p, choice)
         if teacher.offers_costs:
             teacher.took(action)
+        if simulator is not None:
+            simulator.step(action)  # which repeats the episode bit for bit
         return action
 
     def _drive(self, p: Perception, choice: int) -> int:

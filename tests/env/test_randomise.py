@@ -30,6 +30,11 @@ RANGES = {
     "pitch_bias": [-0.03, 0.03],
     "flipper_bias": [-0.03, 0.03],
     "delay": [0.0, 0.2],
+    "flipper_torque": [80, 200],
+    "flipper_length": [0.52, 0.55],
+    "track_radius": [0.097, 0.103],
+    "substep": [0.0025, 0.005],
+    "iterations": [10, 40],
 }
 
 
@@ -52,7 +57,7 @@ def test_every_range_names_a_setting_and_is_drawn_within() -> None:
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
             value = row[name]
-            assert isinstance(value, float)
+            assert isinstance(value, int if name == "iterations" else float)
             assert low <= value <= high
     assert episode(0, randomise=RANGES) == episode(0, randomise=RANGES)
     assert episode(0, randomise=RANGES)["friction"] != episode(1, randomise=RANGES)["friction"]
@@ -73,6 +78,14 @@ def test_a_drawn_value_acts_as_the_setting_itself() -> None:
     one, other = episode(3, **fixed), episode(3, **drawn)
     assert {name: other[name] for name in one} == one
     assert one["pitch_variation"] != episode(3)["pitch_variation"]
+
+
+def test_a_sampled_substep_divides_the_sampling_time() -> None:
+    randomise = Randomise(substep=(0.0025, 0.005), iterations=(10, 12))
+    values = [randomise.sample(np.random.default_rng(seed)) for seed in range(40)]
+    ratios = {round(0.01 / value["substep"], 9) for value in values}
+    assert ratios == {2.0, 3.0, 4.0}
+    assert {value["iterations"] for value in values} == {10, 11, 12}
 
 
 def test_occlusion_is_on_with_its_probability() -> None:

@@ -1,14 +1,16 @@
 """Training with a teacher: its labels, who drives, and runs that repeat and resume bit for bit."""
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.config import Teacher, TrainConfig, with_overrides
+from flipperctl.config import EnvConfig, Teacher, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import PluginPolicy
@@ -63,6 +65,32 @@ def test_the_teacher_drives_the_other_episodes_and_all_before_the_student_learns
 def test_some_actions_of_the_teachers_episodes_are_random() -> None:
     driven = drive(Teacher(controller="okada", student_share=0, random=0.5), count=30)
     assert 5 < sum(action != label for action, label in driven) < 25
+
+
+def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> None:
+    """Its labels are those of the same states without noise, delay and horizon."""
+    rough = with_overrides(
+        EnvConfig(terrain="step"),
+        {
+            "perception.noise": 0.05,
+            "perception.delay": 0.3,
+            "perception.horizon": 0.3,
+            "perception.pitch_bias": 0.1,
+        },
+    )
+
+    def labels(config: EnvConfig, **settings: bool) -> NDArray[np.float64]:
+        teacher = Teacher(controller="mpc", student_share=1, **settings)
+        policy = TaughtPolicy(
+            *(_Student(), PluginPolicy(teacher.controller), teacher),
+            *(lambda: True, np.random.default_rng(0)),
+        )
+        driven = islice(decisions(FlipperEnv(config=config), policy, 1), 8)
+        return np.array([policy.label for _ in driven])
+
+    exact = labels(EnvConfig(terrain="step"))
+    np.testing.assert_array_equal(labels(rough, privileged=True), exact)
+    assert np.abs(labels(rough) - exact).max() > 0.1
 
 
 def test_a_teacher_that_plans_whole_episodes_labels_only_its_own() -> None:
