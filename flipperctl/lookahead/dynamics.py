@@ -63,7 +63,6 @@ def _add(
     if count < MOST:
         row = contacts[count]
         row[0], row[1], row[2], row[3], row[4], row[5] = x, z, nx, nz, gap, part
-        row[6] = row[7] = 0.0
         return count + 1
     return count
 
@@ -85,7 +84,7 @@ def touches(
 
     ``ground``: (V, 5): x, z [m] of a point, and normal and length of the edge that begins there.
     A row of ``contacts`` is x, z [m] on the ground, the normal from ground to robot, the gap [m],
-    the part, and the impulses along normal and tangent.
+    and the part.
     """
     low, high = min(ax, bx) - reach, max(ax, bx) + reach
     first, last = 0, len(ground)
@@ -97,17 +96,21 @@ def touches(
             last = middle
     ux, uz = bx - ax, bz - az
     along = ux * ux + uz * uz
+    farthest = reach * reach
     for i in range(max(0, first - 1), len(ground)):
         x, z = ground[i, 0], ground[i, 1]
         if i >= first and x <= high:  # a point of the ground against the axis
-            share = ((x - ax) * ux + (z - az) * uz) / along
-            share = min(1.0, max(0.0, share))
-            dx, dz = ax + share * ux - x, az + share * uz - z
-            distance = math.hypot(dx, dz)
-            if 1e-9 < distance < reach:
-                count = _add(
-                    contacts, count, x, z, dx / distance, dz / distance, distance - radius, part
-                )
+            px, pz = x - ax, z - az
+            off = px * uz - pz * ux  # times the axis' length
+            if off * off < farthest * along:
+                share = min(1.0, max(0.0, (px * ux + pz * uz) / along))
+                dx, dz = share * ux - px, share * uz - pz
+                square = dx * dx + dz * dz
+                if 1e-18 < square < farthest:
+                    distance = math.sqrt(square)
+                    count = _add(
+                        contacts, count, x, z, dx / distance, dz / distance, distance - radius, part
+                    )
         if i + 1 < len(ground):  # both ends of the axis against the edge
             nx, nz, length = ground[i, 2], ground[i, 3], ground[i, 4]
             for end in range(2):
@@ -142,42 +145,51 @@ def _solve(
     inertia: float,
     extra: FloatArray,
     k: FloatArray,
+    rows: FloatArray,
 ) -> None:
     """Change the motion (vx, vz, turn) so that every contact holds, by sequential impulses.
 
-    ``extra`` (3, 4): velocity (x, z) that each part has by the flippers' turn at its hinge, the
-    hinge being the last two numbers with the rate in the row of the part.
+    ``extra`` (3, 5): velocity (x, z) that each part has by the flippers' turn at its hinge, the
+    hinge being the last two numbers with the rate in the row of the part. ``rows`` is working
+    memory, (``MOST``, 10).
     """
-    dt = k[STEP]
+    dt, light, slow = k[STEP], 1 / mass, 1 / inertia
+    for c in range(count):
+        contact, row = contacts[c], rows[c]
+        rx, rz = contact[0] - centre_x, contact[1] - centre_z
+        nx, nz, gap = contact[2], contact[3], contact[4]
+        part = extra[int(contact[5])]
+        ox = part[0] - part[2] * (contact[1] - part[4])
+        oz = part[1] + part[2] * (contact[0] - part[3])
+        arm, across = rx * nz - rz * nx, -rx * nx - rz * nz
+        # Normal: approach no faster than the gap closes in this step.
+        bias = gap / dt if gap > 0 else -min(_PUSH, 0.2 / dt * max(0.0, -gap - _SLOP))
+        row[0], row[1], row[2], row[3] = nx, nz, arm, across
+        row[4] = ox * nx + oz * nz + bias
+        # Friction: the belt pulls the robot along the tangent (nz, -nx) at its speed.
+        row[5] = ox * nz - oz * nx - k[SPEED]
+        row[6] = 1 / (light + arm * arm * slow)
+        row[7] = 1 / (light + across * across * slow)
+        row[8] = row[9] = 0.0
+    vx, vz, turn = motion[0], motion[1], motion[2]
+    friction = k[FRICTION]
     for _ in range(int(k[ITERATIONS])):
         for c in range(count):
-            row = contacts[c]
-            rx, rz = row[0] - centre_x, row[1] - centre_z
-            nx, nz = row[2], row[3]
-            part = extra[int(row[5])]
-            ox = part[0] - part[2] * (row[1] - part[4])
-            oz = part[1] + part[2] * (row[0] - part[3])
-            # Normal: approach no faster than the gap closes in this step.
-            arm = rx * nz - rz * nx
-            vx, vz = motion[0] - motion[2] * rz + ox, motion[1] + motion[2] * rx + oz
-            bias = row[4] / dt if row[4] > 0 else -min(_PUSH, 0.2 / dt * max(0.0, -row[4] - _SLOP))
-            impulse = -(vx * nx + vz * nz + bias) / (1 / mass + arm * arm / inertia)
-            whole = max(0.0, row[6] + impulse)
-            impulse, row[6] = whole - row[6], whole
-            motion[0] += impulse * nx / mass
-            motion[1] += impulse * nz / mass
-            motion[2] += impulse * arm / inertia
-            # Friction: the belt pulls the robot along the tangent at its speed.
-            tx, tz = nz, -nx
-            arm = rx * tz - rz * tx
-            vx, vz = motion[0] - motion[2] * rz + ox, motion[1] + motion[2] * rx + oz
-            impulse = (k[SPEED] - vx * tx - vz * tz) / (1 / mass + arm * arm / inertia)
-            most = k[FRICTION] * row[6]
-            whole = min(most, max(-most, row[7] + impulse))
-            impulse, row[7] = whole - row[7], whole
-            motion[0] += impulse * tx / mass
-            motion[1] += impulse * tz / mass
-            motion[2] += impulse * arm / inertia
+            row = rows[c]
+            nx, nz, arm, across = row[0], row[1], row[2], row[3]
+            whole = max(0.0, row[8] - (vx * nx + vz * nz + turn * arm + row[4]) * row[6])
+            impulse, row[8] = whole - row[8], whole
+            vx += impulse * nx * light
+            vz += impulse * nz * light
+            turn += impulse * arm * slow
+            most = friction * whole
+            whole = row[9] - (vx * nz - vz * nx + turn * across + row[5]) * row[7]
+            whole = min(most, max(-most, whole))
+            impulse, row[9] = whole - row[9], whole
+            vx += impulse * nz * light
+            vz -= impulse * nx * light
+            turn += impulse * across * slow
+    motion[0], motion[1], motion[2] = vx, vz, turn
 
 
 @cached(njit)
@@ -187,63 +199,49 @@ def advance(
     ground: FloatArray,
     k: FloatArray,
     contacts: FloatArray,
+    rows: FloatArray,
     extra: FloatArray,
     motion: FloatArray,
 ) -> tuple[float, float]:
     """Simulate ``steps`` steps in place; return the swing and the largest |pitch| [rad].
 
-    One function, since its parts would hand on a dozen numbers to each other.
+    ``contacts``, ``rows``, ``extra`` and ``motion`` are working memory. One function, since its
+    parts would hand on a dozen numbers to each other.
     """
     dt, mass = k[STEP], k[CHASSIS] + 2 * k[FLIPPER]
-    reach = k[RADIUS] + _MARGIN
+    radius, reach, most = k[RADIUS], k[RADIUS] + _MARGIN, k[RATE] * k[STEP]
     swing, steep = 0.0, 0.0
+    gx, gz, inertia = mass_centre(state[6], state[7], k)
+    cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
+    cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
     for _ in range(steps):
-        old_front, old_rear = state[6], state[7]
-        most = k[RATE] * dt
-        state[6] += min(most, max(-most, state[8] - old_front))
-        state[7] += min(most, max(-most, state[9] - old_rear))
-        front_rate, rear_rate = (state[6] - old_front) / dt, (state[7] - old_rear) / dt
-        was_x, was_z, _ = mass_centre(old_front, old_rear, k)
-        gx, gz, inertia = mass_centre(state[6], state[7], k)
+        was_x, was_z = gx, gz
+        front_turn = min(most, max(-most, state[8] - state[6]))
+        rear_turn = min(most, max(-most, state[9] - state[7]))
+        if front_turn != 0.0 or rear_turn != 0.0:
+            state[6] += front_turn
+            state[7] += rear_turn
+            gx, gz, inertia = mass_centre(state[6], state[7], k)
+            cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
+            cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
         cos, sin = math.cos(state[2]), math.sin(state[2])
         sx, sz = -(gx - was_x) / dt, -(gz - was_z) / dt  # the chassis' shift against the centre
         shift_x, shift_z = cos * sx - sin * sz, sin * sx + cos * sz
         # The chassis centre, the hinges and the tips.
         x, z = state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
         hx, hz = cos * k[HINGE], sin * k[HINGE]
-        angle_f, angle_r = state[2] + state[6], state[2] - state[7]
-        tip_fx, tip_fz = k[AXLE] * math.cos(angle_f), k[AXLE] * math.sin(angle_f)
-        tip_rx, tip_rz = -k[AXLE] * math.cos(angle_r), -k[AXLE] * math.sin(angle_r)
-        count = touches(ground, x - hx, z - hz, x + hx, z + hz, k[RADIUS], reach, 0, contacts, 0)
-        count = touches(
-            ground,
-            x + hx,
-            z + hz,
-            x + hx + tip_fx,
-            z + hz + tip_fz,
-            k[RADIUS],
-            reach,
-            1,
-            contacts,
-            count,
-        )
-        count = touches(
-            ground,
-            x - hx,
-            z - hz,
-            x - hx + tip_rx,
-            z - hz + tip_rz,
-            k[RADIUS],
-            reach,
-            2,
-            contacts,
-            count,
-        )
-        extra[:, 0], extra[:, 1] = shift_x, shift_z
-        extra[0, 2], extra[1, 2], extra[2, 2] = 0.0, front_rate, -rear_rate
-        extra[1, 3], extra[1, 4], extra[2, 3], extra[2, 4] = x + hx, z + hz, x - hx, z - hz
+        fx, fz, rx, rz = x + hx, z + hz, x - hx, z - hz
+        tip_fx, tip_fz = fx + cos * cos_f - sin * sin_f, fz + sin * cos_f + cos * sin_f
+        tip_rx, tip_rz = rx - cos * cos_r - sin * sin_r, rz - sin * cos_r + cos * sin_r
+        count = touches(ground, rx, rz, fx, fz, radius, reach, 0, contacts, 0)
+        count = touches(ground, fx, fz, tip_fx, tip_fz, radius, reach, 1, contacts, count)
+        count = touches(ground, rx, rz, tip_rx, tip_rz, radius, reach, 2, contacts, count)
         motion[0], motion[1], motion[2] = state[3], state[4] - k[GRAVITY] * dt, state[5]
-        _solve(contacts, count, motion, state[0], state[1], mass, inertia, extra, k)
+        if count:
+            extra[:, 0], extra[:, 1] = shift_x, shift_z
+            extra[0, 2], extra[1, 2], extra[2, 2] = 0.0, front_turn / dt, -rear_turn / dt
+            extra[1, 3], extra[1, 4], extra[2, 3], extra[2, 4] = fx, fz, rx, rz
+            _solve(contacts, count, motion, state[0], state[1], mass, inertia, extra, k, rows)
         state[3], state[4], state[5] = motion[0], motion[1], motion[2]
         state[0] += motion[0] * dt
         state[1] += motion[1] * dt
@@ -276,9 +274,12 @@ def expand(
     steep: FloatArray,
 ) -> None:
     """Simulate one decision from each state, (M, ``STATE``), towards its targets, (M, 2)."""
-    contacts, extra, motion = np.empty((MOST, 8)), np.zeros((3, 5)), np.empty(3)
+    contacts, rows = np.empty((MOST, 6)), np.empty((MOST, 10))
+    extra, motion = np.zeros((3, 5)), np.empty(3)
     for row in range(len(states)):
         found[row] = states[row]
         found[row, 8], found[row, 9] = targets[row, 0], targets[row, 1]
-        swing[row], steep[row] = advance(found[row], steps, ground, k, contacts, extra, motion)
+        swing[row], steep[row] = advance(
+            found[row], steps, ground, k, contacts, rows, extra, motion
+        )
         place[row, 0], place[row, 1] = chassis(found[row], k)
