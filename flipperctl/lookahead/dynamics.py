@@ -12,6 +12,7 @@ angles of the front and the rear flippers in frame R [rad], and their targets.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -29,6 +30,9 @@ HINGE, AXLE, RADIUS, CHASSIS, FLIPPER, TURN_CHASSIS, TURN_FLIPPER, SPEED, RATE =
 GRAVITY, FRICTION, STEP, ITERATIONS, OVERTURN = range(9, 14)
 NUMBERS = 14
 
+_FAST = partial(
+    njit, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
+)  # sums in any order: a fifth faster, equal in every run on one machine
 _MARGIN = 0.02
 """Gap below which a contact is watched [m]."""
 _SLOP = 0.0005
@@ -37,7 +41,7 @@ _PUSH = 0.3
 """Largest speed at which an overlap is pushed apart [m/s]."""
 
 
-@cached(njit)
+@cached(_FAST)
 def mass_centre(front: float, rear: float, k: FloatArray) -> tuple[float, float, float]:
     """Return the centre of mass in the chassis' frame, x and z [m], and the inertia [kg m²]."""
     fx, fz = k[HINGE] + 0.5 * k[AXLE] * math.cos(front), 0.5 * k[AXLE] * math.sin(front)
@@ -49,7 +53,7 @@ def mass_centre(front: float, rear: float, k: FloatArray) -> tuple[float, float,
     return x, z, inertia
 
 
-@cached(njit)
+@cached(_FAST)
 def _add(
     contacts: FloatArray,
     count: int,
@@ -67,7 +71,7 @@ def _add(
     return count
 
 
-@cached(njit)
+@cached(_FAST)
 def touches(
     ground: FloatArray,
     ax: float,
@@ -134,7 +138,7 @@ def touches(
     return count
 
 
-@cached(njit)
+@cached(_FAST)
 def _solve(
     contacts: FloatArray,
     count: int,
@@ -192,7 +196,7 @@ def _solve(
     motion[0], motion[1], motion[2] = vx, vz, turn
 
 
-@cached(njit)
+@cached(_FAST)
 def advance(
     state: FloatArray,
     steps: int,
@@ -253,7 +257,7 @@ def advance(
     return swing, steep
 
 
-@cached(njit)
+@cached(_FAST)
 def chassis(state: FloatArray, k: FloatArray) -> tuple[float, float]:
     """Return x and z of the chassis centre [m]."""
     gx, gz, _ = mass_centre(state[6], state[7], k)
@@ -261,7 +265,7 @@ def chassis(state: FloatArray, k: FloatArray) -> tuple[float, float]:
     return state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
 
 
-@cached(njit)
+@cached(_FAST)
 def expand(
     states: FloatArray,
     targets: FloatArray,
