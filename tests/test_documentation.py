@@ -79,7 +79,7 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
     for word, name in pairwise(command):
-        if word == "--output":
+        if word in ("--output", "--film"):
             assert (folder / name).exists()
     assert (folder / SHOWN / checkpoint.LAST).is_file()
 
