@@ -1,12 +1,13 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
 #   make train   sets up, trains terrain=stair for a few minutes, evaluates, prints the table
 #   make test    sets up and runs every check
+# make docs builds the documentation in build/docs, without the network; a warning is an error.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
-.PHONY: setup train test clean
+.PHONY: setup train test docs clean
 
 setup: $(VENV)/ready
 
@@ -28,6 +29,9 @@ test: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n 2 --dist loadfile
+
+docs: setup
+	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet docs build/docs
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

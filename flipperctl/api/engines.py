@@ -48,6 +48,7 @@ class Limits(NamedTuple):
 
 
 NO_LIMITS = Limits()
+"""Limits that no run reaches."""
 
 
 class Start(NamedTuple):

@@ -23,6 +23,7 @@ registry: dict[tuple[str, str], type[Plugin]] = {}
 PluginT = TypeVar("PluginT", bound=Plugin)
 
 NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
+"""The rule for names of plugins, in words for an error."""
 
 
 def is_plugin_name(name: str) -> bool:

@@ -33,6 +33,8 @@ and rules alike), varied, or trained (those of the checkpoint). Overrides are ap
   flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
 
   flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
+
+  flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
 """
 
 
@@ -75,6 +77,10 @@ def run(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for episodes.csv, summary.json, pictures."),
     ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
@@ -94,6 +100,8 @@ def run(
     found = scenes(arguments, checkpoint, controller)
     against = _sources(baseline, "--baseline", found[0][1].baselines())
     references = _sources(passable, "--passable")
+    if film:
+        _check_film(film, len(found))
     folder = make_folder(output) if output else None
     result = evaluate(found, baselines=against, references=references, progress=episodes_progress)
     if folder:
@@ -101,6 +109,10 @@ def run(
 
         files.write(folder, result)
         draw_scenes(folder, found, episodes_progress)
+    if film:
+        from flipperctl.report.scenes import film_scene
+
+        film_scene(film, found[0], episodes_progress)
     if as_json:
         print(result.to_json())
     else:
@@ -112,6 +124,14 @@ def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> lis
 
     chosen = default if names is None else [] if names == "none" else names.split(",")
     return [PolicySource.of_plugin(name, option) for name in chosen if name]
+
+
+def _check_film(path: Path, scenes: int) -> None:
+    from flipperctl.report.film import check_film
+
+    if scenes != 1:
+        raise RequestError(f"--film shows one scene; {scenes} are evaluated")
+    check_film(path)
 
 
 def _print(result: EvaluationResult) -> None:

@@ -11,6 +11,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
@@ -67,6 +68,12 @@ class RobotArtist:
             [], [], "o", color="white", markeredgecolor=INK, markersize=5, zorder=zorder + 0.6,
             scalex=False, scaley=False,
         )  # fmt: skip
+
+    @property
+    def artists(self) -> list[Artist]:
+        """Everything that it draws, from the lowest to the highest."""
+        found = [*self._belts, *self._bodies, *self._marks, self._hinges]
+        return sorted(found, key=lambda artist: artist.get_zorder())
 
     def show(self, state: RobotState, robot: RobotGeometry, travel: float | None = None) -> None:
         """Draw the robot; the belts have marks if their distance run ``travel`` [m] is given."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from flipperctl import plugins
-from flipperctl.api import Profile, RobotState
+from flipperctl.api import Profile, RobotState, Transition
 from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
@@ -56,9 +56,14 @@ class EpisodeRunner:
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
         """Play one episode; return the states at all T + 1 decisions, and the ground."""
+        transitions, profile = self.transitions(index)
+        return [transitions[0].before, *(t.after for t in transitions)], profile
+
+    def transitions(self, index: int) -> tuple[list[Transition], Profile]:
+        """Play one episode; return its T transitions, and the ground."""
         seed = episode_seed("evaluation", self._seed, index)
-        transitions = [d.transition for d in decisions(self._env, self._policy, seed)]
-        return [transitions[0].before, *(t.after for t in transitions)], self._env.profile
+        made = decisions(self._env, self._policy, seed, report_progress=self._report_progress)
+        return [d.transition for d in made], self._env.profile
 
 
 def play_episodes(

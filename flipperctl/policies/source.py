@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Controller, ObservationLayout, Policy
-from flipperctl.checkpoint import find, read
+from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import resolver
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Planner
@@ -41,9 +41,13 @@ class PolicySource:
         return cls(settings=resolver.container(resolver.create("controller", name, path)))
 
     def label(self) -> str:
-        """Return the name that tables and files use: the file's path or the plugin's name."""
+        """Return the name that tables and files use.
+
+        It is the name of a shipped policy or of a controller plugin, else the file's path.
+        """
         if self.checkpoint is not None:
-            return str(self.checkpoint)
+            shipped = {file: name for name, file in shipped_policies().items()}
+            return shipped.get(self.checkpoint, str(self.checkpoint))
         return str((self.settings or {})["name"])
 
     def baselines(self) -> tuple[str, ...]:

@@ -60,7 +60,7 @@ def episode_figure(
         raise ValueError(f"the spacing of the poses must be above 0 m; got {spacing:g}")
     shown = [trace[i] for i in pose_indices(path, spacing)]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
-    low, high = _window(path, profile, reach, max(tops))
+    low, high = window(path, profile, reach, max(tops))
     scale = z_scale(high - low, WIDTH - 1.0)
     natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
     height = float(np.clip(natural, 1.0, 6.0))
@@ -90,7 +90,7 @@ def pose_indices(path: FloatArray, spacing: float) -> list[int]:
     return sorted({*found.tolist(), len(path) - 1})
 
 
-def _window(
+def window(
     path: FloatArray, profile: Profile, reach: float, top: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lower left and upper right corner of the picture, (x, z) in world [m]."""

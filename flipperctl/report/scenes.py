@@ -1,4 +1,4 @@
-"""A picture a scene of an evaluation: the policy's first episode on it."""
+"""A picture of each scene of an evaluation, or a film: the policy's first episode on it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from flipperctl.evaluation.episodes import EpisodeRunner
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save
+from flipperctl.report.film import save_film
 
 
 def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_progress) -> None:
@@ -25,6 +26,21 @@ def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_p
             states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
         figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
         save(figure, folder / name)
+
+
+def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
+    """Play the first episode of the scene again and write its film.
+
+    Raises:
+        OutputError: the film cannot be written.
+        WriteError: writing failed half way.
+    """
+    config, source = scene
+    terrain = config.terrain.plugin_name
+    with progress(f"{terrain}, film", 2) as report:
+        made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
+        title = f"{source.label()} on {terrain}"
+        save_film(path, made, profile, config.robot, title, lambda part: report(1 + part))
 
 
 def picture_names(terrains: Sequence[str]) -> list[str]:

@@ -1,9 +1,10 @@
-"""What the README shows, works."""
+"""What the README and the pages of ``docs/`` show, works."""
 
 import contextlib
 import math
 import re
 import shlex
+import shutil
 from itertools import pairwise
 from pathlib import Path
 from uuid import uuid4
@@ -16,30 +17,36 @@ from flipperctl.env import flipper_env
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TEXT = "\n".join(page.read_text() for page in PAGES)
 SHOWN = "runs/stair/2026-01-31_12-00-00"
+FIRST = "runs/first"  # the first run of the README, which is shown where it trains
 RIDGE = "runs/ridge/first"
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 
 def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, flags=re.DOTALL | re.MULTILINE)
 
 
 def commands() -> list[list[str]]:
+    """Return every command that is shown, each once."""
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     words = [shlex.split(line, comments=True) for line in lines]
-    return [w for w in words if w and w[0] == "flipperctl"]
+    return [list(w) for w in dict.fromkeys(map(tuple, words)) if w and w[0] == "flipperctl"]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as the README's reader has it: runs on stair and ridge, an export, and ridge.py."""
-    folder = tmp_path_factory.mktemp("readme")
+    """A folder as a reader has it: runs on stair and ridge, their exports, and ridge.py."""
+    folder = tmp_path_factory.mktemp("documentation")
     done = call("train", "terrain=stair", f"hydra.run.dir={SHOWN}", *QUICK, cwd=folder)
     assert done.code == 0, done.err
     done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
+    shutil.copytree(folder / SHOWN, folder / FIRST)
+    shutil.copy(folder / "stair.onnx", folder / "first.onnx")
     (ridge,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
     (folder / "ridge.py").write_text(ridge)
     learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
@@ -68,11 +75,11 @@ def smaller(command: list[str]) -> list[str]:
 
 
 @pytest.mark.parametrize("command", commands(), ids=" ".join)
-def test_every_command_of_the_readme_runs(command: list[str], folder: Path) -> None:
+def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> None:
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
     for word, name in pairwise(command):
-        if word == "--output":
+        if word in ("--output", "--film"):
             assert (folder / name).exists()
     assert (folder / SHOWN / checkpoint.LAST).is_file()
 
@@ -108,9 +115,17 @@ def test_the_conformance_example_keeps_the_contract(
     assert {"extent", "start", "picture"} <= done
 
 
-def test_the_example_plugin_is_the_readmes(tmp_path: Path) -> None:
+def test_the_example_plugin_is_the_one_shown(tmp_path: Path) -> None:
     example = Path(__file__).parents[1] / "examples" / "ridge.py"
     done = call("inspect", "terrain", "ridge", "--plugins", str(example), cwd=tmp_path)
     assert done.code == 0, done.err
     (shown,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
     assert shown.split("@terrain")[1].split("def")[0] in example.read_text()
+
+
+def test_the_readme_introduces_and_its_links_lead_somewhere() -> None:
+    readme = ROOT / "README.md"
+    assert len(readme.read_bytes()) <= 8_000
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", readme.read_text())
+    assert links
+    assert [link for link in links if not (ROOT / link).exists()] == []

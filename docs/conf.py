@@ -1,0 +1,64 @@
+"""Sphinx builds these pages: ``make docs``. Nothing is read from the network."""
+
+import sys
+from pathlib import Path
+
+from pydantic import BaseModel
+from sphinx.application import Sphinx
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from docs import generate
+from flipperctl import __version__
+
+project = "flipperctl"
+author = "the authors of flipperctl"
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc"]
+myst_heading_anchors = 3
+source_suffix = {".md": "markdown"}
+add_module_names = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "FloatArray": "FloatArray"}
+autodoc_preserve_defaults = True
+autodoc_default_options = {"exclude-members": "model_config"}  # pydantic's
+
+html_theme = "furo"
+html_title = f"flipperctl {version}"
+html_copy_source = False
+
+
+def setup(app: Sphinx) -> None:
+    """Fill in what is generated from the code."""
+    app.connect("source-read", _fill)
+    app.connect("autodoc-process-signature", _leave_out_fields)
+    app.connect("autodoc-process-docstring", _mark_errors)
+
+
+def _fill(app: Sphinx, page: str, source: list[str]) -> None:
+    source[0] = generate.fill(source[0])
+
+
+def _mark_errors(
+    app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]
+) -> None:
+    """Turn the section of a docstring that lists what is raised into fields, as Sphinx has them."""
+    if "Raises:" not in lines:
+        return
+    start = lines.index("Raises:")
+    for index in range(start + 1, len(lines)):
+        error, colon, words = lines[index].strip().partition(": ")
+        if lines[index].startswith("    ") and lines[index][4:5].strip() and colon:
+            lines[index] = f":raises {error}: {words}"
+    lines[start] = ""
+
+
+def _leave_out_fields(
+    app: Sphinx, what: str, name: str, value: object, *_: object
+) -> tuple[str, None] | None:
+    """Show settings without a signature, which would repeat the table of their fields."""
+    if what == "class" and isinstance(value, type) and issubclass(value, BaseModel):
+        return "", None
+    return None

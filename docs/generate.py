@@ -1,0 +1,254 @@
+"""The text of the reference pages, generated from the code when the pages are built.
+
+In: the configuration's classes, the plugin registry, the command line and the public modules. Out:
+Markdown. ``fill`` replaces a line ``<!-- generate: NAME -->`` of a page by the text ``NAME``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any, get_origin
+
+import typer.main
+from sphinx.pycode import ModuleAnalyzer
+
+from flipperctl import plugins
+from flipperctl.api import Robot, Settings, registry
+from flipperctl.bench.settings import BenchSettings
+from flipperctl.cli.main import app
+from flipperctl.cli.search import SearchSettings
+from flipperctl.config import (
+    Agent,
+    Episode,
+    Eval,
+    EvalConfig,
+    LocalCollector,
+    Randomise,
+    RayCollector,
+    Teacher,
+    Train,
+)
+from flipperctl.config.describe import Field, fields
+
+SECTIONS: Mapping[str, type[Settings]] = {
+    "train": Train,
+    "eval": Eval,
+    "agent": Agent,
+    "robot": Robot,
+    "episode": Episode,
+    "randomise": Randomise,
+    "teacher": Teacher,
+    "collector=local": LocalCollector,
+    "collector=ray": RayCollector,
+    "bench": BenchSettings,
+    "hydra.sweeper": SearchSettings,
+}
+"""Class of each section whose settings do not depend on a plugin."""
+
+KINDS: Mapping[str, tuple[str, str]] = {
+    "terrain": ("Terrains", "terrain"),
+    "reward": ("Reward terms", "rewards.<term>"),
+    "network": ("Networks", "network"),
+    "controller": ("Controllers", "controller"),
+    "sim": ("Engines", "sim"),
+    "perception": ("Sensors", "perception"),
+}
+"""Kind of plugin → heading, key of its settings."""
+
+MODULES = ("flipperctl.api", "flipperctl.runtime", "flipperctl.testing")
+"""Public modules; each lists its names in ``__all__``."""
+
+_MARK = re.compile(r"^<!-- generate: (\w+) -->$", re.MULTILINE)
+
+
+def fill(text: str) -> str:
+    """Replace each line that asks for a text by that text."""
+    return _MARK.sub(lambda found: TEXTS[found[1]](), text)
+
+
+def settings() -> str:
+    """Return a table of every setting of each section and of each plugin's class."""
+    plugins.load()
+    lines = ["## Top level", *_table("", _top_level())]
+    for name, cls in SECTIONS.items():
+        path = name.partition("=")[0]
+        lines += ["", f"## `{name}`", "", _summary(cls), ""]
+        lines += _table(path, (f for f in fields(cls) if f.name != "name"))
+    for kind, (heading, path) in KINDS.items():
+        lines += ["", f"## {heading}", ""]
+        for name in sorted(name for of, name in registry if of == kind):
+            cls = registry[kind, name]
+            lines += ["", f"### `{path.partition('.')[0]}`: `{name}`", "", _summary(cls), ""]
+            lines += _table(path, fields(cls))
+    return "\n".join(lines)
+
+
+def commands() -> str:
+    """Return every command with its arguments and options."""
+    group = typer.main.get_command(app)
+    return "\n".join(
+        line for path, command in _subcommands(group) for line in _command(path, command)
+    )
+
+
+def api() -> str:
+    """Return an entry for each name of the public modules and for the environment."""
+    parts = []
+    for module in MODULES:
+        found = importlib.import_module(module)
+        parts += [f"## `{module}`", "", _roles(inspect.getdoc(found) or ""), "", "```{eval-rst}"]
+        for name in found.__all__:
+            parts += [*_entry(module, name, getattr(found, name)), ""]
+        parts += ["```", ""]
+    environment = "flipperctl.env.flipper_env.FlipperEnv"
+    parts += ["## The Gymnasium environment", "", "```{eval-rst}", f".. autoclass:: {environment}"]
+    parts += ["   :members:", "```"]
+    return "\n".join(parts)
+
+
+def presets() -> str:
+    """Return the named sets of settings as their files have them."""
+    folder = Path(__file__).parents[1] / "configs"
+    parts = []
+    for name, heading in (
+        ("experiment", "Experiments"),
+        ("conditions", "Conditions"),
+        ("rewards", "Rewards"),
+    ):
+        parts += [f"## {heading}", ""]
+        for file in sorted((folder / name).glob("*.yaml")):
+            text = file.read_text(encoding="utf-8").strip()
+            parts += [f"### `{name}={file.stem}`", "", "```yaml", text, "```", ""]
+    return "\n".join(parts)
+
+
+TEXTS: Mapping[str, Callable[[], str]] = {
+    "settings": settings,
+    "commands": commands,
+    "api": api,
+    "presets": presets,
+}
+"""Texts that pages can ask for."""
+
+
+def _top_level() -> Iterator[Field]:
+    """Yield the keys that name a plugin or a variant, and those outside of all sections."""
+    from flipperctl.cli import compose, config_store
+    from flipperctl.config.describe import settings as all_settings
+
+    config_store.register_defaults()
+    (config,) = compose.compose_train([])
+    for setting in all_settings(config):
+        f = setting.field
+        if setting.path == setting.section or not setting.section:
+            yield Field(setting.path, f.type, setting.value, f.bounds, f.unit, f.description)
+    yield from (f for f in fields(EvalConfig) if f.name == "conditions")
+
+
+def _table(path: str, found: Iterable[Field]) -> list[str]:
+    rows = [
+        (
+            f"`{path}.{f.name}`" if path else f"`{f.name}`",
+            _value(f.default),
+            f.bounds,
+            f.unit,
+            f.description,
+        )
+        for f in found
+    ]
+    if not rows:
+        return ["It has no settings."]
+    head = ["", "| setting | default | bounds | unit | meaning |", "|---|---|---|---|---|"]
+    return head + [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+
+
+def _value(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Settings):
+        return "its section"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        return str(value.get("name", dict(value)))
+    if isinstance(value, Enum):
+        return str(value.value)
+    return "null" if value is None else str(value).lower() if value in (True, False) else str(value)
+
+
+def _cell(text: object) -> str:
+    """Return a text as a cell of a table, in which only literals are markup."""
+    parts = re.split(r"(`[^`]*`)", _roles(" ".join(str(text).split())))
+    plain = (re.sub(r"([<*_\[\]])", r"\\\1", part) for part in parts[::2])
+    parts[::2] = list(plain)
+    return "".join(parts).replace("|", r"\|")
+
+
+def _summary(cls: type) -> str:
+    return _roles((inspect.getdoc(cls) or "").partition("\n\n")[0])
+
+
+def _roles(text: str) -> str:
+    """Return a docstring as Markdown: its literals have single backticks."""
+    return text.replace("``", "`")
+
+
+def _subcommands(command: Any, path: str = "flipperctl") -> Iterator[tuple[str, Any]]:
+    """Yield the path and the command of each subcommand at any depth, groups before theirs."""
+    yield path, command
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _subcommands(inner, f"{path} {name}")
+
+
+def _command(path: str, command: Any) -> Iterator[str]:
+    words, _, examples = re.sub(r"\[/?\w*\]", "", command.help).partition("Examples")
+    yield from (f"## `{path}`", "", inspect.cleandoc(words), "")
+    lines = [line.strip() for line in examples.splitlines() if line.strip()]
+    if lines:
+        yield from ("```console", *(f"$ {line}" for line in lines), "```", "")
+    shown = [parameter for parameter in command.params if parameter.name != "help"]
+    if shown:
+        yield from ("| argument or option | default | meaning |", "|---|---|---|")
+    for parameter in shown:
+        names = ", ".join((*parameter.opts, *parameter.secondary_opts))
+        if parameter.param_type_name == "argument":
+            names = parameter.metavar or parameter.name.upper()
+        elif parameter.metavar:
+            names += f" {parameter.metavar}"
+        default = "" if parameter.default in (None, False, ()) else parameter.default
+        help_ = getattr(parameter, "help", "") or ""
+        yield f"| {_cell(f'`{names}`')} | {_cell(default)} | {_cell(help_)} |"
+    yield ""
+
+
+def _entry(module: str, name: str, value: object) -> list[str]:
+    path = f"{module}.{name}"
+    if inspect.isclass(value) and get_origin(value) is None:
+        return [f".. autoclass:: {path}", "   :members:"]
+    if inspect.isroutine(value):
+        return [f".. autofunction:: {path}"]
+    words = _attribute_doc(module, name)
+    return [f".. py:data:: {path}", "", *(f"   {line}" for line in words)]
+
+
+def _attribute_doc(module: str, name: str) -> list[str]:
+    """Return the string below the assignment of a module's name, wherever it was imported from."""
+    for inner in sorted(n for n in _modules(module)):
+        found = ModuleAnalyzer.for_module(inner).find_attr_docs()
+        if ("", name) in found:
+            return list(found["", name])
+    return []
+
+
+def _modules(package: str) -> Iterator[str]:
+    import pkgutil
+
+    found = importlib.import_module(package)
+    yield package
+    for info in pkgutil.iter_modules(found.__path__, f"{package}."):
+        yield info.name

@@ -1,0 +1,194 @@
+"""A film of one episode: the robot on the ground, and its angles over time, as a GIF.
+
+In: the transitions of an episode in order, the profile and the robot. Out: an animated GIF, three
+times as fast as the drive. Equal episodes give equal files.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from flipperctl.api import Profile, Robot, RobotState, Transition
+from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
+from flipperctl.errors import OutputError
+from flipperctl.files import check_writable, write_bytes
+from flipperctl.report.episode import window
+from flipperctl.report.figure import (
+    WIDTH,
+    draw_ground,
+    frame,
+    legend_above,
+    style_axes,
+    z_label,
+    z_scale,
+)
+from flipperctl.sim.outline import outlines
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SUFFIX = ".gif"
+"""Suffix of a film's file."""
+
+_PERIOD = 0.12
+"""Time of the drive between two frames [s]."""
+_SHOWN = 0.04
+"""Time that a frame is shown [s]; players treat less than 0.02 s as 0.1 s."""
+_LAST = 1.5
+"""Time that the last frame is shown before the film begins again [s]."""
+_COLOURS = 63
+"""Number of colours, the one that marks unchanged pixels left out [-]."""
+_DPI = 100
+
+
+def check_film(path: Path) -> None:
+    """Check, before the episodes are played, that a film can be written to ``path``.
+
+    Raises:
+        OutputError: the suffix is not ``.gif``, or the path cannot be written.
+    """
+    if path.suffix.lower() != SUFFIX:
+        raise OutputError(f"{path}: a film is a {SUFFIX} file; the suffix is {path.suffix!r}")
+    check_writable(path)
+
+
+def save_film(
+    path: Path,
+    transitions: Sequence[Transition],
+    profile: Profile,
+    robot: Robot,
+    title: str = "",
+    report_progress: Callable[[float], None] = lambda fraction: None,
+) -> None:
+    """Write the film of an episode, completely or not at all.
+
+    ``report_progress`` is called with the fraction of the frames that are drawn.
+
+    Raises:
+        OutputError: ``path`` is not a possible film, see ``check_film``.
+        ValueError: there are no transitions.
+        WriteError: writing failed half way.
+    """
+    check_film(path)
+    states = list(instants(transitions))
+    picture = _Picture(states, profile, robot, title)
+    frames: list[Image] = []
+    for index, state in enumerate(states):
+        colours = frames[0] if frames else None
+        frames.append(picture.draw(index, state, colours))
+        report_progress((index + 1) / len(states))
+    durations = [round(1000 * _SHOWN)] * (len(frames) - 1) + [round(1000 * _LAST)]  # [ms]
+    buffer = io.BytesIO()
+    frames[0].save(
+        buffer, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0
+    )
+    write_bytes(path, buffer.getvalue())
+
+
+def instants(transitions: Sequence[Transition], period: float = _PERIOD) -> Iterator[RobotState]:
+    """Yield the robot every ``period`` [s], at the start and at the end.
+
+    Velocities are those at the decision's begin, since poses have none.
+
+    Raises:
+        ValueError: there are no transitions.
+    """
+    if not transitions:
+        raise ValueError("a film needs at least one transition")
+    due = transitions[0].before.time
+    for t in transitions:
+        for index, (x, z, pitch) in enumerate(t.path[:-1].tolist()):
+            time = t.before.time + index * t.sample_period
+            if time < due - t.sample_period / 2:
+                continue
+            front, rear = t.flippers[index].tolist()
+            due += period
+            place = np.array([x, z])
+            yield replace(t.before, position=place, pitch=pitch, front=front, rear=rear, time=time)
+    yield transitions[-1].after
+
+
+class _Picture:
+    """One figure, of which each frame draws again only what moves."""
+
+    def __init__(
+        self, states: Sequence[RobotState], profile: Profile, robot: Robot, title: str
+    ) -> None:
+        self._robot = robot
+        self._times = [state.time for state in states]
+        reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+        top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
+        path = np.array([state.position for state in states])  # (T, 2) [m]
+        low, high = window(path, profile, reach, top)
+        scale = z_scale(high - low, WIDTH - 1.0)
+        natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
+        height = float(np.clip(natural, 1.0, 5.0))
+        figure = Figure(figsize=(WIDTH, height + 2.6), dpi=_DPI, layout="constrained")
+        above, below = figure.subplots(2, 1, height_ratios=[height, 1.3])
+        draw_ground(above, profile)
+        self._artist = RobotArtist(above)
+        frame(above, low, high, scale)
+        rate = round(_PERIOD / _SHOWN)
+        style_axes(above, f"{title}, {rate} × real time".lstrip(", "), "x [m]", z_label(scale))
+        self._clock = above.text(
+            1.0, 1.03, "", transform=above.transAxes, ha="right", fontsize=11, color=INK,
+            family="DejaVu Sans Mono",
+        )  # fmt: skip
+        self._build_angles(below, states)
+        self._moving = [*self._artist.artists, self._clock, self._now]
+        self._moving += [line for line, _ in self._lines]
+        for artist in self._moving:
+            artist.set_animated(True)  # and so left out of the still part
+        self._canvas: Any = FigureCanvasAgg(figure)
+        self._still = self._draw_still(figure)
+
+    def draw(self, index: int, state: RobotState, colours: Image | None) -> Image:
+        """Return the frame of ``state``; ``colours`` has the palette, None: its own."""
+        from PIL import Image
+
+        self._artist.show(state, self._robot, self._robot.track_speed * state.time)
+        self._clock.set_text(f"{state.time:4.1f} s")
+        self._now.set_xdata([state.time, state.time])
+        for line, angles in self._lines:
+            line.set_data(self._times[: index + 1], angles[: index + 1])
+        self._canvas.restore_region(self._still)
+        for artist in self._moving:
+            artist.draw(self._canvas.get_renderer())
+        pixels = np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
+        picture = Image.fromarray(pixels)
+        if colours is None:
+            return picture.quantize(_COLOURS, dither=Image.Dither.NONE)
+        return picture.quantize(palette=colours, dither=Image.Dither.NONE)
+
+    def _draw_still(self, figure: Figure) -> Any:
+        self._canvas.draw()
+        return self._canvas.copy_from_bbox(figure.bbox)
+
+    def _build_angles(self, axes: Axes, states: Sequence[RobotState]) -> None:
+        self._lines = []
+        for name, colour, style in (
+            ("pitch", CHASSIS, "-"),
+            ("front", FRONT, "--"),
+            ("rear", REAR, "-."),
+        ):
+            angles = [math.degrees(getattr(state, name)) for state in states]
+            label = name if name == "pitch" else f"{name} flippers"
+            (line,) = axes.plot([], [], style, color=colour, linewidth=1.6, label=label)
+            self._lines.append((line, angles))
+        self._now = axes.axvline(0.0, color=FAINT, linewidth=0.8)
+        limit = math.degrees(self._robot.angle_limit)
+        axes.set_xlim(self._times[0], self._times[-1])
+        axes.set_ylim(-1.1 * limit, 1.1 * limit)
+        axes.set_yticks([-round(limit), 0, round(limit)])
+        legend_above(axes, [line for line, _ in self._lines])
+        style_axes(axes, "", "time [s]", "angle [°]")

@@ -1,0 +1,111 @@
+"""The pages of ``docs/`` build without a warning, and the reference leaves nothing out."""
+
+import importlib
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import typer.main
+from sphinx.util.inventory import InventoryFile
+
+from docs import generate
+from flipperctl.api import Plugin, Settings, registry
+from flipperctl.cli.inspect import VIEWS
+from flipperctl.cli.main import COMMANDS, app
+from flipperctl.config import EvalConfig, TrainConfig
+
+ROOT = Path(__file__).parents[1]
+BASES = {"RobotGeometry", "ObservationLayout", "EnvConfig", "TrainConfig", "EvalConfig"}
+"""Classes of settings that others inherit, or that hold the sections."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    build = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]
+    done = subprocess.run(
+        [*build, "-d", folder / "doctrees", ROOT / "docs", folder / "html"],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "html"
+
+
+@pytest.fixture(scope="module")
+def tables() -> dict[str, dict[str, list[str]]]:
+    """Heading of the settings' page → setting → its other cells."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for line in generate.settings().splitlines():
+        if line.startswith("#"):
+            rows = found.setdefault(line.lstrip("# "), {})
+        elif line.startswith("| `"):
+            name, *cells = re.split(r"(?<!\\)\|", line.strip("|"))
+            rows[name.strip(" `").rpartition(".")[2]] = [cell.strip() for cell in cells]
+    return found
+
+
+def sections(cls: type[Settings] = Settings) -> Iterator[type[Settings]]:
+    for inner in cls.__subclasses__():
+        if inner.__module__.startswith("flipperctl.") and not issubclass(inner, Plugin):
+            yield from sections(inner)
+            if inner.__name__ not in BASES:
+                yield inner
+
+
+def test_every_public_name_has_its_entry(site: Path) -> None:
+    inventory = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="").data
+    known = {name for kind, found in inventory.items() if kind.startswith("py:") for name in found}
+    for module in ("flipperctl.api", "flipperctl.runtime", "flipperctl.testing"):
+        names = {f"{module}.{name}" for name in importlib.import_module(module).__all__}
+        assert names - known == set()
+    assert "flipperctl.env.flipper_env.FlipperEnv.step" in known
+
+
+def test_every_entry_says_what_it_is() -> None:
+    for entry in re.split(r"(?m)^(?=\.\. py:data:)", generate.api())[1:]:
+        assert re.search(r"\n\n   \S", entry.partition("\n.. auto")[0]), entry
+
+
+def test_every_setting_of_a_plugin_has_its_entry(
+    tables: dict[str, dict[str, list[str]]], site: Path
+) -> None:
+    keys = {"reward": "rewards"}
+    shown = (site / "reference" / "settings.html").read_text()
+    for (kind, name), cls in registry.items():
+        if not cls.__module__.startswith("flipperctl"):
+            continue  # of another test
+        rows = tables[f"`{keys.get(kind, kind)}`: `{name}`"]
+        assert set(rows) == set(cls.model_fields)
+        assert all(cells[-1] for cells in rows.values())
+        assert all(f".{field}<" in shown for field in rows)
+
+
+def test_every_setting_of_a_section_has_its_entry(
+    tables: dict[str, dict[str, list[str]]],
+) -> None:
+    found = {cls: f"`{name}`" for name, cls in generate.SECTIONS.items()}
+    for cls in sections():
+        assert set(tables[found[cls]]) == set(cls.model_fields) - {"name"}
+        assert all(cells[-1] for cells in tables[found[cls]].values())
+    headings = {re.sub(r"\W.*", "", heading.lstrip("`")) for heading in tables}
+    assert {*TrainConfig.model_fields, *EvalConfig.model_fields} <= {
+        *headings, *tables["Top level"],
+    }  # fmt: skip
+
+
+def test_every_command_and_option_has_its_entry(site: Path) -> None:
+    text = generate.commands()
+    parts = dict(re.findall(r"(?ms)^## `flipperctl ?([^`]*)`\n(.*?)(?=^## |\Z)", text))
+    assert set(parts) == {"", *COMMANDS, *(f"inspect {view}" for view in VIEWS)}
+    for path, part in parts.items():
+        command = typer.main.get_command(app)
+        for word in path.split():
+            command = command.commands[word]
+        options = {option for p in command.params for option in p.opts if option.startswith("-")}
+        assert {option for option in options - {"--help"} if option not in part} == set()
+    shown = (site / "reference" / "commands.html").read_text()
+    assert all(f"flipperctl-{command}" in shown for command in COMMANDS)
