@@ -5,7 +5,7 @@ In: a controller's name or mapping with the settings of teaching. Out: frozen se
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
@@ -28,8 +28,7 @@ AnyController = Annotated[Controller | None, BeforeValidator(_controller), Plain
 class Teacher(Settings):
     """A controller that labels every visited state with the actions that it would take.
 
-    The network learns from the labels by the cross-entropy between them and
-    softmax(Q / ``q_temperature``), beside or instead of the temporal difference.
+    The network learns from the labels by ``loss``, beside or instead of the temporal difference.
     """
 
     controller: AnyController = Field(
@@ -52,8 +51,13 @@ class Teacher(Settings):
         description="difference of the teacher's costs by which an action becomes e times less "
         "probable [s]",
     )
+    loss: Literal["cross_entropy", "margin"] = Field(
+        "cross_entropy",
+        description="cross_entropy: between the labels and softmax(Q / q_temperature); margin: the "
+        "most probable action's Q-value is to exceed all others by margin (DQfD) [-]",
+    )
     weight: float = Field(
-        1.0, ge=0, le=1000, description="weight of the cross-entropy at the start [-]"
+        1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
     )
     weight_end: float = Field(
         1.0, ge=0, le=1000, description="its weight at the end, reached linearly [-]"
@@ -70,6 +74,12 @@ class Teacher(Settings):
         gt=0,
         le=1000,
         description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
+    )
+    margin: float = Field(
+        0.8,
+        gt=0,
+        le=1000,
+        description="margin by which the teacher's action is to lead, in scaled rewards [-]",
     )
 
     @model_validator(mode="after")
