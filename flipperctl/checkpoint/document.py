@@ -147,6 +147,8 @@ class State(Record):
     orders: tuple[RequestState, ...]
     """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
+    replay_kept: Count = 0
+    """Recorded transitions among those of the replay; earlier versions did not write it."""
     generators: Generators
 
     @property
@@ -165,7 +167,11 @@ class State(Record):
     def _counts_agree(self) -> State:
         limits = {
             "episode": (self.episode, "decision", self.decision),
-            "replay_added": (self.replay_added, "decision", self.decision),
+            "replay_added": (
+                *(self.replay_added, "decision + replay_kept"),
+                self.decision + self.replay_kept,
+            ),
+            "replay_kept": (self.replay_kept, "replay_added", self.replay_added),
             "lost": (self.lost, "started", self.started),
         }
         for at, request in enumerate(self.orders):

@@ -1,4 +1,4 @@
-"""The section ``teacher``: which controller teaches, who drives, and what the labels count.
+"""The section ``teacher``: who teaches, who drives, and what the labels count.
 
 In: a controller's name or mapping with the settings of teaching. Out: frozen settings.
 """
@@ -28,11 +28,17 @@ AnyController = Annotated[Controller | None, BeforeValidator(_controller), Plain
 class Teacher(Settings):
     """A controller that labels every visited state with the actions that it would take.
 
-    The network learns from the labels by ``loss``, beside or instead of the temporal difference.
+    Recorded episodes can teach beside it or alone. The network learns from the labels by ``loss``,
+    beside or instead of the temporal difference.
     """
 
     controller: AnyController = Field(
         None, description="controller that teaches; null for none, as teacher=none sets it [-]"
+    )
+    episodes: str | None = Field(
+        None,
+        description="file of recorded episodes, as eval --record and train.record write it, to "
+        "learn from as well; null for none [-]",
     )
     student_share: float = Field(
         0.6,
@@ -82,13 +88,28 @@ class Teacher(Settings):
         description="margin by which the teacher's action is to lead, in scaled rewards [-]",
     )
 
+    @property
+    def teaches(self) -> bool:
+        """Whether there are labels: a controller's, or those of recorded episodes."""
+        return self.controller is not None or self.episodes is not None
+
     @model_validator(mode="after")
     def _check(self) -> Teacher:
-        if self.controller is None:
-            return self
-        if self.controller.searches_first and (self.student_share or self.random):
+        if self.episodes == "":
             raise ConfigError(
-                f"teacher.controller: {self.controller.plugin_name} plans whole episodes before "
+                "teacher.episodes: the name of a file is needed; flipperctl eval --record FILE and "
+                "train.record=true write one"
+            )
+        if not self.teaches:
+            return self
+        controller = self.controller
+        if (
+            controller is not None
+            and controller.searches_first
+            and (self.student_share or self.random)
+        ):
+            raise ConfigError(
+                f"teacher.controller: {controller.plugin_name} plans whole episodes before "
                 "they begin and cannot label where others drive; set teacher.student_share=0 and "
                 "teacher.random=0"
             )
