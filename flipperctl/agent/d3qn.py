@@ -20,7 +20,7 @@ from flipperctl.agent.building import (
     record_plugin,
 )
 from flipperctl.agent.heads import choose_head
-from flipperctl.agent.losses import teacher_cross_entropy
+from flipperctl.agent.losses import teacher_cross_entropy, teacher_large_margin
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -154,7 +154,10 @@ class D3qn:
             return self._head.loss(self.online, batch.observation, batch.action, target)
         assert batch.label is not None  # the replay of a run with a teacher has labels
         values = self.online(batch.observation)
-        imitation = teacher_cross_entropy(values, batch.label, s.q_temperature)
+        if s.loss == "margin":
+            imitation = teacher_large_margin(values, batch.label, s.margin)
+        else:
+            imitation = teacher_cross_entropy(values, batch.label, s.q_temperature)
         loss = linear(s.weight, s.weight_end, fraction) * imitation
         if not s.td_weight:
             return loss

@@ -38,6 +38,21 @@ def teacher_cross_entropy(
     return -(labels * logarithms).sum() / labelled
 
 
+def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: float) -> torch.Tensor:
+    """Return the mean of max_a (Q(s, a) + ``margin`` · [a ≠ a_E]) - Q(s, a_E) (DQfD) [-].
+
+    ``values`` (B, A) are Q-values, ``labels`` (B, A) distributions over the actions, whose most
+    probable action is the teacher's, a_E. The loss is 0 where Q(s, a_E) exceeds all others by the
+    margin. The mean is over the labelled rows; a row of zeros has no label. Hester et al. 2018,
+    "Deep Q-learning from demonstrations", loss J_E.
+    """
+    taught = labels.argmax(dim=1, keepdim=True)  # (B, 1)
+    raised = (values + margin).scatter(1, taught, values.gather(1, taught))
+    excess = raised.amax(dim=1) - values.gather(1, taught).squeeze(1)  # (B,)
+    labelled = (labels.sum(dim=1) > 0).to(values.dtype)
+    return (labelled * excess).sum() / labelled.sum().clamp(min=1)
+
+
 def double_quantile_target(
     reward: torch.Tensor,
     discount: torch.Tensor,

@@ -89,6 +89,8 @@ class Replay:
                 f"{needed} of memory, more than there is; keep fewer"
             ) from error
         self.added = 0
+        self.kept = 0
+        """Number of transitions, the first that were added, that are never overwritten."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
         self._n_step = n_step
@@ -125,7 +127,9 @@ class Replay:
             total = reward + self._gamma * total
         length = len(self._pending)
         observation, action, _, label = self._pending.popleft()
-        row = self.added % self.capacity
+        row = self.added
+        if row >= self.capacity:
+            row = self.kept + (row - self.kept) % (self.capacity - self.kept)
         values = (observation, action, total, next_observation, continues * self._gamma**length)
         for name, value in zip(self.FIELDS, values, strict=True):
             self.arrays[name][row] = value
@@ -137,6 +141,16 @@ class Replay:
         """Return ``size`` transitions, drawn uniformly with replacement."""
         rows = rng.integers(len(self), size=size)
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
+
+    def keep(self) -> None:
+        """Protect all transitions that were added so far; later ones never overwrite them.
+
+        Raises:
+            RuntimeError: they leave no room for others.
+        """
+        if self.added >= self.capacity:
+            raise RuntimeError(f"{self.added} kept transitions fill the replay")
+        self.kept = self.added
 
     def drop_pending(self) -> None:
         """Discard the decisions that still wait for their n-th reward."""
@@ -156,9 +170,12 @@ class Replay:
         """Return arrays of the shapes and types of ``filled`` after ``added`` transitions."""
         return {n: array[: min(added, self.capacity)] for n, array in self.arrays.items()}
 
-    def restore(self, arrays: dict[str, NDArray[np.generic]], added: int) -> None:
-        """Restore the arrays that ``filled`` returned after ``added`` transitions."""
+    def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, kept: int = 0) -> None:
+        """Restore the arrays that ``filled`` returned after ``added`` transitions.
+
+        ``kept`` of them are never overwritten.
+        """
         for name, array in self.arrays.items():
             array[: len(arrays[name])] = arrays[name]
-        self.added = added
+        self.added, self.kept = added, kept
         self._pending.clear()

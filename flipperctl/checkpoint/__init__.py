@@ -7,10 +7,10 @@ from flipperctl.checkpoint.file import (
     describe,
     find,
     read,
-    serialize,
     shipped_policies,
     write,
 )
+from flipperctl.checkpoint.sealed import serialize
 
 __all__ = [
     "BEST",

@@ -16,6 +16,8 @@ from flipperctl.messages import explain
 
 FORMAT: Final = 2
 """Format number. Format 1 held the state of a run in another form; its policies can be read."""
+EPISODES: Final = "episodes"
+"""Kind of the document of recorded episodes, which are sealed like checkpoints."""
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
@@ -29,13 +31,13 @@ NonNegative = Annotated[float, Field(ge=0)]
 Word128 = Annotated[int, Field(ge=0, lt=2**128)]
 
 
-class _Record(BaseModel):
+class Record(BaseModel):
     """A frozen model that converts nothing and refuses unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class PluginOutline(_Record):
+class PluginOutline(Record):
     """The settings of a plugin; all but the name stay unchecked, since it may not be installed."""
 
     model_config = ConfigDict(extra="allow")
@@ -49,7 +51,7 @@ class RewardOutline(PluginOutline):
     weight: float
 
 
-class ConfigOutline(_Record):
+class ConfigOutline(Record):
     """The part of a training configuration that can be read without its plugins."""
 
     model_config = ConfigDict(extra="allow")
@@ -60,7 +62,7 @@ class ConfigOutline(_Record):
     seed: Count
 
 
-class PluginReference(_Record):
+class PluginReference(Record):
     """A plugin that the configuration names."""
 
     kind: Label
@@ -68,7 +70,7 @@ class PluginReference(_Record):
     module: Label
 
 
-class Validation(_Record):
+class Validation(Record):
     """The result of a validation: means over its episodes, of these and further metrics."""
 
     model_config = ConfigDict(extra="allow")
@@ -93,7 +95,7 @@ class Validation(_Record):
         return self.success_rate, -(self.pitch_variation if at_decisions else self.swing)
 
 
-class RequestState(_Record):
+class RequestState(Record):
     """A rollout request that was outstanding; its weights are among the tensors."""
 
     episode: Count
@@ -104,14 +106,14 @@ class RequestState(_Record):
     difficulty: Fraction
 
 
-class Pcg64Words(_Record):
+class Pcg64Words(Record):
     """The state of a PCG64 generator: two words of 128 bits."""
 
     state: Word128
     inc: Word128
 
 
-class GeneratorState(_Record):
+class GeneratorState(Record):
     """The state of a random generator, as ``BitGenerator.state`` of numpy."""
 
     bit_generator: Literal["PCG64"]
@@ -120,7 +122,7 @@ class GeneratorState(_Record):
     uinteger: Annotated[int, Field(ge=0, lt=2**32)]
 
 
-class Generators(_Record):
+class Generators(Record):
     """The states of the random generators of a run."""
 
     explore: GeneratorState
@@ -128,7 +130,7 @@ class Generators(_Record):
     noise: GeneratorState
 
 
-class State(_Record):
+class State(Record):
     """All that a run needs to be resumed, beside the tensors; nothing depends on the clock."""
 
     decision: Count
@@ -145,6 +147,8 @@ class State(_Record):
     orders: tuple[RequestState, ...]
     """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
+    replay_kept: Count = 0
+    """Recorded transitions among those of the replay; earlier versions did not write it."""
     generators: Generators
 
     @property
@@ -163,7 +167,11 @@ class State(_Record):
     def _counts_agree(self) -> State:
         limits = {
             "episode": (self.episode, "decision", self.decision),
-            "replay_added": (self.replay_added, "decision", self.decision),
+            "replay_added": (
+                *(self.replay_added, "decision + replay_kept"),
+                self.decision + self.replay_kept,
+            ),
+            "replay_kept": (self.replay_kept, "replay_added", self.replay_added),
             "lost": (self.lost, "started", self.started),
         }
         for at, request in enumerate(self.orders):
@@ -176,7 +184,7 @@ class State(_Record):
         return self
 
 
-class Document(_Record):
+class Document(Record):
     """The document of a checkpoint of kind ``best`` (a policy) or ``last`` (a whole run)."""
 
     format: Literal[1, 2]
@@ -217,6 +225,26 @@ def parse(text: str) -> Document:
     Raises:
         ValueError: the text is not a valid document; the error names the path of the fault.
     """
+    raw = decode(text)
+    if raw.get("kind") == EPISODES:
+        raise ValueError("it is that of recorded episodes, which hold no policy")
+    number = raw.get("format")
+    if type(number) is not int or number not in (1, FORMAT):
+        raise ValueError(f"its format is {number!r:.40}; this version reads 1 and {FORMAT}")
+    if number == 1 and isinstance(state := raw.pop("state", None), Mapping):
+        raw["decision"] = state.get("decision")
+    try:
+        return Document.model_validate_json(json.dumps(raw))
+    except ValidationError as error:
+        raise ValueError(explain(error, "document", Document)) from error
+
+
+def decode(text: str) -> dict[str, Any]:
+    """Return the mapping of a JSON text whose keys are unique and whose numbers are finite.
+
+    Raises:
+        ValueError: the text is none.
+    """
     try:
         raw = json.loads(
             text,
@@ -228,15 +256,7 @@ def parse(text: str) -> Document:
         raise ValueError("it is nested too deeply") from error
     if not isinstance(raw, dict):
         raise ValueError(f"it must be a mapping; it is a {type(raw).__name__}")
-    number = raw.get("format")
-    if type(number) is not int or number not in (1, FORMAT):
-        raise ValueError(f"its format is {number!r:.40}; this version reads 1 and {FORMAT}")
-    if number == 1 and isinstance(state := raw.pop("state", None), Mapping):
-        raw["decision"] = state.get("decision")
-    try:
-        return Document.model_validate_json(json.dumps(raw))
-    except ValidationError as error:
-        raise ValueError(explain(error, "document", Document)) from error
+    return raw
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -1,12 +1,10 @@
 """Checkpoint files: safetensors files that describe themselves and never execute code.
 
-A file holds tensors and, in its metadata, one JSON document (see ``document``) and a SHA-256 of
-both, so that reading finds every flipped bit. Equal contents give equal files, byte for byte.
+A file holds tensors and one JSON document (see ``document``), sealed by a checksum (``sealed``).
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,12 +12,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 
 from flipperctl import __version__
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
+from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import Document, State
 from flipperctl.config import TrainConfig, container, parse, resolver
 from flipperctl.errors import CheckpointError, ConfigError
@@ -69,7 +66,7 @@ class Checkpoint:
         """SHA-256 of configuration, results, state and tensors, without versions and plugins."""
         plain = self.document.plain()
         kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
-        return _digest(json.dumps(kept, sort_keys=True), self.tensors)
+        return sealed.digest(json.dumps(kept, sort_keys=True), self.tensors)
 
 
 def describe(
@@ -117,23 +114,7 @@ def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -
         OutputError: the path cannot be written.
         WriteError: writing failed half way; the old file is kept.
     """
-    write_bytes(path, serialize(document.text(), tensors))
-
-
-def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
-    """Return the bytes of a checkpoint with its checksum; equal arguments give equal bytes.
-
-    ``text``: the JSON text of the document.
-    """
-    held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    data = save(held, {"flipperctl": text, "sha256": _digest(text, held)})
-    # safetensors writes its metadata in an order that changes from process to process.
-    length = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + length])
-    ordered = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
-    text = json.dumps(ordered, separators=(",", ":"))
-    text += " " * (-len(text) % 8)  # tensors lie at multiples of 8 bytes
-    return len(text).to_bytes(8, "little") + text.encode() + data[8 + length :]
+    write_bytes(path, sealed.serialize(document.text(), tensors))
 
 
 def read(path: Path) -> Checkpoint:
@@ -142,31 +123,7 @@ def read(path: Path) -> Checkpoint:
     Raises:
         CheckpointError: the file is missing, truncated or changed, or of another program or format.
     """
-    if not path.is_file():
-        raise CheckpointError(f"{path}: there is no such checkpoint")
-    try:
-        with path.open("rb") as file:
-            start = file.read(9)
-    except OSError as error:
-        raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
-    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{".
-    if start[8:] != b"{" and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
-        raise CheckpointError(
-            f"{path} is a pickle or a zip archive, not a safetensors file; "
-            "flipperctl never loads these, since they can run code"
-        )
-    try:
-        with safe_open(path, framework="pt") as opened:
-            metadata = opened.metadata() or {}
-            # Copies: a tensor of safetensors is a view of the file, and changes with it.
-            tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
-        raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
-    if "flipperctl" not in metadata:
-        raise CheckpointError(f"{path} is a safetensors file, but no checkpoint of flipperctl")
-    text = metadata["flipperctl"]
-    if metadata.get("sha256") != _digest(text, tensors):
-        raise CheckpointError(f"{path} is damaged: its SHA-256 does not match its contents")
+    text, tensors = sealed.read(path, "checkpoint")
     try:
         document = documents.parse(text)
         _check_names(document, tensors)
@@ -215,13 +172,3 @@ def shipped_policies() -> dict[str, Path]:
     """Return the files of the policies that come with the package, by name."""
     folder = Path(__file__).parents[1] / "policies"
     return {file.stem: file for file in sorted(folder.glob("*.safetensors"))}
-
-
-def _digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
-    """Return the SHA-256 of a text and of the names, types, shapes and values of tensors."""
-    digest = hashlib.sha256(text.encode())
-    for name in sorted(tensors):
-        tensor = tensors[name].contiguous()
-        digest.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
-    return digest.hexdigest()

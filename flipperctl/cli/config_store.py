@@ -49,6 +49,8 @@ def register_defaults() -> None:
     store = ConfigStore.instance()
     teaching = container(Teacher())
     store.store(group="teacher", name="none", node=teaching)
+    # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
+    store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
     for (kind, name), cls in registry.items():
         defaults = resolver.defaults(cls)
         store.store(group=kind, name=name, node=defaults)

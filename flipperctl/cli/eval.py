@@ -35,6 +35,8 @@ and rules alike), varied, or trained (those of the checkpoint). Overrides are ap
   flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
 
   flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
+
+  flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
 """
 
 
@@ -81,6 +83,12 @@ def run(
         Path | None,
         typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="File for the episodes, decision by decision, to teach from."
+        ),
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
@@ -88,11 +96,12 @@ def run(
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
     from flipperctl import plugins as loader
+    from flipperctl.checkpoint.recording import require_one_layout
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation import files
     from flipperctl.evaluation.scenes import evaluate
-    from flipperctl.files import make_folder
+    from flipperctl.files import check_writable, make_folder
 
     loader.load(plugins or ())
     flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
@@ -103,7 +112,18 @@ def run(
     if film:
         _check_film(film, len(found))
     folder = make_folder(output) if output else None
-    result = evaluate(found, baselines=against, references=references, progress=episodes_progress)
+    if record:
+        check_writable(record)
+        require_one_layout(record, [config for config, _ in found])
+    result = evaluate(
+        found,
+        baselines=against,
+        references=references,
+        progress=episodes_progress,
+        record=record is not None,
+    )
+    if record:
+        files.write_recording(record, found, result)
     if folder:
         from flipperctl.report.scenes import draw_scenes
 

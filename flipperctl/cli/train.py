@@ -151,7 +151,7 @@ def _check(overrides: list[str], *, compose: bool) -> None:
             for config in compose_train([*own, *probe]):
                 _check_device(config)
                 _check_terrain(config)
-                _check_network(config)
+                _check_network(config, _recorded_decisions(config))
 
 
 def _shut_ray_down() -> None:
@@ -216,13 +216,21 @@ def _check_terrain(config: TrainConfig) -> None:
     FlipperEnv(config=config.environment()).reset(seed=0)
 
 
-def _check_network(config: TrainConfig) -> None:
+def _recorded_decisions(config: TrainConfig) -> int:
+    from flipperctl.training.recorded import read_teacher
+
+    recording = read_teacher(config)
+    return 0 if recording is None else recording.decisions
+
+
+def _check_network(config: TrainConfig, recorded: int) -> None:
     from flipperctl.agent.demand import check_demand
     from flipperctl.api import ACTIONS
 
     check_demand(
-        *(config.network, config.perception, len(ACTIONS), config.agent, config.train.decisions),
-        labelled=config.teacher.controller is not None,
+        *(config.network, config.perception, len(ACTIONS), config.agent),
+        config.train.decisions + recorded,
+        labelled=config.teacher.teaches,
     )
 
 

@@ -87,7 +87,10 @@ class Agent(Settings):
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
     )
     learning_starts: int = Field(
-        1000, ge=1, le=10_000_000, description="decisions before the first update [-]"
+        1000,
+        ge=1,
+        le=10_000_000,
+        description="decisions before the first update, with those of teacher.episodes [-]",
     )
     update_every: int = Field(2, ge=1, le=1000, description="decisions per update [-]")
     updates_together: int = Field(
@@ -162,6 +165,11 @@ class Train(Settings):
         10_000,
         ge=1,
         description="decisions between full checkpoints, in addition to those at validations [-]",
+    )
+    record: bool = Field(
+        False,
+        description="write all training episodes, decision by decision, to episodes.safetensors in "
+        "the run directory [-]",
     )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
 

@@ -1,11 +1,11 @@
-"""The section ``teacher``: which controller teaches, who drives, and what the labels count.
+"""The section ``teacher``: who teaches, who drives, and what the labels count.
 
 In: a controller's name or mapping with the settings of teaching. Out: frozen settings.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
@@ -28,8 +28,8 @@ AnyController = Annotated[Controller | None, BeforeValidator(_controller), Plain
 class Teacher(Settings):
     """A controller that labels every visited state with the actions that it would take.
 
-    The network learns from the labels by the cross-entropy between them and
-    softmax(Q / ``q_temperature``), beside or instead of the temporal difference.
+    Recorded episodes can teach beside it or alone. The network learns from the labels by ``loss``,
+    beside or instead of the temporal difference.
     """
 
     controller: AnyController = Field(
@@ -39,6 +39,11 @@ class Teacher(Settings):
         False,
         description="the teacher perceives ground and posture exactly and at once, while "
         "the student perceives as perception says [-]",
+    )
+    episodes: str | None = Field(
+        None,
+        description="file of recorded episodes, as eval --record and train.record write it, to "
+        "learn from as well; null for none [-]",
     )
     student_share: float = Field(
         0.6,
@@ -57,8 +62,13 @@ class Teacher(Settings):
         description="difference of the teacher's costs by which an action becomes e times less "
         "probable [s]",
     )
+    loss: Literal["cross_entropy", "margin"] = Field(
+        "cross_entropy",
+        description="cross_entropy: between the labels and softmax(Q / q_temperature); margin: the "
+        "most probable action's Q-value is to exceed all others by margin (DQfD) [-]",
+    )
     weight: float = Field(
-        1.0, ge=0, le=1000, description="weight of the cross-entropy at the start [-]"
+        1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
     )
     weight_end: float = Field(
         1.0, ge=0, le=1000, description="its weight at the end, reached linearly [-]"
@@ -76,14 +86,35 @@ class Teacher(Settings):
         le=1000,
         description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
     )
+    margin: float = Field(
+        0.8,
+        gt=0,
+        le=1000,
+        description="margin by which the teacher's action is to lead, in scaled rewards [-]",
+    )
+
+    @property
+    def teaches(self) -> bool:
+        """Whether there are labels: a controller's, or those of recorded episodes."""
+        return self.controller is not None or self.episodes is not None
 
     @model_validator(mode="after")
     def _check(self) -> Teacher:
-        if self.controller is None:
-            return self
-        if self.controller.searches_first and (self.student_share or self.random):
+        if self.episodes == "":
             raise ConfigError(
-                f"teacher.controller: {self.controller.plugin_name} plans whole episodes before "
+                "teacher.episodes: the name of a file is needed; flipperctl eval --record FILE and "
+                "train.record=true write one"
+            )
+        if not self.teaches:
+            return self
+        controller = self.controller
+        if (
+            controller is not None
+            and controller.searches_first
+            and (self.student_share or self.random)
+        ):
+            raise ConfigError(
+                f"teacher.controller: {controller.plugin_name} plans whole episodes before "
                 "they begin and cannot label where others drive; set teacher.student_share=0 and "
                 "teacher.random=0"
             )

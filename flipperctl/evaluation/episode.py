@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from flipperctl.api import Outcome
+from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.env import measures
 from flipperctl.rollout.episode import SEARCH
 
@@ -52,6 +53,8 @@ class EpisodeResult:
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
+    recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
+    """The episode decision by decision, if that was asked for."""
 
     @classmethod
     def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:

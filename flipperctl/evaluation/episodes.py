@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from flipperctl import plugins
@@ -17,9 +18,11 @@ from flipperctl.config import EnvConfig, container, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import decisions, play
+from flipperctl.rollout.episode import Decision, decisions, play
 from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
+from flipperctl.rollout.recording import EpisodeRecorder
 from flipperctl.rollout.seeds import episode_seed
 
 _log = logging.getLogger(__name__)
@@ -34,11 +37,13 @@ class EpisodeRunner:
         source: PolicySource,
         seed: int,
         report_progress: Callable[[float], None] = lambda fraction: None,
+        *,
+        record: bool = False,
     ) -> None:
         """Build the environment and the policy.
 
         ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
-        fraction of an episode's search.
+        fraction of an episode's search. ``record``: whether results hold their decisions.
 
         Raises:
             FlipperctlError: the policy cannot be built (see ``PolicySource.build``).
@@ -47,12 +52,25 @@ class EpisodeRunner:
         self._report_progress = report_progress
         self._policy = source.build(config.perception)
         self._seed = seed
+        self._record = record
 
     def play(self, index: int) -> EpisodeResult:
         """Play one episode, counted from 0, to its end."""
         seed = episode_seed("evaluation", self._seed, index)
+        if self._record:
+            return self._recorded(index, seed)
         row = play(self._env, self._policy, seed, report_progress=self._report_progress)
         return EpisodeResult.of(index, row)
+
+    def _recorded(self, index: int, seed: int) -> EpisodeResult:
+        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
+
+        def watch(d: Decision) -> None:
+            before, after = d.perception.observation, d.next_perception.observation
+            recorder.add(before, d.action, d.reward, after, policy.label)
+
+        row = play(self._env, policy, seed, watch=watch, report_progress=self._report_progress)
+        return replace(EpisodeResult.of(index, row), recorded=recorder.finish(index, row))
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
         """Play one episode; return the states at all T + 1 decisions, and the ground."""
@@ -74,22 +92,25 @@ def play_episodes(
     seed: int,
     jobs: int = 1,
     report_progress: Callable[[float], None] = lambda fraction: None,
+    record: bool = False,
 ) -> Iterator[EpisodeResult]:
     """Yield the results of the episodes, in order, each as soon as it is known.
 
     ``episodes`` is their number, counted from 0, or their indices. ``jobs`` is the number of
     processes; a worker that dies is replaced. ``report_progress`` is called with the finished
-    fraction of an episode's search if one process plays all episodes.
+    fraction of an episode's search if one process plays all episodes. ``record``: whether the
+    results hold their decisions.
 
     Raises:
         FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
     """
     indices = range(episodes) if isinstance(episodes, int) else episodes
     if jobs == 1 or not indices:
-        runner = EpisodeRunner(config, source, seed, report_progress)
+        runner = EpisodeRunner(config, source, seed, report_progress, record=record)
         yield from map(runner.play, indices)
         return
-    arguments = (container(config.environment()), source, seed, plugins.configured_paths())
+    document = container(config.environment())
+    arguments = (document, source, seed, plugins.configured_paths(), record)
     workers = WorkerPool(min(jobs, len(indices)), _start_worker, arguments)
     try:
         waiting = deque(workers.submit(_play_in_worker, index) for index in indices)
@@ -115,7 +136,11 @@ _runner: EpisodeRunner | FlipperctlError | None = None  # one per worker process
 
 
 def _start_worker(
-    config: dict[str, Any], source: PolicySource, seed: int, plugin_paths: list[str]
+    config: dict[str, Any],
+    source: PolicySource,
+    seed: int,
+    plugin_paths: list[str],
+    record: bool,
 ) -> None:
     global _runner
     import torch
@@ -123,7 +148,7 @@ def _start_worker(
     torch.set_num_threads(1)
     try:
         plugins.load(plugin_paths)
-        _runner = EpisodeRunner(parse(EnvConfig, config), source, seed)
+        _runner = EpisodeRunner(parse(EnvConfig, config), source, seed, record=record)
     except FlipperctlError as error:  # an initialiser's error would only break the pool
         _runner = error
 

@@ -1,14 +1,19 @@
-"""The files of an evaluation: ``episodes.csv`` with a row per episode, and ``summary.json``."""
+"""The files of an evaluation: ``episodes.csv`` with a row per episode, and ``summary.json``.
+
+The episodes themselves, decision by decision, are a file of recorded episodes.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from flipperctl.checkpoint import recording
 from flipperctl.evaluation.results import EvaluationResult
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_bytes, write_json
 
 
@@ -41,3 +46,18 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
             for episode in episodes:
                 who = {"scene": scene.terrain, "controller": label}
                 yield {**who, **episode.row(), **conditions}
+
+
+def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResult) -> None:
+    """Write the policy's episodes on all scenes, which were evaluated with ``record``.
+
+    Raises:
+        ConfigError: the scenes have several observation layouts.
+        OutputError: the file cannot be written.
+        WriteError: writing failed half way; an earlier file is untouched.
+    """
+    parts = [
+        (config, [e.recorded for e in scene.episodes if e.recorded is not None])
+        for (config, _), scene in zip(scenes, result.scenes, strict=True)
+    ]
+    recording.write(path, result.controller, parts)

@@ -37,11 +37,13 @@ def evaluate(
     baselines: Sequence[PolicySource] = (),
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
+    record: bool = False,
 ) -> EvaluationResult:
     """Evaluate one policy on each scene.
 
     ``baselines`` play the same episodes for comparison. ``references`` try in turn the episodes
-    that the policy did not cross, to find out which can be crossed at all.
+    that the policy did not cross, to find out which can be crossed at all. ``record``: whether the
+    policy's results hold its decisions.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
@@ -49,7 +51,7 @@ def evaluate(
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    results = [evaluate_scene(c, s, baselines, references, progress) for c, s in scenes]
+    results = [evaluate_scene(c, s, baselines, references, progress, record) for c, s in scenes]
     return EvaluationResult(scenes[0][1].label(), tuple(results))
 
 
@@ -59,10 +61,11 @@ def evaluate_scene(
     baselines: Sequence[PolicySource] = (),
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
+    record: bool = False,
 ) -> SceneResult:
     """Evaluate a policy on one scene; see ``evaluate``."""
     terrain = config.terrain.plugin_name
-    episodes = play_scene(config, source, terrain, progress)
+    episodes = play_scene(config, source, terrain, progress, record=record)
     if references:
         episodes = _crossed_by_references(config, source, references, episodes, progress)
     others = []
@@ -116,6 +119,8 @@ def play_scene(
     label: str,
     progress: Progress,
     indices: Sequence[int] | None = None,
+    *,
+    record: bool = False,
 ) -> list[EpisodeResult]:
     """Play the episodes with these indices, or all of the evaluation, and show the progress."""
     settings = config.eval
@@ -133,6 +138,7 @@ def play_scene(
             seed=settings.seed,
             jobs=settings.jobs,
             report_progress=search,
+            record=record,
         ):
             results.append(result)
             report(len(results))

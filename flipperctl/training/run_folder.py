@@ -18,9 +18,10 @@ from yaml import YAMLError
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, parse
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.training.recorded import EPISODES
 
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
-_WRITTEN = (CONFIG, METRICS, SUMMARY, checkpoint.BEST, checkpoint.LAST)
+_WRITTEN = (CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST)
 
 
 def holds_run(directory: Path) -> bool:

@@ -79,7 +79,7 @@ class RunSaver:
             )
         replay, weights = run_arrays(saved, state, self._agent, self._replay)
         self._agent.restore(saved.tensors, state.updates)
-        self._replay.restore(replay, state.replay_added)
+        self._replay.restore(replay, state.replay_added, state.replay_kept)
         for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
         for name in _COUNTERS:
@@ -105,5 +105,6 @@ class RunSaver:
             best_by=self._validator.best_by,
             orders=tuple(requests),
             replay_added=self._replay.added,
+            replay_kept=self._replay.kept,
             generators=Generators.model_validate(generators),
         )

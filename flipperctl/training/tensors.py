@@ -29,6 +29,11 @@ def run_arrays(
     Raises:
         CheckpointError: a tensor is missing or unknown, or has another shape, type or range.
     """
+    if state.replay_kept >= replay.capacity:
+        raise CheckpointError(
+            f"{saved.path}: its part replay is wrong: {state.replay_kept} kept transitions leave "
+            f"no room in a replay of {replay.capacity}"
+        )
     network = agent.online.state_dict()
     blank = {n: torch.from_numpy(array) for n, array in replay.blank(state.replay_added).items()}
     versions = {request.version for request in state.orders}

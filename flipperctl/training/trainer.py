@@ -34,6 +34,7 @@ from flipperctl.rollout.values import RolloutRequest, Step
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
+from flipperctl.training.recorded import TrainingRecorder, fill, read_teacher
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
@@ -50,7 +51,7 @@ class Trainer:
         self.listeners = list(listeners)
         env = FlipperEnv(config=config.environment())
         layout, agent = env.layout, config.agent
-        taught = config.teacher.controller is not None
+        taught = config.teacher.teaches
         check_demand(
             *(config.network, layout, len(ACTIONS), agent, config.train.decisions), labelled=taught
         )
@@ -81,6 +82,7 @@ class Trainer:
         )
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
+        self._recorder = TrainingRecorder(config, directory)
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
         """Train until the budget is spent or ``stop``, called between episodes, returns True.
@@ -89,6 +91,7 @@ class Trainer:
         """
         settings, progress = self.config.train, self.progress
         self._stopwatch.start()
+        self._add_recorded()
         self._save_all(self._outstanding)
         collector = self.episodes.start_collector(self._outstanding)
         try:
@@ -113,6 +116,17 @@ class Trainer:
             for listener in self.listeners:
                 listener.close()
 
+    def _add_recorded(self) -> None:
+        """Put the recorded episodes of the teacher into the replay of a run that begins.
+
+        Raises:
+            CheckpointError: their file is missing or damaged.
+            ConfigError: they do not fit the training.
+        """
+        begins = not self.replay.added and not self.progress.decision
+        if begins and (found := read_teacher(self.config)) is not None:
+            fill(self.replay, found, self.config)
+
     def _passed(self, before: int, period: int) -> bool:
         """Return whether a multiple of ``period`` was passed since the decision ``before``."""
         return self.progress.decision // period > before // period
@@ -123,12 +137,14 @@ class Trainer:
         for step in collector.episode():
             ending = step.ending
             self._store(step)
+            self._recorder.add(step, self.progress.episode)
             self.progress.decision += 1
             self._learn()
             if self.progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first
             self.replay.drop_pending()
+            self._recorder.drop()
         else:
             self._end_episode(ending)
 
@@ -149,7 +165,7 @@ class Trainer:
         agent, progress = self.config.agent, self.progress
         together = agent.updates_together
         due = progress.decision % (agent.update_every * together) == 0
-        if progress.decision >= agent.learning_starts and due:
+        if progress.decision + self.replay.kept >= agent.learning_starts and due:
             batch = self.replay.sample(together * agent.batch_size, self._sample)
             progress.loss = self.agent.update(
                 batch, progress.decision / self.config.train.decisions
@@ -188,7 +204,11 @@ class Trainer:
         }
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
-        """Write ``last.safetensors``: all that the run needs to be resumed."""
+        """Write ``last.safetensors``: all that the run needs to be resumed.
+
+        The recorded episodes are written first, so that they are all those of the checkpoint.
+        """
+        self._recorder.save()
         self._saver.save(outstanding)
         self._stopwatch.write()
 
@@ -211,6 +231,7 @@ class Trainer:
                 of this run.
         """
         self._outstanding = self._saver.restore(saved)
+        self._recorder.restore(self.progress.episode)
         self._stopwatch.read()
 
     def summary(self, finished: bool) -> dict[str, Any]:

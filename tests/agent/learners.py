@@ -7,7 +7,7 @@ import torch
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import Agent, resolver
+from flipperctl.config import Agent, Teacher, resolver
 
 LAYOUT = ObservationLayout()
 ACTIONS = 9
@@ -29,10 +29,12 @@ class Foreign(Network):
         return self.module
 
 
-def learner(network: str = "at_d3qn", seed: int = 0, **settings: Any) -> D3qn:
+def learner(
+    network: str = "at_d3qn", seed: int = 0, teacher: Teacher | None = None, **settings: Any
+) -> D3qn:
     built = resolver.create("network", network, "network")
     assert isinstance(built, Network)
-    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed)
+    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed, teacher=teacher)
 
 
 def fixed_batch(size: int = 64, frames: int = 1) -> Batch:

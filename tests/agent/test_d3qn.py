@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.losses import teacher_large_margin
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
-from flipperctl.config import Agent, resolver
+from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.errors import NonFiniteError
 from flipperctl.policies.exploring import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, fixed_batch, learner
@@ -139,6 +140,38 @@ def test_updates_together_equal_single_ones_where_no_target_depends_on_the_netwo
     theirs = weights(alone)
     assert all(torch.equal(w, theirs[name]) for name, w in weights(together).items())
     assert together.optimiser.steps == alone.optimiser.steps == 2
+
+
+@pytest.mark.parametrize("loss", ["cross_entropy", "margin"])
+@pytest.mark.parametrize("network", ["at_d3qn", "quantile", "stacked"])
+def test_a_label_raises_the_teachers_action_beside_the_temporal_difference(
+    network: str, loss: str
+) -> None:
+    agent = learner(network, teacher=Teacher(controller="okada", loss=loss))
+    made = resolver.create("network", network, "network")
+    assert isinstance(made, Network)
+    labels = torch.zeros(64, ACTIONS)
+    labels[:, 6] = 1.0
+    batch = dataclasses.replace(fixed_batch(frames=made.frames), label=labels)
+    first = agent.update(batch, 0.0)
+    for _ in range(100):
+        last = agent.update(batch, 0.0)
+    assert last < first / 2
+    with torch.no_grad():
+        assert (agent.online(batch.observation).argmax(dim=1) == 6).float().mean() > 0.9
+
+
+def test_the_margin_is_weighted_and_added_to_the_temporal_difference() -> None:
+    labels = torch.zeros(64, ACTIONS)
+    labels[:, 6] = 1.0
+    batch = dataclasses.replace(fixed_batch(), label=labels)
+    plain = learner()
+    with torch.no_grad():
+        margin = float(teacher_large_margin(plain.online(batch.observation), labels, 0.5))
+    td = plain.update(batch, 0.0)
+    kinds = {"controller": "okada", "loss": "margin", "margin": 0.5, "td_weight": 2.0}
+    joined = learner(teacher=Teacher(**kinds, weight=4.0, weight_end=0.0))
+    assert joined.update(batch, 0.25) == pytest.approx(2 * td + 3 * margin)  # 4 · (1 - 0.25)
 
 
 @pytest.mark.parametrize("act_with", ["target", "online"])

@@ -11,6 +11,7 @@ from flipperctl.agent.losses import (
     huber,
     quantile_huber,
     teacher_cross_entropy,
+    teacher_large_margin,
 )
 from flipperctl.agent.schedules import linear
 
@@ -82,3 +83,22 @@ def test_the_teachers_cross_entropy_by_hand() -> None:
     assert float(teacher_cross_entropy(values, labels, 0.1)) == pytest.approx(expected)
     none = torch.zeros(3, 2)
     assert float(teacher_cross_entropy(values, none, 0.1)) == 0.0
+
+
+def test_the_large_margin_by_hand() -> None:
+    values = torch.tensor([[1.0, 0.9, 0.0], [0.0, 0.2, 3.0], [0.5, 0.5, 0.5], [9.0, 0.0, 0.0]])
+    labels = torch.tensor(
+        [[1.0, 0.0, 0.0], [0.1, 0.8, 0.1], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
+    )  # the last row has no label
+    # 0.9 + 0.25 - 1; 3 + 0.25 - 0.2 against the most probable action, 1; a tie costs the margin
+    expected = (0.15 + 3.05 + 0.25) / 3
+    assert float(teacher_large_margin(values, labels, 0.25)) == pytest.approx(expected)
+    # With a margin below its lead of 0.1, the first row costs nothing.
+    assert float(teacher_large_margin(values[:1], labels[:1], 0.05)) == 0.0
+    assert float(teacher_large_margin(values, torch.zeros(4, 3), 0.25)) == 0.0
+
+
+def test_the_large_margin_raises_the_teachers_action_and_lowers_the_rival() -> None:
+    values = torch.tensor([[0.3, 0.5, -1.0]], requires_grad=True)
+    teacher_large_margin(values, torch.tensor([[1.0, 0.0, 0.0]]), 0.1).backward()
+    assert values.grad.tolist() == [[-1.0, 1.0, 0.0]]

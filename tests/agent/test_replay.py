@@ -131,3 +131,22 @@ def test_a_label_belongs_to_the_first_decision_of_its_transition() -> None:
     expected = replay.arrays["label"][batch.action.numpy()]
     assert (batch.label.numpy() == expected).all()
     assert Replay(10, size=2, n_step=1, gamma=0.5).arrays.keys() == set(Replay.FIELDS)
+
+
+def test_kept_transitions_are_never_overwritten() -> None:
+    replay = Replay(5, size=2, n_step=1, gamma=0.5)
+    feed(replay, [1.0, 2.0])
+    replay.keep()
+    feed(replay, [10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0])  # 0 to 6, three at a time
+    assert [row[2] for row in rows(replay)] == [1.0, 2.0, 70.0, 50.0, 60.0]
+    other = Replay(5, size=2, n_step=1, gamma=0.5)
+    other.restore(replay.filled(), replay.added, replay.kept)
+    feed(other, [80.0])
+    assert [row[2] for row in rows(other)] == [1.0, 2.0, 70.0, 80.0, 60.0]
+
+
+def test_kept_transitions_must_leave_room() -> None:
+    replay = Replay(2, size=2, n_step=1, gamma=0.5)
+    feed(replay, [1.0, 2.0])
+    with pytest.raises(RuntimeError, match="2 kept transitions fill the replay"):
+        replay.keep()

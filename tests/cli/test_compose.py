@@ -91,6 +91,18 @@ def test_a_teacher_and_its_settings_are_chosen_by_name() -> None:
     assert config.rewards == EnvConfig(terrain="ramp").rewards
 
 
+def test_the_taught_experiment_takes_any_teacher() -> None:
+    (own,) = compose.compose_train(["experiment=taught"])
+    assert container(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8}
+    for name in ("okada", "mpc", "none"):
+        (config,) = compose.compose_train(["experiment=taught", f"teacher={name}"])
+        (alone,) = compose.compose_train([f"teacher={name}"])
+        assert config.teacher == alone.teacher  # nothing of the experiment's own teacher stays
+        assert config.agent == own.agent
+    (config,) = compose.compose_train(["experiment=taught", "teacher.controller.beam=6"])
+    assert container(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8}
+
+
 # Presets of rewards
 
 

@@ -5,6 +5,7 @@ import signal
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flipperctl import checkpoint
@@ -144,3 +145,26 @@ def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
     result = EpisodeResult.of(0, row)
     assert result.search == {"width": 3, "source": "guess"}
     assert result.row() == {"episode": 0, **row}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_recorded_episodes_are_those_of_the_evaluation(jobs: int) -> None:
+    config = EnvConfig(terrain="step")
+    source = PolicySource(settings={"name": "mpc", "beam": 4, "horizon": 3})
+    plain = list(play_episodes(config, source, episodes=2, seed=3))
+    found = list(play_episodes(config, source, episodes=2, seed=3, jobs=jobs, record=True))
+    assert found == plain  # a policy that offers costs drives the same when it is recorded
+    assert [result.recorded for result in plain] == [None, None]
+    for result in found:
+        recorded = result.recorded
+        assert recorded is not None
+        assert (recorded.number, recorded.seed) == (result.episode, result.seed)
+        assert (recorded.terrain, recorded.outcome) == (result.terrain, result.outcome)
+        assert len(recorded.actions) == len(recorded.labels) == result.decisions
+        assert recorded.observations.shape == (result.decisions + 1, 18)
+        assert recorded.rewards.sum() == pytest.approx(result.episode_return)
+        assert (recorded.labels.argmax(axis=1) == recorded.actions).all()
+        assert ((recorded.labels > 0).sum(axis=1) > 1).any()  # by costs, not by the action alone
+    (rule,) = play_episodes(config, OKADA, episodes=1, seed=3, record=True)
+    assert rule.recorded is not None
+    assert (rule.recorded.labels == np.eye(9)[rule.recorded.actions]).all()

@@ -134,10 +134,14 @@ def test_a_taught_run_resumes_bit_for_bit_with_its_labels(tmp_path: Path, mode: 
     assert ("controller", config.teacher.controller.plugin_name) in kinds
 
 
-def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize("loss", ["cross_entropy", "margin"])
+def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path, loss: str) -> None:
     config = with_overrides(
         short_config(**OKADA),
-        {"teacher.td_weight": 0.0, "agent.epsilon_start": 0.1, "train.validation_episodes": 10},
+        {
+            **{"teacher.td_weight": 0.0, "teacher.loss": loss},
+            **{"agent.epsilon_start": 0.1, "train.validation_episodes": 10},
+        },
     )
     summary = trainer(config, tmp_path).run()
     assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600 decisions

@@ -1,0 +1,1 @@
+"""Named teachers beside the registered controllers: ``teacher=<name>``."""

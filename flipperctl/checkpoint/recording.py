@@ -1,0 +1,280 @@
+"""Files of recorded episodes: what was perceived, done and taught at every decision.
+
+In: episodes of anything that drives, such as a controller or a training. Out: a sealed file (see
+``sealed``), whose document says where the episodes were driven, and whose tensors hold the
+episodes of T decisions one after the other:
+
+- ``observation``, float32: the T + 1 observations of each episode, each (N + 3,) in SI units and of
+  one instant, so that any network can stack them; the last is that after the last decision;
+- ``action``, int64: the indices of the T actions;
+- ``reward``, float64: the T sums of the weighted reward terms;
+- ``label``, float32: the T distributions (9,) over actions that a student should have, each with
+  the sum 1, or zeros where nothing teaches.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
+
+from flipperctl import __version__
+from flipperctl.api import ACTIONS, Outcome
+from flipperctl.checkpoint import sealed
+from flipperctl.checkpoint.document import EPISODES, Count, Label, Record, RewardOutline, decode
+from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.config import EnvConfig, container
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.files import write_bytes
+from flipperctl.messages import explain
+
+FORMAT: Final = 1
+"""Format number of these files."""
+NOUN = "file of recorded episodes"
+_ANGLES = 3  # numbers of an observation beside the heights
+_SUM = 1e-3  # largest error of a label's sum
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedEpisode:
+    """An episode of T decisions as its driver perceived it."""
+
+    number: int
+    """Number of the episode in its run or evaluation, from 0."""
+    seed: int
+    terrain: str
+    """Label of the sampled profile."""
+    outcome: Outcome
+    observations: NDArray[np.float32]
+    """Observations of single instants, (T + 1, N + 3) in SI units."""
+    actions: NDArray[np.int64]
+    """Indices of the actions taken, (T,)."""
+    rewards: NDArray[np.float64]
+    """Sums of the weighted reward terms, (T,) [-]."""
+    labels: NDArray[np.float32]
+    """Distributions over actions that a student should have, (T, 9); zeros without a label."""
+
+
+class PerceptionOutline(Record):
+    """The observation layout, with further settings of the sensor."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, JsonValue]
+    bins: Annotated[int, Field(ge=3, le=101)]
+    bin_width: Annotated[float, Field(gt=0, le=1)]
+
+
+class EnvironmentOutline(Record):
+    """The part of an environment's configuration that can be read without its plugins."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, JsonValue]
+    perception: PerceptionOutline
+    rewards: dict[Label, RewardOutline]
+
+
+class EpisodeOutline(Record):
+    """What the document says about an episode."""
+
+    number: Count
+    seed: Count
+    terrain: str
+    outcome: Outcome
+    decisions: Annotated[int, Field(ge=1, lt=2**31)]
+    environment: Count
+    """Index of its environment in the document."""
+
+
+class RecordingDocument(Record):
+    """The document of a file of recorded episodes."""
+
+    format: Literal[1]
+    kind: Literal["episodes"]
+    driver: str
+    """Who drove: a controller's name, a policy's file, or the terrain of a training."""
+    versions: dict[Label, Label]
+    environments: tuple[EnvironmentOutline, ...]
+    episodes: tuple[EpisodeOutline, ...]
+
+    @model_validator(mode="after")
+    def _environments_fit(self) -> Self:
+        if len({(e.perception.bins, e.perception.bin_width) for e in self.environments}) > 1:
+            raise ValueError("its environments have several observation layouts")
+        count = len(self.environments)
+        for at, episode in enumerate(self.episodes):
+            if episode.environment >= count:
+                raise ValueError(
+                    f"episodes.{at}.environment is {episode.environment}; there are {count}"
+                )
+        return self
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A file of recorded episodes that was read and checked."""
+
+    path: Path
+    document: RecordingDocument
+    episodes: tuple[RecordedEpisode, ...]
+    """The episodes in the order of the document."""
+
+    @property
+    def decisions(self) -> int:
+        """Number of decisions of all episodes [-]."""
+        return sum(len(episode.actions) for episode in self.episodes)
+
+
+def write(
+    path: Path, driver: str, parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]]
+) -> None:
+    """Write episodes and the environments in which they were driven, completely or not at all.
+
+    Raises:
+        ConfigError: the environments have several observation layouts.
+        OutputError: the path cannot be written.
+        WriteError: writing failed half way; the old file is kept.
+    """
+    require_one_layout(path, [config for config, _ in parts])
+    environments = [_outline(config) for config, _ in parts]
+    placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
+    versions = {"flipperctl": __version__}
+    for config, _ in parts:
+        versions |= config.sim.versions()
+    document = RecordingDocument(
+        format=FORMAT,
+        kind=EPISODES,
+        driver=driver,
+        versions=versions,
+        environments=tuple(environments),
+        episodes=tuple(
+            EpisodeOutline(
+                number=episode.number,
+                seed=episode.seed,
+                terrain=episode.terrain,
+                outcome=episode.outcome,
+                decisions=len(episode.actions),
+                environment=at,
+            )
+            for at, episode in placed
+        ),
+    )
+    size = parts[0][0].perception.bins + _ANGLES if parts else _ANGLES
+    episodes = [episode for _, episode in placed]
+    tensors = {
+        "observation": _joined([e.observations for e in episodes], (size,), np.float32),
+        "action": _joined([e.actions for e in episodes], (), np.int64),
+        "reward": _joined([e.rewards for e in episodes], (), np.float64),
+        "label": _joined([e.labels for e in episodes], (len(ACTIONS),), np.float32),
+    }
+    text = json.dumps(document.model_dump(mode="json"), allow_nan=False)
+    write_bytes(path, sealed.serialize(text, tensors))
+
+
+def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
+    """Check that episodes in these environments fit into one file.
+
+    Raises:
+        ConfigError: the environments have several observation layouts.
+    """
+    if len({(config.perception.bins, config.perception.bin_width) for config in configs}) > 1:
+        raise ConfigError(
+            f"{path}: a {NOUN} has one observation layout; perception.bins or "
+            "perception.bin_width differs between the environments"
+        )
+
+
+def _outline(config: EnvConfig) -> EnvironmentOutline:
+    """Return the part of the configuration that defines an environment."""
+    return EnvironmentOutline.model_validate(container(config.environment()))
+
+
+def _joined(
+    arrays: Sequence[NDArray[Any]], shape: tuple[int, ...], kind: type[np.generic]
+) -> torch.Tensor:
+    return torch.from_numpy(np.concatenate([np.empty((0, *shape), kind), *arrays], dtype=kind))
+
+
+def read(path: Path) -> Recording:
+    """Read and check a file of recorded episodes; nothing in the file is executed.
+
+    Raises:
+        CheckpointError: the file is missing, truncated or changed, or of another kind or format.
+    """
+    text, tensors = sealed.read(path, NOUN)
+    try:
+        document = _parse(text)
+    except ValueError as error:
+        raise CheckpointError(f"{path}: its document is wrong: {error}") from error
+    try:
+        _check(document, tensors)
+    except ValueError as error:
+        raise CheckpointError(f"{path}: its tensors are wrong: {error}") from error
+    arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+    return Recording(path, document, tuple(_episodes(document, arrays)))
+
+
+def _parse(text: str) -> RecordingDocument:
+    raw = decode(text)
+    if (kind := raw.get("kind")) != EPISODES:
+        raise ValueError(f"its kind is {kind!r:.40}, not {EPISODES!r}; is it a checkpoint?")
+    number = raw.get("format")
+    if type(number) is not int or number != FORMAT:
+        raise ValueError(f"its format is {number!r:.40}; this version reads {FORMAT}")
+    try:
+        return RecordingDocument.model_validate_json(json.dumps(raw))
+    except ValidationError as error:
+        raise ValueError(explain(error, "document", RecordingDocument)) from error
+
+
+def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Check the tensors against the document, and their values.
+
+    Raises:
+        ValueError: a tensor is missing or unknown, or has another shape, type or range.
+    """
+    count = sum(episode.decisions for episode in document.episodes)
+    rows = count + len(document.episodes)
+    bins = document.environments[0].perception.bins if document.environments else 0
+    shapes = {
+        "observation": (torch.float32, (rows, bins + _ANGLES)),
+        "action": (torch.int64, (count,)),
+        "reward": (torch.float64, (count,)),
+        "label": (torch.float32, (count, len(ACTIONS))),
+    }
+    # Views of one number, since the shapes are those of a document of any origin.
+    expected = {n: torch.zeros((), dtype=d).expand(s) for n, (d, s) in shapes.items()}
+    require_equal_layout(tensors, expected)
+    action, label = tensors["action"], tensors["label"]
+    if bool(((action < 0) | (action >= len(ACTIONS))).any()):
+        raise ValueError(f"action lies outside of 0 to {len(ACTIONS) - 1}")
+    total = label.sum(dim=1)
+    labelled = (total - 1).abs() < _SUM
+    if bool((label < 0).any()) or not bool((labelled | (label == 0).all(dim=1)).all()):
+        raise ValueError("label has a row that is neither a distribution nor zeros")
+
+
+def _episodes(
+    document: RecordingDocument, arrays: Mapping[str, NDArray[Any]]
+) -> Iterator[RecordedEpisode]:
+    begin = 0
+    for at, outline in enumerate(document.episodes):
+        end = begin + outline.decisions
+        rows = slice(begin, end)
+        yield RecordedEpisode(
+            outline.number,
+            outline.seed,
+            outline.terrain,
+            outline.outcome,
+            arrays["observation"][begin + at : end + at + 1],
+            arrays["action"][rows],
+            arrays["reward"][rows],
+            arrays["label"][rows],
+        )
+        begin = end

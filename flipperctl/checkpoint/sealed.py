@@ -1,0 +1,81 @@
+"""Sealed files: a JSON document and tensors in a safetensors file, with a SHA-256 of both.
+
+Reading finds every flipped bit and executes nothing. Equal contents give equal files, byte for
+byte. Checkpoints and recorded episodes are such files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from flipperctl.errors import CheckpointError
+
+
+def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
+    """Return the bytes of a sealed file with its checksum; equal arguments give equal bytes.
+
+    ``text``: the JSON text of the document.
+    """
+    held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    data = save(held, {"flipperctl": text, "sha256": digest(text, held)})
+    # safetensors writes its metadata in an order that changes from process to process.
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    ordered = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
+    text = json.dumps(ordered, separators=(",", ":"))
+    text += " " * (-len(text) % 8)  # tensors lie at multiples of 8 bytes
+    return len(text).to_bytes(8, "little") + text.encode() + data[8 + length :]
+
+
+def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
+    """Return the text of the document and the tensors of a sealed file.
+
+    ``noun``: what the file should be, for the errors, such as "checkpoint".
+
+    Raises:
+        CheckpointError: the file is missing, truncated or changed, or of another program.
+    """
+    if not path.is_file():
+        raise CheckpointError(f"{path}: there is no such {noun}")
+    try:
+        with path.open("rb") as file:
+            start = file.read(9)
+    except OSError as error:
+        raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
+    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{".
+    if start[8:] != b"{" and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
+        raise CheckpointError(
+            f"{path} is a pickle or a zip archive, not a safetensors file; "
+            "flipperctl never loads these, since they can run code"
+        )
+    try:
+        with safe_open(path, framework="pt") as opened:
+            metadata = opened.metadata() or {}
+            # Copies: a tensor of safetensors is a view of the file, and changes with it.
+            tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
+    if "flipperctl" not in metadata:
+        raise CheckpointError(f"{path} is a safetensors file, but no {noun} of flipperctl")
+    text = metadata["flipperctl"]
+    if metadata.get("sha256") != digest(text, tensors):
+        raise CheckpointError(f"{path} is damaged: its SHA-256 does not match its contents")
+    return text, tensors
+
+
+def digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
+    """Return the SHA-256 of a text and of the names, types, shapes and values of tensors."""
+    found = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].contiguous()
+        found.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())
+        if tensor.numel():  # torch refuses to view an empty tensor as bytes
+            found.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return found.hexdigest()

@@ -1,0 +1,204 @@
+"""Trainings that learn from recorded episodes, and trainings that record their own."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.agent.replay import Replay
+from flipperctl.checkpoint import recording
+from flipperctl.checkpoint.recording import Recording
+from flipperctl.config import EnvConfig, Teacher, TrainConfig
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.policies.source import PolicySource
+from flipperctl.training.recorded import EPISODES, fill, read_teacher
+from tests.cli.call import RUN, call
+from tests.short import short_config, trainer
+
+OKADA = PolicySource(settings={"name": "okada"})
+MPC = {"teacher.controller": {"name": "mpc", "beam": 2, "horizon": 2}}
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the rule okada does on 20 steps."""
+    path = tmp_path_factory.mktemp("recorded") / "okada.safetensors"
+    config = EnvConfig(terrain="step")
+    found = play_episodes(config, OKADA, episodes=20, seed=5, record=True)
+    recording.write(path, "okada", [(config, [e.recorded for e in found if e.recorded])])
+    return path
+
+
+def filled(file: Path, **settings: Any) -> tuple[Replay, Recording]:
+    config = short_config(**{"teacher.episodes": str(file), **settings})
+    found = read_teacher(config)
+    assert found is not None
+    size = config.network.frames * config.perception.size
+    replay = Replay(5000, size, config.agent.n_step, config.agent.gamma, labels=9)
+    fill(replay, found, config)
+    return replay, found
+
+
+def test_recorded_decisions_are_n_step_transitions_with_labels(file: Path) -> None:
+    replay, found = filled(file)
+    assert replay.added == replay.kept == found.decisions
+    first, arrays = found.episodes[0], replay.filled()
+    count = len(first.actions)
+    assert np.array_equal(arrays["observation"][:count], first.observations[:-1])
+    assert np.array_equal(arrays["next_observation"][0], first.observations[3])
+    assert np.array_equal(arrays["label"], np.eye(9, dtype=np.float32)[arrays["action"]])
+    weighted = first.rewards[:3] @ (1.0, 0.99, 0.99**2)
+    assert arrays["reward"][0] == pytest.approx(weighted)
+    assert arrays["discount"][0] == pytest.approx(0.99**3)
+    assert (arrays["discount"][count - 3 : count] == 0).all()
+
+
+def test_any_network_stacks_the_recorded_observations(file: Path) -> None:
+    replay, found = filled(file, network={"name": "stacked", "window": 3})
+    rows, seen = replay.filled()["observation"], found.episodes[0].observations
+    assert np.array_equal(rows[0], np.concatenate([seen[0]] * 3))
+    assert np.array_equal(rows[1], np.concatenate([seen[0], seen[0], seen[1]]))
+    assert np.array_equal(rows[5], np.concatenate(seen[3:6]))
+
+
+def run_whole_and_in_parts(config: TrainConfig, tmp_path: Path) -> Path:
+    """Run twice, once with a stop; require equal files; return the folder of the whole run."""
+    trainer(config, tmp_path / "whole").run()
+    first = trainer(config, tmp_path / "parts")
+    first.run(stop=lambda: first.progress.decision >= 150)
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.restore(stopped)
+    second.run()
+    for name in (checkpoint.BEST, checkpoint.LAST, EPISODES):
+        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
+        assert parts.is_file() == at_once.is_file()
+        if at_once.is_file():
+            assert parts.read_bytes() == at_once.read_bytes(), name
+    return tmp_path / "whole"
+
+
+def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
+    file: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy.safetensors"
+    copy.write_bytes(file.read_bytes())
+    settings = {"teacher.episodes": str(copy), "teacher.loss": "margin"}
+    config = short_config(**{"train.decisions": 400, **settings})
+    folder = run_whole_and_in_parts(config, tmp_path)
+    saved = checkpoint.read(folder / checkpoint.LAST)
+    state = saved.document.state
+    assert state is not None
+    decisions = recording.read(file).decisions
+    assert state.replay_kept == decisions
+    labelled = saved.part("replay")["label"].sum(dim=1)
+    assert (labelled[:decisions] == 1).all()  # the recorded ones, and none of the student's
+    assert not labelled[decisions:].any()
+    copy.unlink()
+    resumed = trainer(saved.config(), tmp_path / "later")
+    resumed.restore(saved)
+    resumed.run()
+
+
+def test_recorded_decisions_count_as_decisions_before_learning(file: Path, tmp_path: Path) -> None:
+    settings = {"teacher.episodes": str(file), "agent.learning_starts": 300, "train.decisions": 80}
+    run = trainer(short_config(**settings), tmp_path)
+    run.run()
+    assert run.progress.updates == 80 // 2
+
+
+def test_a_student_learns_what_a_recorded_rule_does(file: Path, tmp_path: Path) -> None:
+    settings = {"teacher.episodes": str(file), "teacher.td_weight": 0.0, "agent.epsilon_start": 0.1}
+    config = short_config(**settings, **{"train.validation_episodes": 10})
+    assert trainer(config, tmp_path).run()["best"]["success_rate"] >= 0.8
+
+
+@pytest.mark.parametrize("mode", ["exact", "fast"])
+def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
+    file: Path, tmp_path: Path, mode: str
+) -> None:
+    settings = {"train.record": True, "train.mode": mode, "train.decisions": 400, **MPC}
+    if mode == "fast":  # whose workers label beside the file
+        settings["teacher.episodes"] = str(file)
+    stacking = {"network": {"name": "stacked", "window": 2}, "agent.n_step": 2}
+    folder = run_whole_and_in_parts(short_config(**settings, **stacking), tmp_path)
+    found = recording.read(folder / EPISODES)
+    state = checkpoint.read(folder / checkpoint.LAST).document.state
+    assert state is not None
+    assert [episode.number for episode in found.episodes] == list(range(state.episode))
+    assert all(np.allclose(episode.labels.sum(axis=1), 1) for episode in found.episodes)
+    # The replay of a run that learns from them is that of the run that recorded them.
+    replay, _ = filled(folder / EPISODES, **stacking)
+    own = checkpoint.read(folder / checkpoint.LAST).part("replay")
+    for name, array in replay.filled().items():
+        begin = state.replay_kept
+        assert np.array_equal(array, own[name].numpy()[begin : begin + len(array)]), name
+
+
+def test_without_a_teacher_the_recorded_decisions_have_no_labels(tmp_path: Path) -> None:
+    trainer(short_config(**{"train.record": True, "train.decisions": 200}), tmp_path).run()
+    found = recording.read(tmp_path / EPISODES)
+    assert found.decisions > 100
+    assert not any(episode.labels.any() for episode in found.episodes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"perception.bins": 21}, "15 bins of 0.15 m; .* ask for 21 of 0.15 m"),
+        ({"rewards.pitch.lambda_2": 3.0}, "was recorded with other rewards .*td_weight=0"),
+        ({"agent.replay_size": 100}, "agent.replay_size: 100 transitions leave no room"),
+    ],
+)
+def test_episodes_that_do_not_fit_the_training_are_refused(
+    file: Path, changes: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(ConfigError, match=text):
+        read_teacher(short_config(**{"teacher.episodes": str(file), **changes}))
+
+
+def test_labels_alone_may_come_from_other_rewards(file: Path) -> None:
+    changes = {"rewards.pitch.lambda_2": 3.0, "teacher.td_weight": 0.0}
+    assert read_teacher(short_config(**{"teacher.episodes": str(file), **changes})) is not None
+
+
+def test_a_damaged_recording_of_the_run_itself_is_one_error(tmp_path: Path) -> None:
+    config = short_config(**{"train.record": True, "train.decisions": 200})
+    trainer(config, tmp_path).run()
+    (tmp_path / EPISODES).write_bytes(b"x" * 100)
+    saved = checkpoint.read(tmp_path / checkpoint.LAST)
+    with pytest.raises(CheckpointError, match="damaged"):
+        trainer(config, tmp_path).restore(saved)
+
+
+def test_something_recorded_must_be_named() -> None:
+    with pytest.raises(ConfigError, match=r"teacher\.episodes: the name of a file is needed"):
+        Teacher(episodes="")
+    assert Teacher(episodes="x").teaches
+    assert not Teacher().teaches
+
+
+def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
+    made = ("--controller", "okada", "terrain=step", "--record", "a.safetensors")
+    assert call("eval", *made, "--episodes", "2", cwd=tmp_path).code == 0
+    words = [f"{key}={value}" for key, value in RUN.items()]
+    words += ["terrain=step", "teacher=recorded", "hydra.run.dir=run"]
+    done = call("train", *words, "teacher.episodes=a.safetensors", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert (
+        "it is that of recorded episodes"
+        in call("eval", "--checkpoint", "a.safetensors", cwd=tmp_path).err
+    )
+    (tmp_path / "bad.safetensors").write_bytes((tmp_path / "a.safetensors").read_bytes()[:-1])
+    for name, text in (("bad", "is damaged"), ("none", "there is no such file of recorded")):
+        words[-1] = f"hydra.run.dir={name}"
+        done = call("train", *words, f"teacher.episodes={name}.safetensors", cwd=tmp_path)
+        assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+        assert text in done.err
+        assert not (tmp_path / name).exists()
+    done = call("train", *words, cwd=tmp_path)
+    assert done.code == 2
+    assert "teacher.episodes: the name of a file is needed" in done.err
