@@ -1,12 +1,13 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
 #   make train   sets up, trains terrain=stair for a few minutes, evaluates, prints the table
 #   make test    sets up and runs every check
+# make check runs the static checks and the quick tests, for use while one works.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
-.PHONY: setup train test clean
+.PHONY: setup train check test static tests quick-tests clean
 
 setup: $(VENV)/ready
 
@@ -22,12 +23,24 @@ train: setup
 	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
 		--episodes 50 --baseline okada
 
+# The static checks stand back behind the tests, which run beside them.
+check: setup
+	$(MAKE) --jobs 2 static quick-tests
+
 test: setup
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(MAKE) --jobs 2 static tests
+
+static:
+	nice $(BIN)/ruff check .
+	nice $(BIN)/ruff format --check .
+	nice $(BIN)/mypy
+	nice $(BIN)/lint-imports
+
+tests:
+	$(BIN)/pytest -n 2 --dist worksteal
+
+quick-tests:
+	$(BIN)/pytest -n 2 --dist worksteal --quick
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache

@@ -13,6 +13,8 @@ from flipperctl.api import registry
 from flipperctl.testing import checks
 from tests.environment import Environment
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PACKAGES = {
     "trunk": "terrain",

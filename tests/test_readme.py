@@ -16,6 +16,8 @@ from flipperctl.env import flipper_env
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 
+pytestmark = pytest.mark.slow
+
 README = (Path(__file__).parents[1] / "README.md").read_text()
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 RIDGE = "runs/ridge/first"

@@ -19,6 +19,8 @@ from flipperctl.training.trainer import Trainer
 from tests.cli.call import RUN, call
 from tests.long.forked import differences, result
 
+pytestmark = pytest.mark.slow
+
 EXACT = {**RUN, "train.mode": "exact", "train.decisions": 200, "train.validate_every": 90}
 QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
 
