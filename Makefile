@@ -1,13 +1,14 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
 #   make train   sets up, trains terrain=stair for a few minutes, evaluates, prints the table
 #   make test    sets up and runs every check
-# make docs builds the documentation in build/docs, without the network; a warning is an error.
+#   make check runs the static checks and the quick tests, for use while one works
+#   make docs  builds the documentation in build/docs, without the network; a warning is an error
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
-.PHONY: setup train test docs clean
+.PHONY: setup train check test static tests quick-tests docs clean
 
 setup: $(VENV)/ready
 
@@ -23,12 +24,24 @@ train: setup
 	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
 		--episodes 50 --baseline okada
 
+# The static checks stand back behind the tests, which run beside them.
+check: setup
+	$(MAKE) --jobs 2 static quick-tests
+
 test: setup
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(MAKE) --jobs 2 static tests
+
+static:
+	nice $(BIN)/ruff check .
+	nice $(BIN)/ruff format --check .
+	nice $(BIN)/mypy
+	nice $(BIN)/lint-imports
+
+tests:
+	$(BIN)/pytest -n 2 --dist worksteal
+
+quick-tests:
+	$(BIN)/pytest -n 2 --dist worksteal --quick
 
 docs: setup
 	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet docs build/docs

@@ -20,6 +20,17 @@ def close_match(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {found[0]!r}?" if found else ""
 
 
+def reinstall_hint(kind: str) -> str:
+    """Return what to do about an engine or sensor that is written but not found; else nothing.
+
+    They alone are found by an entry point each, even those of this package, and entry points are
+    read from what is installed.
+    """
+    if kind not in ("sim", "perception"):
+        return ""
+    return "; a new entry point is found after the package is reinstalled (pip install -e .)"
+
+
 def bounds(model: type[BaseModel], field: str) -> str:
     """Return the bounds of a field, as in ``> 0, ≤ 0.4``; empty without bounds."""
     info = model.model_fields.get(field)

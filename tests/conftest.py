@@ -9,6 +9,8 @@ import pytest
 from flipperctl import api, plugins
 from tests.short import short_config, trainer
 
+pytest_plugins = ["tests.quick"]
+
 os.environ.pop("COLUMNS", None)  # pytest-xdist sets it, and tables would keep to it
 plugins.load()  # at import, since tests are parametrised over the registry
 

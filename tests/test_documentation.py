@@ -17,6 +17,8 @@ from flipperctl.env import flipper_env
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)

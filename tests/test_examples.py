@@ -1,12 +1,8 @@
 """The example packages, installed in a fresh virtual environment as a plugin author would."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 import sysconfig
-import venv
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +11,9 @@ import pytest
 
 from flipperctl.api import registry
 from flipperctl.testing import checks
+from tests.environment import Environment
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PACKAGES = {
@@ -37,23 +36,14 @@ def package(name: str) -> Path:
 def flipperctl(tmp_path_factory: pytest.TempPathFactory) -> Flipperctl:
     """Return the command line of an environment with two packages on top of this one."""
     folder = tmp_path_factory.mktemp("fresh")
-    venv.create(folder / "venv", with_pip=False)
-    python = str(folder / "venv" / "bin" / "python")
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
-
-    def run(*command: str) -> str:
-        done = subprocess.run(command, cwd=folder, env=clean, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
+    environment = Environment.create(folder / "venv", folder)
     # All dependencies and flipperctl come from this environment, so that no network is needed.
     here = sysconfig.get_path("purelib")
-    where = run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip()
-    (Path(where) / "here.pth").write_text(f"import site; site.addsitedir({here!r})\n")
+    (environment.site / "here.pth").write_text(f"import site; site.addsitedir({here!r})\n")
     copies = [str(shutil.copytree(package(name), folder / name)) for name in INSTALLED]
-    offline = ["--quiet", "--no-index", "--no-deps", "--no-build-isolation"]
-    run(sys.executable, "-m", "pip", f"--python={python}", "install", *offline, *copies)
-    return lambda *arguments: run(python, "-m", "flipperctl", *arguments)
+    environment.install("--no-deps", "--no-build-isolation", *copies)
+    python = environment.script("python")
+    return lambda *arguments: environment.run(python, "-m", "flipperctl", *arguments)
 
 
 def test_an_installed_package_passes_the_conformance_suite(flipperctl: Flipperctl) -> None:

@@ -2,13 +2,18 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
-import venv
 import zipfile
+from email import message_from_bytes
 from pathlib import Path
 
 import pytest
+
+from tests.environment import Environment
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "terrain=step", "seed=7", "train.decisions=300", "train.validation_episodes=2"]
@@ -53,23 +58,35 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
     assert not any(name.startswith(("tests", "examples")) for name in held)
 
 
+def requirements(wheel: Path) -> list[str]:
+    """What the wheel asks for without any extra."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        found = message_from_bytes(archive.read(name)).get_all("Requires-Dist", [])
+    return [text for text in found if "extra ==" not in text]
+
+
+def reuse_machine_code(site: Path) -> None:
+    """Copy what numba has compiled of equal sources, which takes it half a minute to do again."""
+    for compiled in (ROOT / "flipperctl").rglob("*.nb[ci]"):
+        where = compiled.parents[1].relative_to(ROOT)
+        (site / where / compiled.parent.name).mkdir(exist_ok=True)
+        shutil.copy2(compiled, site / where / compiled.parent.name)
+        for source in (ROOT / where).glob("*.py"):  # numba compares their sizes and times
+            times = source.stat()
+            os.utime(site / where / source.name, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+
 def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
-    environment, empty = tmp_path / "venv", tmp_path / "empty"
+    """It is installed beside the packages that it asks for and no others."""
+    empty = tmp_path / "empty"
     empty.mkdir()
-    venv.create(environment, with_pip=True)
-    clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
-
-    def run(*command: str) -> str:
-        done = subprocess.run(command, cwd=empty, env=clean, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    python = str(environment / "bin" / "python")
-    pinned = ["--constraint", str(ROOT / "requirements.txt")]
-    # torch first and by itself, so that the pinned CPU build is the one that is found.
-    run(python, "-m", "pip", "install", "--quiet", *pinned, "torch")
-    run(python, "-m", "pip", "install", "--quiet", *pinned, str(wheel))
-    flipperctl = str(environment / "bin" / "flipperctl")
+    environment = Environment.create(tmp_path / "venv", empty)
+    environment.link(requirements(wheel))
+    environment.install(str(wheel))  # pip checks that every requirement is met
+    reuse_machine_code(environment.site)
+    run, python = environment.run, environment.script("python")
+    flipperctl = environment.script("flipperctl")
 
     run(flipperctl, *TRAIN, "hydra.run.dir=run")
     judged = run(flipperctl, "eval", "--checkpoint", "run", "--episodes", "2", "--json")
@@ -92,6 +109,6 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     assert help_text.strip() == "(18,)"
     # Hydra discovers the sweeper, which says what it needs; the wheel was installed without extras.
     search = [flipperctl, "train", "-m", "hydra/sweeper=optuna", "seed=1,2"]
-    refused = subprocess.run(search, cwd=empty, env=clean, capture_output=True, text=True)
+    refused = environment.call(*search)
     assert refused.returncode == 2, refused.stderr
     assert "install flipperctl[optuna]" in refused.stderr

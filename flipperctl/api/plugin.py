@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from flipperctl.api.values import Settings
@@ -14,6 +15,13 @@ class Plugin(Settings):
 
     kind: ClassVar[str]
     plugin_name: ClassVar[str]
+
+    def files_read(self) -> tuple[Path, ...]:
+        """Return the files whose content decides what this plugin does, beside its settings.
+
+        The hash of an evaluation's conditions covers their content. By default there are none.
+        """
+        return ()
 
 
 registry: dict[tuple[str, str], type[Plugin]] = {}

@@ -50,11 +50,12 @@ def export(
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
     from flipperctl import plugins as loader
+    from flipperctl.cli.policy_file import find_policy
     from flipperctl.export.policy import export as run
     from flipperctl.files import check_writable
 
     loader.load(plugins or ())
-    saved = checkpoints.read(checkpoints.find(checkpoint))
+    saved = checkpoints.read(find_policy(checkpoint))
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
     found = run(saved, kind.value, target)

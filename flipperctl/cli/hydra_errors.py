@@ -26,7 +26,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.cli.config_store import CHOICES, GROUPS
 from flipperctl.cli.overrides import parse_overrides, quote_override
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
-from flipperctl.messages import close_match
+from flipperctl.messages import close_match, reinstall_hint
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _ENTRY_NAMES = {
@@ -70,7 +70,7 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
     return ConfigError(
         f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
-        f"known: {', '.join(sorted(options)) or 'none'}"
+        f"known: {', '.join(sorted(options)) or 'none'}{reinstall_hint(group)}"
     )
 
 

@@ -17,6 +17,7 @@ from flipperctl.cli import compose, config_store
 from flipperctl.cli.combinations import combinations
 from flipperctl.cli.hydra_errors import convert_hydra_errors
 from flipperctl.cli.overrides import check_words, override_values, parse_overrides
+from flipperctl.cli.policy_file import find_policy
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.compare_rewards import Rewards, RewardScene
@@ -85,7 +86,7 @@ def policies(names: str, overrides: Sequence[str]) -> tuple[dict[str, PolicySour
 def _source(label: str, fields: Mapping[str, Any]) -> PolicySource:
     path = Path(label)
     if path.exists() or label in checkpoints.shipped_policies():
-        return PolicySource(checkpoint=checkpoints.find(path))
+        return PolicySource(checkpoint=find_policy(path))
     known = resolver.get("controller", label, "--compare").model_fields
     own = {name: value for name, value in fields.items() if name in known}
     made: Controller = resolver.create("controller", {"name": label, **own}, "controller")

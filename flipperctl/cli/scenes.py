@@ -10,6 +10,7 @@ from pathlib import Path
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.cli import compose, config_store
+from flipperctl.cli.policy_file import find_policy
 from flipperctl.config import resolver
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.exported import exported_config, is_exported
@@ -30,7 +31,7 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
         resolver.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, PolicySource(settings=settings)) for config, settings in found]
-    file = checkpoints.find(checkpoint)
+    file = find_policy(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).config()
     primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)

@@ -95,7 +95,7 @@ class EnvConfig(Settings):
     terrain: ConfiguredTerrain
     rewards: AnyRewards = Field(
         # names, which the validator turns into terms
-        default_factory=lambda: dict(PAPER_REWARDS)  # type: ignore[arg-type]
+        default_factory=lambda: cast("dict[str, RewardTerm]", dict(PAPER_REWARDS))
     )
     robot: Robot = Robot()
     sim: AnyEngine = Field(default_factory=lambda: cast("Engine", DEFAULT_ENGINE))

@@ -17,7 +17,7 @@ from flipperctl import guard
 from flipperctl.api import Plugin, Settings
 from flipperctl.api.plugin import mapping, registered_names, selected
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
-from flipperctl.messages import close_match, explain
+from flipperctl.messages import close_match, explain, reinstall_hint
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
@@ -34,7 +34,7 @@ def get(kind: str, name: object, where: str) -> type[Plugin]:
         known = registered_names(kind)
         raise ConfigError(
             f"{where}: there is no {kind} plugin {name!r}{close_match(str(name), known)}; "
-            f"registered: {', '.join(known) or 'none'}"
+            f"registered: {', '.join(known) or 'none'}{reinstall_hint(kind)}"
         ) from error
 
 

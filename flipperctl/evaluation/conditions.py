@@ -10,10 +10,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Settings
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container, resolver
 from flipperctl.messages import unit
 
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
@@ -29,7 +30,8 @@ class Conditions:
     """The named conditions to which overrides were applied."""
     settings: Mapping[str, Any]
     """``terrain`` with all its fields, ``robot``, ``sim``, ``perception``, ``episode`` and
-    ``randomise``, without settings that have no influence."""
+    ``randomise``, without settings that have no influence; and, if plugins read files, the SHA-256
+    of each as ``files``."""
     defaults: Mapping[str, Settings]
     """Each section at its defaults, for the chosen engine and sensor."""
 
@@ -46,7 +48,10 @@ class Conditions:
             for section in _SECTIONS
         }
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
-        return cls(config.conditions, {"terrain": whole["terrain"], **sections}, defaults)
+        settings = {"terrain": whole["terrain"], **sections}
+        if files := _digests(config):
+            settings["files"] = files
+        return cls(config.conditions, settings, defaults)
 
     @property
     def hash(self) -> str:
@@ -98,6 +103,21 @@ class Conditions:
         return ", ".join(
             [*chosen, *(_format_setting(model, name, values[name]) for name in changed)]
         )
+
+
+def _digests(config: EvalConfig) -> list[str | None]:
+    """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
+    plugins = (config.terrain, config.sim, config.perception)
+    nested = [one for plugin in plugins for one in resolver.nested_plugins(plugin)]
+    return [_digest(file) for plugin in nested for file in plugin.files_read()]
+
+
+def _digest(file: Path) -> str | None:
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError:  # the plugin refuses the file in words of its own when it reads it
+        return None
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:

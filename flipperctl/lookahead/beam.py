@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Robot
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
-from flipperctl.lookahead.search import moves
+from flipperctl.lookahead.mpc import STEEP, STEEP_FROM
+from flipperctl.lookahead.search import HOLD, moves
 
-_STEEP_FROM, _STEEP = 0.9, 30.0
-"""Pitch from which steepness costs, short of overturning [rad], and its price [s/rad]."""
 _ROUNDS = 8
 """Decisions that a node may spend in one stretch without leaving it."""
 
@@ -186,7 +185,7 @@ class Beam:
         if action is not None:
             chosen = taken == action
             if not chosen.any():  # turning a flipper against its stop
-                chosen = taken == 4
+                chosen = taken == HOLD
             parent, taken, targets = parent[chosen], taken[chosen], targets[chosen]
         period, speed = self.robot.decision_period, self.robot.track_speed
         found = self.model.expand(nodes.states[parent], targets, period)
@@ -196,7 +195,7 @@ class Beam:
         steep = np.maximum(nodes.steep[parent], found.steepest)
         left = (self.goal.finish - found.places[:, 0]) / speed  # negative: it arrived before
         cost = time + left + self.goal.smoothness * swing
-        cost += _STEEP * np.maximum(0.0, steep - _STEEP_FROM)
+        cost += STEEP * np.maximum(0.0, steep - STEEP_FROM)
         children = _Nodes(
             found.states, found.places, time, swing, steep, cost, first + parent, taken
         )

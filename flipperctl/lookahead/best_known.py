@@ -10,7 +10,7 @@ import math
 from typing import TYPE_CHECKING
 
 from flipperctl.api import Perception, Policy, Simulator
-from flipperctl.config import resolver
+from flipperctl.config import Episode, resolver
 from flipperctl.lookahead.beam import Beam, Goal
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.policy import nominal
@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 _STARTS = ("level", "okada", "mpc")
 """Controllers whose drives the search starts from."""
-_CLEARANCE = 0.1
-"""Height of the chassis' higher end above the ground up to which it has arrived [m]."""
+_CLEARANCE = Episode().clearance
+"""Height of the chassis' higher end above the ground up to which a plan has arrived [m].
+
+A ``Simulator`` does not tell its episode's own ``clearance``, so plans aim at the default; whether
+a drive has reached the finish is decided by the episode."""
 _TOLERANCE = 0.3
 """Increase of a plan's predicted cost from which it is searched anew [s]."""
 _SHORT_WAY, _SHORT_PATIENCE, _PITCH = 1.5, 2, 3.0

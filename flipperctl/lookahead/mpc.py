@@ -12,6 +12,9 @@ from flipperctl.api import Controller, Policy, controller
 if TYPE_CHECKING:
     from flipperctl.lookahead.search import Prices
 
+STEEP_FROM, STEEP = 0.9, 30.0
+"""Pitch from which steepness costs, short of overturning [rad], and its price [s/rad]."""
+
 
 @controller("mpc")
 class Mpc(Controller):
@@ -51,10 +54,10 @@ class Mpc(Controller):
         2.0, ge=0, le=100, description="lost time from which a plan counts as standing [s]"
     )
     steep: float = Field(
-        30.0, ge=0, le=1000, description="price of pitch beyond ``steep_from`` [s/rad]"
+        STEEP, ge=0, le=1000, description="price of pitch beyond ``steep_from`` [s/rad]"
     )
     steep_from: float = Field(
-        0.9, gt=0, le=math.pi / 2, description="pitch from which steepness costs [rad]"
+        STEEP_FROM, gt=0, le=math.pi / 2, description="pitch from which steepness costs [rad]"
     )
     overturn: float = Field(
         math.pi / 3, gt=0.1, le=math.pi / 2, description="pitch that no plan may reach [rad]"
@@ -85,10 +88,10 @@ class Mpc(Controller):
     )
 
     def prices(self, hurry: bool = False) -> Prices:
-        """Return the prices; in a ``hurry``, swing costs a fifth."""
-        from flipperctl.lookahead.search import Prices
+        """Return the prices; in a ``hurry``, swing and final pitch are divided by ``HURRY``."""
+        from flipperctl.lookahead.search import HURRY, Prices
 
-        calm = 0.2 if hurry else 1.0
+        calm = 1 / HURRY if hurry else 1.0
         return Prices(
             swing=calm * self.swing,
             pitch=calm * self.pitch,

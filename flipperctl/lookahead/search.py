@@ -20,9 +20,9 @@ HOLD = action_index(0, 0)
 _TURNS = np.array(ACTIONS, dtype=np.float64)
 _CELL = np.array([0.03, 0.03, 0.03, 0.1, 0.1])
 """Nodes whose x, z [m], pitch and flipper targets [rad] fall into one cell are merged."""
-_HURRY = 5.0
-"""A third of the beam is chosen with the price of swing divided by this, so that plans that climb
-survive beside plans that wait [-]."""
+HURRY = 5.0
+"""Divisor of the price of swing in a hurry [-]. A third of the beam is chosen at that price, so
+that plans that climb survive beside plans that wait."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class Search:
                 & (parent == here.seed)
                 & (action == (former[step] if step < len(former) else HOLD))
             )
-            kept = self._keep(found, cost, rest + prices.swing / _HURRY * swing, alive, follows)
+            kept = self._keep(found, cost, rest + prices.swing / HURRY * swing, alive, follows)
             seed = int(np.flatnonzero(kept == follows[0])[0]) if len(follows) else -1
             late = lost[kept]
             costs = np.full(len(ACTIONS), np.inf)

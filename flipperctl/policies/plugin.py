@@ -36,11 +36,12 @@ class PluginPolicy:
         if not all(callable(getattr(self._policy, name, None)) for name in ("reset", "act")):
             text = f"returned {short_repr(self._policy)}; an object with reset and act is allowed"
             raise refusal(controller, "build", text)
+        self._teacher = self._policy if isinstance(self._policy, CostPolicy) else None
 
     @property
     def offers_costs(self) -> bool:
         """Whether the policy offers the cost of each action."""
-        return isinstance(self._policy, CostPolicy)
+        return self._teacher is not None
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode.
@@ -77,7 +78,7 @@ class PluginPolicy:
             PluginFailedError: the controller's code failed, or a cost is missing or not finite.
         """
         try:
-            answer: object = self._policy.costs(p)  # type: ignore[attr-defined]
+            answer: object = self._cost_policy().costs(p)
             found = np.asarray(answer, np.float64)
         except BaseException as error:
             raise fault(error, self._controller, "costs") from error
@@ -93,6 +94,11 @@ class PluginPolicy:
             PluginFailedError: the controller's code failed.
         """
         try:
-            self._policy.took(action)  # type: ignore[attr-defined]
+            self._cost_policy().took(action)
         except BaseException as error:
             raise fault(error, self._controller, "took") from error
+
+    def _cost_policy(self) -> CostPolicy:
+        if self._teacher is None:
+            raise TypeError(f"{type(self._policy).__name__} offers no costs")
+        return self._teacher

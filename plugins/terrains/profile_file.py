@@ -99,6 +99,10 @@ class ProfileFile(Terrain):
         """Return the recorded profile, beginning at (0, 0); ``rng`` is not used."""
         return self._profile
 
+    def files_read(self) -> tuple[Path, ...]:
+        """Return the recorded file."""
+        return (self._file,)
+
     @property
     def _file(self) -> Path:
         try:

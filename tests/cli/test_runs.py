@@ -19,6 +19,8 @@ from flipperctl.training.trainer import Trainer
 from tests.cli.call import RUN, call
 from tests.long.forked import differences, result
 
+pytestmark = pytest.mark.slow
+
 EXACT = {**RUN, "train.mode": "exact", "train.decisions": 200, "train.validate_every": 90}
 QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
 
@@ -212,3 +214,16 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
         done = call("train", "-m", *QUICK, "seed=1,2", "hydra.sweep.dir=.", cwd=tmp_path)
         assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
         assert files(tmp_path) == before
+
+
+def test_a_policy_that_no_validation_chose_is_evaluated_with_a_word(
+    whole: Path, tmp_path: Path
+) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    evaluate = ["eval", "--checkpoint", "run", "--episodes", "1", "--json"]
+    assert "no validation" not in call(*evaluate, cwd=tmp_path).err
+    (run / checkpoint.BEST).unlink()
+    done = call(*evaluate, cwd=tmp_path)
+    assert done.code == 0, done.err
+    (line,) = (line for line in done.err.splitlines() if "validation" in line)
+    assert line.startswith("run: no validation has chosen a best policy yet; this is the last one")

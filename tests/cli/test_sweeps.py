@@ -14,6 +14,8 @@ from hydra.core.plugins import Plugins
 from flipperctl import checkpoint
 from tests.cli.call import RUN, Done, call
 
+pytestmark = pytest.mark.slow
+
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 RAY = [
     "hydra/launcher=ray",

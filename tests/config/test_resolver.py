@@ -53,3 +53,12 @@ def test_overrides_drop_terms_and_add_others() -> None:
 def test_an_override_inside_a_value_names_the_value() -> None:
     with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, no section"):
         with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1})
+
+
+@pytest.mark.parametrize("kind", ["sim", "perception"])
+def test_an_engine_that_is_not_found_may_need_a_reinstall(kind: str) -> None:
+    with pytest.raises(ConfigError, match=r"reinstalled \(pip install -e \.\)"):
+        resolver.create(kind, "mine", kind)
+    with pytest.raises(ConfigError) as error:
+        resolver.create("terrain", "mine", "terrain")
+    assert "reinstalled" not in str(error.value)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import pytest
 
@@ -51,6 +52,21 @@ def test_what_changes_draws_or_physics_changes_the_hash(change: dict[str, object
 )
 def test_what_does_not_leaves_it(change: dict[str, object]) -> None:
     assert of(**change).hash == of().hash
+
+
+def test_the_hash_covers_the_content_of_recorded_ground(tmp_path: Path) -> None:
+    file = tmp_path / "curb.csv"
+    settings = {
+        "terrain": {"name": "mirror", "terrain": {"name": "profile_file", "path": str(file)}}
+    }
+    missing = of(**settings)
+    assert missing.container()["files"] == [None]
+    found = []
+    for text in ("x,z\n0,0\n1,0.1\n", "x,z\n0,0\n1,0.2\n"):
+        file.write_text(text)
+        found.append(of(**settings))
+        assert found[-1].container()["files"] == [hashlib.sha256(text.encode()).hexdigest()]
+    assert len({missing.hash, *(conditions.hash for conditions in found)}) == 3
 
 
 def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> None:

@@ -11,6 +11,8 @@ from flipperctl.errors import CheckpointError, ExportError
 from tests.long.files import BAD, KINDS, fuzz
 from tests.long.isolated import run_isolated
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_files_are_refused_or_read_as_the_original(kind: str) -> None:

@@ -12,6 +12,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import decisions, play
 from tests.cli.call import call
 
+pytestmark = pytest.mark.slow
+
 
 def played(env: FlipperEnv, name: str, seed: int, **settings: object) -> dict[str, object]:
     found = resolver.create("controller", {"name": name, **settings}, "controller")

@@ -7,6 +7,8 @@ from flipperctl.api import Terrain, registry
 from flipperctl.config import resolver
 from flipperctl.testing import Check, checks
 
+pytestmark = pytest.mark.slow
+
 KINDS = ("terrain", "reward", "network", "controller", "sim", "perception")
 
 

@@ -10,6 +10,8 @@ from flipperctl.lookahead import best_known
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 
+pytestmark = pytest.mark.slow
+
 QUICK = {"name": "planner", "width": 6, "budget": 6000}
 
 

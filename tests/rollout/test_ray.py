@@ -10,7 +10,10 @@ import pytest
 from flipperctl.errors import ConfigError
 from tests.short import short_config, trainer
 
-pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore"),  # Ray's own
+]
 
 ray = pytest.importorskip("ray")
 

@@ -1,5 +1,7 @@
 """Thinning against numbers worked by hand, and bounds on ground."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -13,10 +15,12 @@ from flipperctl.testing.recorded import NoReward
 RADIUS = 0.1  # [m]
 
 
-def fine(height: object, length: float = 2.0, count: int = 20_001) -> Profile:
+def fine(
+    height: Callable[[np.ndarray], np.ndarray], length: float = 2.0, count: int = 20_001
+) -> Profile:
     """Return ground of this height(x) with a point every 0.1 mm."""
     x = np.linspace(0.0, length, count)
-    return Profile(np.column_stack([x, height(x)]))  # type: ignore[operator]
+    return Profile(np.column_stack([x, height(x)]))
 
 
 def drive_on(terrain: Terrain) -> FlipperEnv:
