@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
+_OF_EACH = 2
+"""Nodes that a search keeps for each first action when the costs of all actions are asked for."""
 _CLOSE = 0.05
 """Gap or overlap between robot and sensed ground up to which they are taken to touch [m]."""
 _AS_EXPECTED = np.array([0.04, 0.04, 0.05])
@@ -67,7 +69,7 @@ class MpcPolicy:
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the cost of the best plan that begins with each action, (9,) [s]."""
-        costs = self._plan_from(p).costs
+        costs = self._plan_from(p, of_each=_OF_EACH).costs
         return np.where(np.isfinite(costs), costs, NO_PLAN)
 
     def took(self, action: int) -> None:
@@ -78,8 +80,11 @@ class MpcPolicy:
         turns = [turn * robot.angle_step for turn in ACTIONS[action]]
         self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
 
-    def _plan_from(self, p: Perception) -> Plan:
-        """Search from here; remember the plan and the measured angles."""
+    def _plan_from(self, p: Perception, of_each: int = 0) -> Plan:
+        """Search from here; remember the plan and the measured angles.
+
+        ``of_each``: nodes that the searches keep for each first action.
+        """
         settings = self._settings
         begun = time.perf_counter()
         deadline = begun + settings.time_limit if settings.time_limit else math.inf
@@ -88,15 +93,17 @@ class MpcPolicy:
         if self._plan is None:
             self._targets = p.front, p.rear
         model, root = self._scene(p, robot)
-        self._plan = self._search(model, root, robot, deadline)
+        self._plan = self._search(model, root, robot, deadline, of_each)
         return self._plan
 
-    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+    def _search(
+        self, model: Model, root: FloatArray, robot: Robot, deadline: float, of_each: int
+    ) -> Plan:
         """Search with the normal prices, and wider and in a hurry if that plan gets stuck."""
         settings, former = self._settings, self._former
-        calm = Search(robot, settings.prices(), settings.beam, settings.horizon)
+        calm = Search(robot, settings.prices(), settings.beam, settings.horizon, of_each)
         width = round(settings.wider * settings.beam)
-        wide = Search(robot, settings.prices(hurry=True), width, settings.horizon)
+        wide = Search(robot, settings.prices(hurry=True), width, settings.horizon, of_each)
         plan, self.simulated = None, 0
         if not self._hurried:
             plan = calm.run(model, root, former, deadline)

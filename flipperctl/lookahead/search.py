@@ -97,6 +97,9 @@ class Search:
     """Nodes that are kept at each depth."""
     depth: int
     """Decisions to the horizon."""
+    of_each: int = 0
+    """Nodes that are kept at each depth for each first action, however expensive, so that every
+    action's cost is known and not the best one's alone."""
 
     def run(
         self,
@@ -141,7 +144,8 @@ class Search:
                 & (parent == here.seed)
                 & (action == (former[step] if step < len(former) else HOLD))
             )
-            kept = self._keep(found, cost, rest + prices.swing / HURRY * swing, alive, follows)
+            hurried = rest + prices.swing / HURRY * swing
+            kept = self._keep(found, (cost, hurried), first, alive, follows)
             seed = int(np.flatnonzero(kept == follows[0])[0]) if len(follows) else -1
             late = lost[kept]
             costs = np.full(len(ACTIONS), np.inf)
@@ -159,18 +163,26 @@ class Search:
     def _keep(
         self,
         found: Branch,
-        cost: FloatArray,
-        hurried: FloatArray,
+        costs: tuple[FloatArray, FloatArray],
+        first: NDArray[np.int64],
         alive: NDArray[np.bool_],
         follows: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """Return the indices of the nodes of the next level, cheapest first."""
+        """Return the indices of the nodes of the next level, cheapest first.
+
+        ``costs``: of each node, at the normal prices and in a hurry.
+        """
+        cost, hurried = costs
         rows = np.flatnonzero(alive)
         rows = rows[np.argsort(cost[rows], kind="stable")]
         rows = rows[_distinct(found, rows)]
         quick = rows[np.argsort(hurried[rows], kind="stable")][: self.width // 3]
         calm = rows[~np.isin(rows, quick)][: self.width - len(quick)]
-        kept = np.unique(np.concatenate([calm, quick, follows]))
+        kept = np.concatenate([calm, quick, follows])
+        if self.of_each:
+            every = [rows[first[rows] == action][: self.of_each] for action in range(len(ACTIONS))]
+            kept = np.concatenate([kept, *every])
+        kept = np.unique(kept)
         return kept[np.argsort(cost[kept], kind="stable")]
 
 
