@@ -44,6 +44,17 @@ def test_the_cheapest_first_action_is_that_of_the_plan_and_a_wider_beam_is_no_wo
     assert wide.simulated > narrow.simulated
 
 
+def test_every_action_has_a_cost_if_nodes_of_each_are_kept() -> None:
+    """Without, the beam soon follows one first action, and the others' costs are unknown."""
+    model, root = before_the_step()
+    alone, every = (Search(ROBOT, Mpc().prices(), 4, 6, n).run(model, root).costs for n in (0, 2))
+    assert np.isinf(alone).sum() >= 5
+    assert np.isfinite(every).all()
+    assert every.min() <= alone.min() + 1e-9
+    raise_front, lower_front = (every[action_index(i, 0)] for i in (1, -1))
+    assert raise_front < lower_front
+
+
 def test_a_former_plan_stays_in_the_beam() -> None:
     model = Model(STEP, ROBOT)
     root = model.state((-0.3, 0.45, 0.35), (0.8, -0.5), (0.1, 0.1, 0.0))  # on the edge, nose up
