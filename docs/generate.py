@@ -115,15 +115,11 @@ def presets() -> str:
     """Return the named sets of settings as their files have them."""
     folder = Path(__file__).parents[1] / "configs"
     parts = []
-    for name, heading in (
-        ("experiment", "Experiments"),
-        ("conditions", "Conditions"),
-        ("rewards", "Rewards"),
-    ):
-        parts += [f"## {heading}", ""]
-        for file in sorted((folder / name).glob("*.yaml")):
+    for group in sorted({file.parent for file in folder.glob("*/*.yaml")}):
+        parts += [f"## {group.name.capitalize()}", ""]
+        for file in sorted(group.glob("*.yaml")):
             text = file.read_text(encoding="utf-8").strip()
-            parts += [f"### `{name}={file.stem}`", "", "```yaml", text, "```", ""]
+            parts += [f"### `{group.name}={file.stem}`", "", "```yaml", text, "```", ""]
     return "\n".join(parts)
 
 

@@ -24,12 +24,19 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
+SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
+_BLOCK = re.DOTALL | re.MULTILINE
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 
 def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, flags=re.DOTALL | re.MULTILINE)
+    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, _BLOCK)
+
+
+def saved() -> dict[str, str]:
+    """Return the files that a reader is asked to save, name → text."""
+    return dict(re.findall(r"Save this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
 
 
 def commands() -> list[list[str]]:
@@ -53,14 +60,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
-    shutil.copytree(folder / SHOWN, folder / FIRST)
+    for run in (FIRST, SWEPT):
+        shutil.copytree(folder / SHOWN, folder / run)
     shutil.copy(folder / "stair.onnx", folder / "first.onnx")
-    (ridge,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
-    (folder / "ridge.py").write_text(ridge)
+    for name, text in saved().items():
+        (folder / name).write_text(text)
+    with contextlib.chdir(folder):
+        exec(example("mound.npy"), {})
     learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
     done = call("train", *learn, *QUICK, cwd=folder)
     assert done.code == 0, done.err
     return folder
+
+
+def example(word: str) -> str:
+    """Return the only Python example with this word."""
+    (found,) = [block for block in blocks("python") if word in block]
+    return found
 
 
 def smaller(command: list[str]) -> list[str]:
@@ -96,32 +112,57 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
 
 
 def test_the_environment_example_runs() -> None:
-    (example,) = [b for b in blocks("python") if "gymnasium.make" in b]
     names: dict[str, object] = {}
-    exec(example, names)
+    exec(example("gymnasium.make"), names)
     assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
     assert names["picture"].shape[2] == 3
 
 
 def test_the_robots_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (example,) = [b for b in blocks("python") if "OnnxPolicy" in b]
     names: dict[str, object] = {}
     with contextlib.chdir(folder):
-        exec(example, names)
+        exec(example('OnnxPolicy("stair.onnx")'), names)
     turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
     assert names["targets"] == pytest.approx(turned)
     assert names["period"] == pytest.approx(0.6)
     assert "theta_R rad L pitch, nose up positive" in capsys.readouterr().out
 
 
+def test_the_robots_loop_runs(folder: Path) -> None:
+    names: dict[str, object] = {}
+    with contextlib.chdir(folder):
+        exec(example("class StandIn"), names)
+    assert names["robot"].decisions == 2
+    assert all(abs(angle) <= math.pi / 6 + 1e-9 for angle in names["targets"])
+
+
+def test_every_python_example_is_tried() -> None:
+    tried = ("mound.npy", "gymnasium.make", "stair.onnx", "class StandIn", "Conformance")
+    others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
+    assert others == set()
+
+
+def test_every_other_command_is_listed_here_for_a_reason() -> None:
+    lines = {
+        line.partition("#")[0].strip() for block in blocks("sh") for line in block.splitlines()
+    }
+    assert {line for line in lines if line and not line.startswith("flipperctl ")} == {
+        "make train",  # takes minutes
+        "make test",  # runs this test
+        "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
+        "pip install numpy onnxruntime",  # the network
+        "pip install --no-deps .",  # tests/test_wheel.py installs the wheel
+        "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
+    }
+
+
 @pytest.mark.usefixtures("registry")
 def test_the_conformance_example_keeps_the_contract(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (example,) = [b for b in blocks("python") if "Conformance" in b]
     monkeypatch.syspath_prepend(folder)
     names: dict[str, object] = {"__name__": "test_ridge"}
-    exec(example, names)
+    exec(example("Conformance"), names)
     done = {check.name for check in checks(names["TestRidge"].plugin) if check() is None}
     assert {"extent", "start", "picture"} <= done
 
@@ -130,8 +171,7 @@ def test_the_example_plugin_is_the_one_shown(tmp_path: Path) -> None:
     example = Path(__file__).parents[1] / "examples" / "ridge.py"
     done = call("inspect", "terrain", "ridge", "--plugins", str(example), cwd=tmp_path)
     assert done.code == 0, done.err
-    (shown,) = [b for b in blocks("python") if '@terrain("ridge")' in b]
-    assert shown.split("@terrain")[1].split("def")[0] in example.read_text()
+    assert saved()["ridge.py"].split("@terrain")[1].split("def")[0] in example.read_text()
 
 
 def test_the_readme_introduces_and_its_links_lead_somewhere() -> None:
