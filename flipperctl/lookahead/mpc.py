@@ -87,11 +87,11 @@ class Mpc(Controller):
         "exactly [s]",
     )
 
-    def prices(self, hurry: bool = False) -> Prices:
-        """Return the prices; in a ``hurry``, swing and final pitch are divided by ``HURRY``."""
+    def prices(self, hurry: int = 0) -> Prices:
+        """Return the prices; swing and final pitch are divided ``hurry`` times by ``HURRY``."""
         from flipperctl.lookahead.search import HURRY, Prices
 
-        calm = 1 / HURRY if hurry else 1.0
+        calm = HURRY**-hurry
         return Prices(
             swing=calm * self.swing,
             pitch=calm * self.pitch,

@@ -32,6 +32,12 @@ NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
 _OF_EACH = 2
 """Nodes that a search keeps for each first action when the costs of all actions are asked for."""
+_STANDS = 0.03
+"""Way in one decision below which the robot stands [m]."""
+_PATIENCE = 3
+"""Decisions of standing after each of which the search widens once more [-]."""
+_MOST_HURRY = 4
+"""Largest number of times that swing gets cheaper, and multiple of the wide search's width [-]."""
 _CLOSE = 0.05
 """Gap or overlap between robot and sensed ground up to which they are taken to touch [m]."""
 _AS_EXPECTED = np.array([0.04, 0.04, 0.05])
@@ -53,6 +59,7 @@ class MpcPolicy:
         self._former: tuple[int, ...] = ()
         self._angles = 0.0, 0.0
         self._hurried = False
+        self._standing = 0
         self.simulated = 0
         """Decisions simulated for the last action, by all of its searches [-]."""
 
@@ -99,13 +106,17 @@ class MpcPolicy:
     def _search(
         self, model: Model, root: FloatArray, robot: Robot, deadline: float, of_each: int
     ) -> Plan:
-        """Search with the normal prices, and wider and in a hurry if that plan gets stuck."""
+        """Search with the normal prices, and wider and in a hurry if that plan gets stuck.
+
+        The longer the robot stands, the wider the search and the cheaper the swing.
+        """
         settings, former = self._settings, self._former
+        hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
         calm = Search(robot, settings.prices(), settings.beam, settings.horizon, of_each)
-        width = round(settings.wider * settings.beam)
-        wide = Search(robot, settings.prices(hurry=True), width, settings.horizon, of_each)
+        width = round(settings.wider * settings.beam * hurry)
+        wide = Search(robot, settings.prices(hurry), width, settings.horizon, of_each)
         plan, self.simulated = None, 0
-        if not self._hurried:
+        if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)
             self.simulated = plan.simulated
             stuck = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
@@ -149,6 +160,7 @@ class MpcPolicy:
             before, expected = self._plan.states[:2]
             guess = float(expected[0] - before[0]), float(expected[1] - before[1])
         motion = self._map.add(p.points, guess)
+        self._standing = self._standing + 1 if math.hypot(*motion) < _STANDS else 0
         line = self._map.line()
         if not len(line):  # nothing is perceived: level ground under the tracks
             line = np.array([[0.0, -robot.track_radius]])

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from flipperctl.api import Controller, Outcome
+from flipperctl.cli.scenes import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import decisions, play
+from flipperctl.rollout.seeds import episode_seed
 from tests.cli.call import call
 
 pytestmark = pytest.mark.slow
@@ -76,3 +78,10 @@ def test_the_rules_stand_beside_it_unless_others_are_named(tmp_path: Path) -> No
     assert [b["controller"] for b in scene["baselines"]] == ["okada", "level"]
     options = ["--controller", "mpc", *quick, "--baseline", "none"]
     assert "baseline" not in json.loads(call("eval", *options, cwd=tmp_path).out)["scenes"][0]
+
+
+def test_the_longer_it_stands_the_wider_it_searches() -> None:
+    """Perceived with noise, this trench holds it for good without that."""
+    ((config, _),) = scenes(["terrain=gap", "conditions=varied"], None, "mpc")
+    env = FlipperEnv(config=config.environment())
+    assert played(env, "mpc", episode_seed("evaluation", 8128, 71))["outcome"] == Outcome.REACHED
