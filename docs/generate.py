@@ -174,7 +174,9 @@ def _value(value: object) -> str:
         return str(value.get("name", dict(value)))
     if isinstance(value, Enum):
         return str(value.value)
-    return "null" if value is None else str(value).lower() if value in (True, False) else str(value)
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _cell(text: object) -> str:
