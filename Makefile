@@ -37,10 +37,10 @@ static:
 	nice $(BIN)/lint-imports
 
 tests:
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 quick-tests:
-	$(BIN)/pytest -n 2 --dist worksteal --quick
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
