@@ -38,10 +38,10 @@ static:
 	nice $(BIN)/lint-imports
 
 tests:
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 quick-tests:
-	$(BIN)/pytest -n 2 --dist worksteal --quick
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick
 
 docs: setup
 	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet docs build/docs

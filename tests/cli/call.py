@@ -10,6 +10,7 @@ from flipperctl import api, plugins
 from flipperctl.cli.main import main
 
 RUN = {
+    "train.workers": 2,  # forked from one server; a lone worker imports torch for each training
     "train.decisions": 300,
     "train.validation_episodes": 2,
     "agent.learning_starts": 100,
