@@ -71,11 +71,11 @@ def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
 
 
 def test_there_is_a_teacher_only_on_request() -> None:
-    paper, quick, generalist = (
+    paper, quick = (
         compose.compose_train(words)[0].teacher
-        for words in (["terrain=stair"], ["experiment=quick"], ["experiment=generalist"])
+        for words in (["terrain=stair"], ["experiment=quick"])
     )
-    assert paper == quick == generalist == Teacher()
+    assert paper == quick == Teacher()
     assert paper.controller is None
 
 
