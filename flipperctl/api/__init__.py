@@ -21,6 +21,7 @@ from flipperctl.api.controllers import (
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    EndingWorld,
     Engine,
     Limits,
     Start,
@@ -58,6 +59,7 @@ __all__ = [
     "AnyTerrain",
     "Controller",
     "CostPolicy",
+    "EndingWorld",
     "Engine",
     "FloatArray",
     "GroundSensor",
