@@ -21,6 +21,7 @@ from flipperctl.api.controllers import (
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    DrawingWorld,
     EndingWorld,
     Engine,
     Limits,
@@ -59,6 +60,7 @@ __all__ = [
     "AnyTerrain",
     "Controller",
     "CostPolicy",
+    "DrawingWorld",
     "EndingWorld",
     "Engine",
     "FloatArray",

@@ -12,6 +12,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.robot import Robot
 from flipperctl.api.values import FloatArray, Outcome, Profile, RobotState
@@ -108,6 +111,14 @@ class EndingWorld(Protocol):
 
         ``advance`` stops after the sample at which it is reached.
         """
+
+
+@runtime_checkable
+class DrawingWorld(Protocol):
+    """A ``World`` that draws pictures of itself."""
+
+    def draw(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the current state, (H, W, 3)."""
 
 
 class Engine(Plugin, ABC):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from flipperctl.evaluation.results import Interval, Summary
+    from flipperctl.evaluation.scenes import Scene
     from flipperctl.evaluation.transfer import TransferResult
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
@@ -34,7 +35,7 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 
   flipperctl transfer --checkpoint generalist terrain=ramp sim.yaw=0.087 sim.lateral_slope=0.087
 
-  flipperctl transfer --controller okada terrain=plum --seed 3 --only 4 --json
+  flipperctl transfer --controller okada terrain=plum --seed 3 --only 4 --film plum.gif
 """
 
 
@@ -63,12 +64,18 @@ def run(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for transfer.json.")
     ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Film of the episode --only in 3-D, .gif or .webp."),
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
     if (checkpoint is None) == (controller is None):
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    if film and only is None:
+        raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes, with_engine
@@ -83,6 +90,8 @@ def run(
     for config, _ in asked:
         in_default_engine(config)  # a wrong engine is found before the first episode
     folder = make_folder(output) if output else None
+    if film:
+        _film(film, asked, only or 0)
     chosen = None if only is None else [only]
     found = [transfer(c, s, only=chosen, progress=episodes_progress) for c, s in asked]
     document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
@@ -94,6 +103,15 @@ def run(
         policy = ["--checkpoint", str(checkpoint)] if checkpoint else ["--controller", controller]
         paths = [part for path in plugins or () for part in ("--plugins", str(path))]
         _print(found, [*map(str, policy), *paths], overrides or [])
+
+
+def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
+    from flipperctl.cli.compose import only_one
+    from flipperctl.report.film import film
+    from flipperctl.rollout.seeds import episode_seed
+
+    config, source = only_one(asked)
+    film(config, source, episode_seed("evaluation", config.eval.seed, episode), path)
 
 
 def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:

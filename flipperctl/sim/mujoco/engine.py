@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 
 from pydantic import Field, model_validator
 
 from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
-from flipperctl.errors import MissingExtraError
+from flipperctl.errors import MissingExtraError, RequestError
 
 
 @engine("mujoco")
@@ -109,6 +110,7 @@ class Mujoco(Engine):
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
+            RequestError: the environment names an OpenGL library that is not there.
             ConfigError: the start lies beside the ground.
             TerrainError: the profile needs too many pieces of ground.
         """
@@ -118,6 +120,11 @@ class Mujoco(Engine):
             raise MissingExtraError(
                 "sim=mujoco needs MuJoCo, which is not installed; "
                 "run pip install 'flipperctl[mujoco]'"
+            ) from error
+        except AttributeError as error:  # PyOpenGL's, when the library of MUJOCO_GL is missing
+            raise RequestError(
+                f"sim=mujoco: MuJoCo does not import with MUJOCO_GL={os.environ.get('MUJOCO_GL')}, "
+                "whose library this machine lacks; unset it or set it to egl"
             ) from error
         from flipperctl.sim.mujoco.world import MujocoWorld
 

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 HINGES = ("front_left", "rear_left", "front_right", "rear_right")
 """Flippers in the order of joints and motors."""
 
+LARGEST_PICTURE = 1920, 1080
+"""Width and height of the largest picture [pixels]."""
+
 _RECESS = 5e-4
 """The boxes of the tracks lie this far inside the outline [m].
 
@@ -73,6 +76,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: Mujoco) -> Model:
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
+    _set_looks(spec)
     for box in ground:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -89,6 +93,30 @@ def build(ground: Sequence[Box], robot: Robot, sim: Mujoco) -> Model:
     names = [model.geom(i).name for i in range(model.ngeom)]
     sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]
     return Model(model, model.geom_surfacevel.copy(), np.array(sides))
+
+
+def _set_looks(spec: Any) -> None:
+    """Set sizes, light and sky of pictures."""
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
+    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 1024, 0  # drawn in software
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
+    spec.worldbody.add_light(
+        pos=[0.0, 0.0, 6.0],
+        dir=[0.3, 0.4, -1.0],
+        diffuse=[0.5, 0.5, 0.5],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        castshadow=True,
+    )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.75, 0.85, 0.95],
+        rgb2=[0.95, 0.95, 0.95],
+        width=64,
+        height=384,
+    )
 
 
 def _surface(sim: Mujoco) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import (
     NO_LIMITS,
@@ -30,6 +31,7 @@ from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import build
 
 if TYPE_CHECKING:
+    from flipperctl.sim.mujoco.camera import Camera
     from flipperctl.sim.mujoco.engine import Mujoco
 
 _SERVO_RATE = 25.0
@@ -80,6 +82,7 @@ class MujocoWorld:
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
+        self._camera: tuple[tuple[int, int], Camera] | None = None
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
         lift = robot.track_radius + robot.flipper_axle * below
@@ -206,6 +209,19 @@ class MujocoWorld:
         """Return the largest depth by which the robot overlaps the ground [m]."""
         mujoco.mj_fwdPosition(self.model, self.data)
         return max(0.0, -float(np.min(self.data.contact.dist, initial=0.0)))
+
+    def draw(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the current state from behind the robot, (H, W, 3).
+
+        Raises:
+            RequestError: the picture is too large, or the machine has neither EGL nor OSMesa.
+            FlipperctlError: the library that there is cannot draw.
+        """
+        from flipperctl.sim.mujoco.camera import Camera
+
+        if self._camera is None or self._camera[0] != (width, height):
+            self._camera = (width, height), Camera(self.model, width, height)
+        return self._camera[1].draw(self.data)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""
