@@ -4,7 +4,7 @@ from importlib import import_module
 
 import typer
 
-VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "engines")
+VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "engines", "conventions")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 
