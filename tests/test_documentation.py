@@ -100,7 +100,7 @@ def smaller(command: list[str]) -> list[str]:
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
         return [*command, "--small", "--repeats", "2", "bench.limit=1"]
-    if command[0] == "eval" or "--compare" in command:
+    if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()

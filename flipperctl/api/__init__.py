@@ -21,6 +21,8 @@ from flipperctl.api.controllers import (
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    DrawingWorld,
+    EndingWorld,
     Engine,
     Limits,
     Start,
@@ -58,6 +60,8 @@ __all__ = [
     "AnyTerrain",
     "Controller",
     "CostPolicy",
+    "DrawingWorld",
+    "EndingWorld",
     "Engine",
     "FloatArray",
     "GroundSensor",

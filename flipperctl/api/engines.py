@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.robot import Robot
-from flipperctl.api.values import FloatArray, Profile, RobotState
+from flipperctl.api.values import FloatArray, Outcome, Profile, RobotState
 
 SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""
@@ -83,7 +86,8 @@ class World(Protocol):
         """Simulate up to ``samples`` sample periods; return the pose at the end of each.
 
         The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
-        stops after the sample at which the chassis reaches a limit.
+        stops after the sample at which the chassis reaches a limit, or the world its own end
+        (``EndingWorld``).
         """
 
     def state(self) -> RobotState:
@@ -97,6 +101,25 @@ class World(Protocol):
 
     def load(self, saved: Any) -> None:
         """Return to a snapshot."""
+
+
+@runtime_checkable
+class EndingWorld(Protocol):
+    """A ``World`` that knows a further end, such as a robot that rolls over sideways."""
+
+    def ended(self) -> Outcome | None:
+        """Return the outcome if that end was reached, else None.
+
+        ``advance`` stops after the sample at which it is reached.
+        """
+
+
+@runtime_checkable
+class DrawingWorld(Protocol):
+    """A ``World`` that draws pictures of itself."""
+
+    def draw(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the current state, (H, W, 3)."""
 
 
 class Engine(Plugin, ABC):

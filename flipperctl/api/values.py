@@ -186,6 +186,12 @@ class RobotState:
     """Angular velocity of the chassis, nose up positive [rad/s]."""
     time: float
     """Time since the start of the episode [s]."""
+    roll: float = 0.0
+    """Roll of the chassis, left side up positive; 0 in an engine of the side plane [rad]."""
+    yaw: float = 0.0
+    """Heading of the chassis from the x axis, to the left positive [rad]."""
+    side: float = 0.0
+    """World y of the chassis centre, to the left positive [m]."""
 
 
 class ObservationLayout(Settings):

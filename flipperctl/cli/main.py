@@ -16,7 +16,7 @@ from flipperctl.cli.streams import log_to_stderr, plain_streams
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 
 DEBUG = "FLIPPERCTL_DEBUG"
-COMMANDS = ("train", "eval", "export", "inspect", "new", "bench")
+COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 # Absent flags default to False. Otherwise Typer would import pydantic to validate an absent

@@ -1,4 +1,4 @@
-"""The scenes and the policy that ``eval`` and ``inspect reward`` evaluate.
+"""The scenes and the policy that ``eval``, ``transfer`` and views of ``inspect`` evaluate.
 
 In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
 for each scene.
@@ -39,3 +39,9 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
     for config in configs:
         source.build(config.perception)  # a wrong layout is found before the first episode
     return [(config, source) for config in configs]
+
+
+def with_engine(overrides: list[str]) -> list[str]:
+    """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
+    chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
+    return list(overrides) if chosen else ["sim=mujoco", *overrides]

@@ -10,7 +10,8 @@ from flipperctl.testing.check import require
 SAMPLES = 100
 """Number of samples of a run: one second, in which the robot drives about 0.2 m [-]."""
 GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
-START = Start(-0.6)
+START = Start(-0.8)
+"""The flippers, which reach 0.716 m ahead, are clear of ``GROUND``."""
 _TARGET = 0.3
 """Commanded angle of both flipper pairs [rad]."""
 _BEYOND = 0.05

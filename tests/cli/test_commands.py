@@ -245,6 +245,7 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
     needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
     needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
+    needed |= {"transfer": ["--controller", "level"]}
     needed |= {"checkpoint": ["x"], "run": ["x"]}
     arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
     done = call(*arguments, cwd=tmp_path)

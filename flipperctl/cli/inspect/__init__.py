@@ -1,10 +1,10 @@
-"""``flipperctl inspect``: views of plugins, terrains, rewards, checkpoints, runs and settings."""
+"""``flipperctl inspect``: views of plugins, terrains, rewards, runs, settings and engines."""
 
 from importlib import import_module
 
 import typer
 
-VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config")
+VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "engines", "conventions")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 
@@ -12,7 +12,7 @@ def add_to(app: typer.Typer) -> None:
     """Register the group with its subcommands."""
     group = typer.Typer(
         name="inspect",
-        help="Look at plugins, terrains, rewards, checkpoints, runs and configurations.",
+        help="Look at plugins, terrains, rewards, checkpoints, runs, configurations and engines.",
         no_args_is_help=True,
         rich_markup_mode="rich",
     )

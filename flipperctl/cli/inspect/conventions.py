@@ -1,0 +1,104 @@
+"""``flipperctl inspect conventions``: signs, frames, units and timing of engines and policies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.errors import FlipperctlError, RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.conventions import Probe
+
+HELP = """Probe signs, frames, units and timing of both engines, of sensing and of an exported file.
+
+Each engine drives on the level, turns each pair of flippers up and presses it down, and drives up
+a ramp; the sensor looks at a step; an exported file is asked for its actions and its period. What
+differs from the contract is listed, and the command fails. sim=… names the engine beside the
+default one.
+
+[bold]Examples[/]
+
+  flipperctl inspect conventions
+
+  flipperctl inspect conventions sim=mujoco sim.substep=0.0025 --json
+
+  flipperctl inspect conventions --checkpoint policy.onnx
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("conventions", help=HELP)(show)
+
+
+def show(
+    overrides: Overrides = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="An exported .onnx file.")
+    ] = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl import plugins as loader
+
+    loader.load(plugins or ())
+    found = _probes(list(overrides or []), checkpoint)
+    wrong = [probe for probe in found if not probe.holds]
+    if as_json:
+        document = {"holds": not wrong, "probes": [probe.container() for probe in found]}
+        print(json.dumps(document, indent=2))
+    else:
+        _print(found)
+    if wrong:
+        first = wrong[0]
+        raise FlipperctlError(
+            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
+            f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
+            f"{first.tolerance:.3f} is allowed"
+        )
+
+
+def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
+    from flipperctl.cli import config_store
+    from flipperctl.cli.compose import compose_environment
+    from flipperctl.cli.scenes import with_engine
+    from flipperctl.evaluation.conventions import probe_export, probe_sensing, probe_world
+    from flipperctl.evaluation.engines import in_default_engine
+    from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
+
+    if file is not None and not is_exported(file):
+        raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
+    config_store.register_defaults()
+    config = compose_environment(with_engine(overrides))
+    plane = in_default_engine(config)
+    found = [*probe_world(plane), *probe_world(config), *probe_sensing(config)]
+    if file is not None:
+        interface, robot = ExportedPolicy(file).interface, exported_config(file).robot
+        found += probe_export(interface, robot, str(file))
+    return found
+
+
+def _print(found: list[Probe]) -> None:
+    from rich.table import Table
+
+    from flipperctl.cli.console import console
+
+    table = Table()
+    for heading in ("probed", "convention", "found", "expected", ""):
+        table.add_column(heading)
+    for probe in found:
+        unit = "" if probe.unit == "-" else f" {probe.unit}"
+        table.add_row(
+            probe.of,
+            probe.meaning,
+            f"{probe.found:.3f}{unit}",
+            f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
+            "holds" if probe.holds else "WRONG",
+        )
+    console().print(table)

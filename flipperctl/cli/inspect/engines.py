@@ -1,0 +1,137 @@
+"""``flipperctl inspect engines``: another engine against the one of the side plane."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.engines import EngineComparison
+
+HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
+
+A policy drives in the default engine; the other one repeats its actions open loop on the same
+ground, so that only physics differs. Engines agree on an episode if the outcomes are equal and,
+where both reach the finish, the pitches differ by at most 0.05 rad RMS at equal times and the times
+by at most 3 %. Episodes that disagree are listed with the time and the place at which they part.
+
+Settings of sim are those of the other engine; friction and gravity apply to both.
+
+[bold]Examples[/]
+
+  flipperctl inspect engines terrain=stair,plum,paper_step
+
+  flipperctl inspect engines --checkpoint generalist terrain=ramp sim.substep=0.0025 eval.seed=7
+
+  flipperctl inspect engines terrain=rail sim.friction=0.7 --episodes 20 --json
+"""
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the subcommand."""
+    app.command("engines", help=HELP)(show)
+
+
+def show(
+    overrides: Overrides = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx.")
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per scene.")] = 10,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    from flipperctl import plugins as loader
+    from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.scenes import scenes, with_engine
+    from flipperctl.evaluation.engines import compare_engines, in_default_engine
+
+    loader.load(plugins or ())
+    chosen = None if checkpoint else controller or "okada"
+    arguments = [*with_engine(overrides or []), f"eval.episodes={episodes}"]
+    found = []
+    asked = scenes(arguments, checkpoint, chosen)
+    for config, _ in asked:
+        in_default_engine(config)  # a wrong engine is found before the first episode
+    for config, source in asked:
+        with episodes_progress(config.terrain.plugin_name, episodes) as report:
+            found.append(compare_engines(config, source, report))
+    if as_json:
+        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
+    else:
+        _print(found)
+
+
+def _print(found: list[EngineComparison]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from flipperctl.cli.conditions import condition_lines
+    from flipperctl.cli.console import console
+
+    first, second = found[0].engines
+    title = f"{second} against {first}, the same actions of {found[0].controller}"
+    table = Table(title=title, title_justify="left")
+    for heading in (
+        *("terrain", "episodes", "equal outcomes", "both reached", "agree"),
+        *("pitch RMS [rad] (largest)", "time (largest)", "θ̂_R"),
+    ):
+        table.add_column(escape(heading))
+    for scene in found:
+        table.add_row(*_cells(scene))
+    out = console()
+    out.print(table)
+    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
+    for line in (*conditions, *_disagreements(found)):
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def _cells(scene: EngineComparison) -> list[str]:
+    from flipperctl.evaluation.engines import mean
+
+    total, reached = len(scene.episodes), scene.reached
+    counts = [
+        str(total),
+        f"{sum(e.equal_outcomes for e in scene.episodes)}/{total}",
+        str(len(reached)),
+        f"{sum(e.agrees for e in scene.episodes)}/{total}",
+    ]
+    if not reached:
+        return [scene.terrain, *counts, "–", "–", "–"]
+    slowest = max((e.time_ratio for e in reached), key=abs)
+    swing = mean(e.swings[1] for e in reached), mean(e.swings[0] for e in reached)
+    return [
+        scene.terrain,
+        *counts,
+        f"{mean(e.pitch_rms for e in reached):.3f} ({max(e.pitch_rms for e in reached):.3f})",
+        f"{mean(e.time_ratio for e in reached):+.1%} ({slowest:+.1%})",
+        f"{swing[0]:.2f} for {swing[1]:.2f} rad",
+    ]
+
+
+def _disagreements(found: list[EngineComparison]) -> Iterator[str]:
+    for scene in found:
+        for e in scene.episodes:
+            if e.agrees:
+                continue
+            where = ""
+            if e.parts_at is not None:
+                where = f"; they part at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
+            yield (
+                f"{scene.terrain}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
+                f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "
+                f"{e.pitch_rms:.3f} rad{where}"
+            )

@@ -1,0 +1,145 @@
+"""Probe the signs, frames, units and timing of engines, sensing and exported policies.
+
+In: a configuration, and an exported file. Out: what each probe measures, beside what the contract
+(``flipperctl.api``) says. A flipped sign or frame is the usual cause of a policy that fails without
+an error in another engine, so each probe is far from passing with the opposite sign.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import ACTIONS, FloatArray, Profile, Robot, RobotState, Start, World
+from flipperctl.config import EnvConfig
+from flipperctl.env.perceiving import Perceiver
+from flipperctl.runtime.interface import Interface
+
+_FLAT = Profile([(0.0, 0.0)])
+_SLOPE = math.radians(15)
+_STEP, _EDGE = 0.3, 0.6
+"""Height of the sensed step, and its distance ahead of the chassis centre [m]."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One measurement and what the contract says about it."""
+
+    of: str
+    """What was probed: an engine, a sensor or a file."""
+    meaning: str
+    unit: str
+    found: float
+    expected: float
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measurement is within the tolerance."""
+        return abs(self.found - self.expected) <= self.tolerance
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {**asdict(self), "holds": self.holds}
+
+
+def probe_world(config: EnvConfig) -> Iterator[Probe]:
+    """Yield the probes of the configured engine with the configured robot.
+
+    It drives on the level, turns each pair of flippers, and drives up a ramp.
+    """
+    robot, name = config.robot, f"sim={config.sim.plugin_name}"
+
+    def probe(meaning: str, unit: str, found: float, expected: float, tolerance: float) -> Probe:
+        return Probe(name, meaning, unit, found, expected, tolerance)
+
+    def place(profile: Profile, x: float) -> World:
+        return config.sim.place(profile, robot, Start(x))
+
+    world = place(_FLAT, 0.0)
+    world.advance(200)
+    state = world.state()
+    drive = 2 * robot.track_speed
+    yield probe("x after 2 s of belts, forward", "m", state.position[0], drive, 0.1 * drive)
+    yield probe(
+        "z of the chassis on the level, up", "m", state.position[1], robot.track_radius, 0.01
+    )
+    yield probe("velocity along x", "m/s", state.velocity[0], drive / 2, 0.1 * drive)
+    yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
+    step, samples = robot.angle_step, round(100 * robot.decision_period)
+    for pair, index in (("front", 0), ("rear", 1)):
+        world = place(_FLAT, 0.0)
+        targets = [step if i == index else 0.0 for i in range(2)]
+        world.command(*targets)
+        angles = world.advance(samples)[-1, 3:]
+        yield probe(
+            f"{pair} flippers turned up by one action", "rad", angles[index], step, 0.15 * step
+        )
+        yield probe(f"the other pair, {pair} turned", "rad", angles[1 - index], 0.0, 0.15 * step)
+        yield from _lifted(probe, place(_FLAT, 0.0), pair, index, robot)
+    run = 3.0
+    ramp = Profile([(0.0, 0.0), (run, run * math.tan(_SLOPE))])
+    world = place(ramp, -0.9)
+    world.advance(math.ceil(100 * 1.9 / robot.track_speed))
+    yield probe("pitch on a ramp up of 15°, nose up", "rad", world.pitch, _SLOPE, 0.05)
+    x, z = world.position
+    above = z - ramp.height(x) - robot.track_radius / math.cos(_SLOPE)
+    yield probe("z above the ramp, beside the track's radius", "m", above, 0.0, 0.02)
+
+
+def _lifted(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
+    """Yield probes of the pitch half a second after one pair begins to press on the ground."""
+    turned = min(0.5 * robot.flipper_speed, robot.angle_limit)
+    world.command(*[-robot.angle_limit if i == index else 0.0 for i in range(2)])
+    before = world.advance(50)[-1, 2]
+    rate = world.state().pitch_rate
+    pitch = world.advance(2)[-1, 2]
+    # The robot turns about the level tip at its other end: rise and distance of the pressing tip.
+    reach = robot.flipper_axle
+    ahead = 2 * robot.hinge_offset + reach + reach * math.cos(turned)
+    sign = 1.0 if index == 0 else -1.0
+    lifted = sign * math.atan2(reach * math.sin(turned), ahead)
+    near, change = 0.3 * abs(lifted), (pitch - before) / 0.02
+    yield probe(f"pitch, {pair} flippers pressed down", "rad", before, lifted, near)
+    yield probe(f"pitch rate meanwhile ({pair})", "rad/s", rate, change, 0.5 * abs(change) + 0.02)
+
+
+def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
+    """Yield the probes of the observation before a step; noise, bias and delay are left out."""
+    plain = type(config.perception)(**dict(config.perception.layout))
+    layout, radius = plain.layout, config.robot.track_radius
+    rngs = np.random.default_rng(0), np.random.default_rng(0)
+    ground = Profile([(_EDGE, 0.0), (_EDGE, _STEP)])
+    perceiver = Perceiver(plain, ground, layout.reach + 3.0, config.robot, rngs)
+    state = RobotState(np.array([0.0, radius]), 0.3, 0.2, -0.1, np.zeros(2), 0.0, 0.0)
+    seen: FloatArray = perceiver.perceive(state).observation.astype(np.float64)
+    name = f"perception={config.perception.plugin_name}"
+
+    def probe(meaning: str, unit: str, index: int, expected: float) -> Probe:
+        return Probe(name, meaning, unit, float(seen[index]), expected, 0.02)
+
+    # In frame L, which is level whatever the pitch
+    yield probe("first height, behind the robot", "m", 0, -radius)
+    yield probe("last height, on the step ahead", "m", layout.bins - 1, _STEP - radius)
+    yield probe("front flippers", "rad", layout.bins, 0.2)
+    yield probe("rear flippers", "rad", layout.bins + 1, -0.1)
+    yield probe("pitch, nose up", "rad", layout.bins + 2, 0.3)
+
+
+def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
+    """Yield the probes of an exported policy's table of actions and timing."""
+    for index, moves in enumerate(ACTIONS):
+        for side, pair in enumerate(("front", "rear")):
+            found, expected = float(interface.actions[index, side]), moves[side] * robot.angle_step
+            yield Probe(
+                file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
+            )
+    period = interface.decision_period
+    yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
+    names = [quantity.name for quantity in interface.observation[-3:]]
+    right = names == ["theta_f1", "theta_f2", "theta_R"]
+    yield Probe(file, "order of the angles: front, rear, pitch", "-", float(right), 1.0, 0.0)

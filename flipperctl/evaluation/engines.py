@@ -1,0 +1,222 @@
+"""Compare two engines by the same commanded actions.
+
+In: an evaluation's configuration in one engine, and a policy. Out: for each episode, the outcomes,
+times and pitches of both engines. The policy drives in the default engine, that of the side plane;
+the other engine repeats its actions, whatever they lead to, so that only physics differs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Outcome, Perception, Policy, Simulator, action_index
+from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
+from flipperctl.env.actions import action_index as checked_index
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import Row, decisions
+from flipperctl.rollout.seeds import episode_seed
+
+PITCH_TOLERANCE = 0.05
+"""Largest root mean square of the pitches' difference at equal times that counts as equal [rad]."""
+TIME_TOLERANCE = 0.03
+"""Largest difference of the times to the finish that counts as equal, as a fraction [-]."""
+
+_SHARED = ("friction", "gravity")
+"""Settings that the default engine takes over from the other one."""
+Config = TypeVar("Config", bound=EnvConfig)
+
+
+@dataclass(frozen=True)
+class EngineEpisode:
+    """One episode, driven in the default engine and repeated in the other one."""
+
+    episode: int
+    """Index of the episode in the evaluation, from 0."""
+    seed: int
+    terrain: str
+    """Label of the sampled profile."""
+    outcomes: tuple[Outcome, Outcome]
+    """In the default engine, and in the other one."""
+    times: tuple[float, float]
+    """Times to the end of the episode [s]."""
+    swings: tuple[float, float]
+    """θ̂_R at 100 Hz [rad]."""
+    pitch_rms: float
+    """Root mean square of the pitches' difference, while both drive [rad]."""
+    parts_at: tuple[float, float] | None
+    """Time [s] and x [m] from which the pitches differ by more than ``PITCH_TOLERANCE``; None if
+    they never do."""
+
+    @property
+    def equal_outcomes(self) -> bool:
+        """Whether both engines lead to the same outcome."""
+        return self.outcomes[0] is self.outcomes[1]
+
+    @property
+    def both_reached(self) -> bool:
+        """Whether the finish was reached in both."""
+        return self.equal_outcomes and self.outcomes[0] is Outcome.REACHED
+
+    @property
+    def time_ratio(self) -> float:
+        """Time in the other engine, in times of the default one's, minus 1 [-]."""
+        return self.times[1] / self.times[0] - 1.0
+
+    @property
+    def agrees(self) -> bool:
+        """Whether outcomes, times and pitches are equal within the tolerances."""
+        near = self.pitch_rms <= PITCH_TOLERANCE and abs(self.time_ratio) <= TIME_TOLERANCE
+        return self.equal_outcomes and (near or not self.both_reached)
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {**asdict(self), "agrees": self.agrees}
+
+
+@dataclass(frozen=True)
+class EngineComparison:
+    """Two engines on one terrain."""
+
+    terrain: str
+    controller: str
+    """Label of the policy whose actions were repeated."""
+    engines: tuple[str, str]
+    seed: int
+    """Seed of the evaluation."""
+    conditions: Conditions
+    """Those of the other engine."""
+    episodes: tuple[EngineEpisode, ...]
+
+    @property
+    def reached(self) -> list[EngineEpisode]:
+        """Episodes in which both reached the finish."""
+        return [e for e in self.episodes if e.both_reached]
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        reached = self.reached
+        return {
+            "terrain": self.terrain,
+            "controller": self.controller,
+            "engines": list(self.engines),
+            "seed": self.seed,
+            "conditions": self.conditions.container(),
+            "equal_outcomes": sum(e.equal_outcomes for e in self.episodes) / len(self.episodes),
+            "agree": sum(e.agrees for e in self.episodes) / len(self.episodes),
+            "pitch_rms": mean(e.pitch_rms for e in reached),
+            "time_ratio": mean(e.time_ratio for e in reached),
+            "episodes": [e.container() for e in self.episodes],
+        }
+
+
+def mean(values: Any) -> float | None:
+    """Return the mean of some numbers; None if there are none."""
+    found = list(values)
+    return sum(found) / len(found) if found else None
+
+
+def in_default_engine(config: Config) -> Config:
+    """Return the configuration in the default engine, with friction and gravity as they are.
+
+    Raises:
+        ConfigError: the configuration is of that engine already.
+    """
+    sim = config.sim
+    if sim.plugin_name == DEFAULT_ENGINE:
+        raise ConfigError(
+            f"sim: sim={DEFAULT_ENGINE} is what the other engine is compared with; "
+            "choose another one, as in sim=mujoco"
+        )
+    shared = {name: getattr(sim, name) for name in _SHARED if name in type(sim).model_fields}
+    settings = {"name": DEFAULT_ENGINE, **shared}
+    return config.model_copy(update={"sim": resolver.create("sim", settings, "sim")})
+
+
+def compare_engines(
+    config: EvalConfig,
+    source: PolicySource,
+    report: Callable[[float], None] = lambda done: None,
+) -> EngineComparison:
+    """Play the evaluation's episodes in the default engine and repeat them in ``config``'s.
+
+    ``report`` is called with the number of finished episodes.
+
+    Raises:
+        ConfigError: ``config`` is of the default engine.
+        FlipperctlError: the policy cannot be built or failed.
+    """
+    first, second = FlipperEnv(config=in_default_engine(config)), FlipperEnv(config=config)
+    policy = source.build(config.perception)
+    found = []
+    for index in range(config.eval.episodes):
+        seed = episode_seed("evaluation", config.eval.seed, index)
+        actions, ours, row = _drive(first, policy, seed)
+        _, theirs, other = _drive(second, _Repeat(actions), seed)
+        found.append(_episode(index, (row, other), (ours, theirs)))
+        report(index + 1.0)
+    return EngineComparison(
+        config.terrain.plugin_name,
+        source.label(),
+        (DEFAULT_ENGINE, config.sim.plugin_name),
+        config.eval.seed,
+        Conditions.of(config),
+        tuple(found),
+    )
+
+
+class _Repeat:
+    """A policy that repeats actions, and then holds the flippers."""
+
+    def __init__(self, actions: Sequence[int]) -> None:
+        self._actions = actions
+
+    def reset(self, simulator: Simulator) -> None:
+        self._next = iter(self._actions)
+
+    def act(self, p: Perception) -> int:
+        return next(self._next, action_index(0, 0))
+
+
+def _drive(env: FlipperEnv, policy: Policy, seed: int) -> tuple[list[int], FloatArray, Row]:
+    """Play an episode; return its actions, its poses at 100 Hz, (S, 5), and its result."""
+    actions, poses, ending = [], [], None
+    for decision in decisions(env, policy, seed):
+        index = checked_index(decision.action)
+        assert index is not None  # decisions() checks it
+        actions.append(index)
+        poses.append(decision.poses[1:])
+        ending = decision.ending
+    assert ending is not None  # decisions() yields until there is one
+    return actions, np.concatenate(poses), ending
+
+
+def _episode(
+    index: int, rows: tuple[Row, Row], poses: tuple[FloatArray, FloatArray]
+) -> EngineEpisode:
+    first, second = rows
+    both = min(map(len, poses))
+    x, pitch = poses[0][:both, 0], poses[0][:both, 2]
+    differences = np.abs(poses[1][:both, 2] - pitch)
+    apart = np.flatnonzero(differences > PITCH_TOLERANCE)
+    parts_at = None
+    if apart.size:
+        sample = int(apart[0])
+        parts_at = round(0.01 * (sample + 1), 2), float(x[sample])
+    return EngineEpisode(
+        index,
+        first["seed"],
+        first["terrain"],
+        (Outcome(first["outcome"]), Outcome(second["outcome"])),
+        (first["t_cost"], second["t_cost"]),
+        (first["pitch_variation_100hz"], second["pitch_variation_100hz"]),
+        math.sqrt(float((differences**2).mean())),
+        parts_at,
+    )

@@ -1,0 +1,97 @@
+"""Pictures of a MuJoCo world, drawn offscreen through EGL or OSMesa.
+
+In: a model and its data. Out: arrays of pixels. A window system is not needed; EGL draws on a GPU
+or in software, OSMesa in software.
+"""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+from importlib import import_module
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.errors import FlipperctlError, RequestError
+
+_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
+"""Name in ``MUJOCO_GL`` → system library, in the order in which they are tried."""
+_INSTALL = "on Debian, apt install libegl1 libegl-mesa0, or libosmesa6"
+_MOST_GEOMS = 20_100
+_DISTANCE, _AZIMUTH, _ELEVATION = 2.6, 125.0, -18.0  # of the camera from the robot [m], [°], [°]
+
+
+class Camera:
+    """Follows the robot from behind at one side."""
+
+    def __init__(self, model: Any, width: int, height: int) -> None:
+        """Prepare pictures of ``width`` × ``height`` pixels.
+
+        Raises:
+            RequestError: the size is too large, or the machine has neither EGL nor OSMesa.
+            FlipperctlError: the library that there is cannot draw.
+        """
+        largest = model.vis.global_.offwidth, model.vis.global_.offheight
+        if not (0 < width <= largest[0] and 0 < height <= largest[1]):
+            raise RequestError(
+                f"a picture of {width} × {height} pixels; at most {largest[0]} × {largest[1]} "
+                "are allowed"
+            )
+        self._model = model
+        self._view = mujoco.MjrRect(0, 0, width, height)
+        self._gl = _context(width, height)
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._scene = mujoco.MjvScene(model, maxgeom=_MOST_GEOMS)
+        self._camera, self._options = mujoco.MjvCamera(), mujoco.MjvOption()
+        self._camera.distance = _DISTANCE
+        self._camera.azimuth, self._camera.elevation = _AZIMUTH, _ELEVATION
+
+    def draw(self, data: Any) -> NDArray[np.uint8]:
+        """Return a picture of the current state, (H, W, 3)."""
+        mujoco.mj_kinematics(self._model, data)  # ``mj_step`` leaves the bodies' poses behind
+        self._camera.lookat[:] = data.qpos[:3]
+        mujoco.mjv_updateScene(
+            self._model,
+            data,
+            self._options,
+            None,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            self._scene,
+        )
+        self._gl.make_current()
+        pixels = np.empty((self._view.height, self._view.width, 3), np.uint8)
+        mujoco.mjr_render(self._view, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, self._view, self._context)
+        return np.flipud(pixels)  # OpenGL begins at the bottom
+
+
+def _context(width: int, height: int) -> Any:
+    """Return an OpenGL context without a window.
+
+    Raises:
+        RequestError: the machine has neither EGL nor OSMesa.
+        FlipperctlError: the library that there is cannot draw.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
+    there = [name for name in names if ctypes.util.find_library(_LIBRARIES[name])]
+    if not there:
+        libraries = " nor ".join(_LIBRARIES[name] for name in names)
+        raise RequestError(
+            f"pictures of sim=mujoco need a library that draws without a window; this machine has "
+            f"{'neither ' if len(names) > 1 else 'no '}{libraries}: {_INSTALL}"
+        )
+    try:
+        return import_module(f"mujoco.{there[0]}").GLContext(width, height)
+    except Exception as error:  # the drivers' errors have no common class
+        raise FlipperctlError(
+            f"pictures of sim=mujoco: {_LIBRARIES[there[0]]} cannot draw on this machine "
+            f"({' '.join(str(error).split())[:200]}); try the other library with "
+            f"MUJOCO_GL={'osmesa' if there[0] == 'egl' else 'egl'}, or: {_INSTALL}"
+        ) from error

@@ -1,0 +1,168 @@
+"""The ground in 3-D: a profile extruded sideways, as boxes.
+
+In: a profile, the engine's settings and a generator. Out: boxes that fill the ground below the
+profile as far as tracks feel it. MuJoCo's boxes give every capsule on them two contacts in a line;
+with convex meshes, tracks stalled at ridges between facets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Profile
+from flipperctl.errors import TerrainError
+
+if TYPE_CHECKING:
+    from flipperctl.sim.mujoco.engine import Mujoco
+
+LEVEL_GROUND = 20.0
+"""Length of the level ground before and past the profile [m]."""
+MOST = 20_000
+"""Largest number of boxes, with which a reset takes about 1 s."""
+
+_BELOW = 0.3  # ground below the lowest point [m]
+_THICK, _THIN = 0.1, 0.01
+"""Largest and smallest thickness of the board below a slope [m].
+
+At ridges sharper than 90° the thinnest board still sticks out on the other side, by less than its
+thickness.
+"""
+_PATCH = 0.25  # length of a patch of rough ground [m]
+_STRIP = 0.2  # width of a patch of rough ground [m]
+_ROUGH_HALF = 1.0  # rough ground to each side of the middle [m]
+_ROUGH_MARGIN = 0.2  # rough ground before the first and past the last edge [m]
+
+
+class Box(NamedTuple):
+    """A box in world whose upper face is ground."""
+
+    centre: tuple[float, float, float]
+    """x, y, z [m]."""
+    half: tuple[float, float, float]
+    """Half its length, width and thickness [m]."""
+    tilt: float
+    """Slope of its upper face, up towards +x positive [rad]."""
+
+
+def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
+    """Return the ground's boxes; ``rng`` draws the roughness.
+
+    Raises:
+        TerrainError: there would be more than ``MOST``.
+    """
+    line = profile.extended(LEVEL_GROUND, LEVEL_GROUND)
+    base = float(line[:, 1].min()) - _BELOW - sim.roughness
+    found: list[Box] = []
+    for low, high in pairwise(_strips(sim)):
+        strip = _lowered(line, sim.one_sided) if high <= 0 else line
+        if sim.roughness and max(-low, high) <= _ROUGH_HALF:
+            ends = profile.start - _ROUGH_MARGIN, profile.end + _ROUGH_MARGIN
+            strip = _roughened(strip, ends, sim.roughness, rng)
+        found += _extruded(strip, low, high, base)
+        if len(found) > MOST:
+            raise TerrainError(
+                f"sim=mujoco: the profile of {len(profile.points)} points needs more than {MOST} "
+                "boxes; cut it, sample it more coarsely or lower sim.roughness to 0"
+            )
+    return found
+
+
+def _strips(sim: Mujoco) -> list[float]:
+    """Return the borders between strips along x, y from right to left [m]."""
+    half = sim.ground_width / 2
+    borders = {-half, half}
+    if sim.one_sided:
+        borders.add(0.0)
+    if sim.roughness:
+        count = round(2 * _ROUGH_HALF / _STRIP)
+        borders |= {float(y) for y in np.linspace(-_ROUGH_HALF, _ROUGH_HALF, count + 1)}
+    return sorted(y for y in borders if abs(y) <= half)
+
+
+def _lowered(line: FloatArray, fraction: float) -> FloatArray:
+    """Return the polyline with the obstacle lowered to the line between its ends.
+
+    A single riser has no length, and stays.
+    """
+    (x0, z0), (x1, z1) = line[1], line[-2]
+    if x1 == x0:
+        return line
+    between = z0 + (z1 - z0) * np.clip((line[:, 0] - x0) / (x1 - x0), 0.0, 1.0)
+    return np.column_stack([line[:, 0], line[:, 1] + fraction * (between - line[:, 1])])
+
+
+def _roughened(
+    line: FloatArray, ends: tuple[float, float], height: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return the polyline with each patch between the ends shifted by up to ± ``height`` [m]."""
+    first = ends[0] + rng.uniform(0.0, _PATCH)  # no border lies at a face
+    borders = [ends[0], *np.arange(first, ends[1], _PATCH), ends[1]]
+    parts = [_cut(line, -math.inf, ends[0])]
+    for low, high in pairwise(borders):
+        part = _cut(line, low, high)
+        part[:, 1] += rng.uniform(-height, height)
+        parts.append(part)
+    return np.concatenate([*parts, _cut(line, ends[1], math.inf)])
+
+
+def _cut(line: FloatArray, low: float, high: float) -> FloatArray:
+    """Return the part of the polyline with x between ``low`` and ``high``."""
+    inside = line[(line[:, 0] > low) & (line[:, 0] < high)]
+    ends = [[x, float(np.interp(x, *line.T))] for x in (low, high) if math.isfinite(x)]
+    before = ends[:1] if math.isfinite(low) else []
+    after = ends[-1:] if math.isfinite(high) else []
+    return np.array([*before, *inside.tolist(), *after])
+
+
+def _extruded(line: FloatArray, low: float, high: float, base: float) -> Iterator[Box]:
+    """Yield the boxes of a strip between y ``low`` and ``high`` [m], down to ``base`` [m]."""
+    line = _without_repeats(line)
+    steps = np.diff(line, axis=0)
+    level = steps[:, 1] == 0
+    middle, half = (low + high) / 2, (high - low) / 2
+    for i, ((x0, z0), (x1, z1)) in enumerate(pairwise(line.tolist())):
+        if level[i]:
+            depth = (z0 - base) / 2
+            yield Box(((x0 + x1) / 2, middle, z0 - depth), ((x1 - x0) / 2, half, depth), 0.0)
+            continue
+        if x1 == x0 and level[i + 1 if z1 > z0 else i - 1]:
+            continue  # the side of the column at the top is this face
+        tilt, length = math.atan2(z1 - z0, x1 - x0), math.hypot(x1 - x0, z1 - z0)
+        thick = _thickness(line, i) / 2
+        x = (x0 + x1) / 2 + thick * math.sin(tilt)
+        z = (z0 + z1) / 2 - thick * math.cos(tilt)
+        yield Box((x, middle, z), (length / 2, half, thick), tilt)
+
+
+def _without_repeats(line: FloatArray) -> FloatArray:
+    """Return the polyline without repeated points and without points on level ground."""
+    line = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
+    z = line[:, 1]
+    flat = np.concatenate([[False], (z[1:-1] == z[:-2]) & (z[1:-1] == z[2:]), [False]])
+    kept: FloatArray = line[~flat]
+    return kept
+
+
+def _thickness(line: FloatArray, index: int) -> float:
+    """Return how thick a board below segment ``index`` may be without leaving the ground [m]."""
+    a, b = line[index], line[index + 1]
+    x = line[:, 0]
+    first = int(np.searchsorted(x, a[0] - _THICK, side="left"))
+    last = int(np.searchsorted(x, b[0] + _THICK, side="right"))
+    near = line[max(0, first - 1) : last + 1] - a
+    length = math.dist(a, b)
+    ahead = (b - a) / length
+    s, depth = near @ ahead, near @ np.array([ahead[1], -ahead[0]])  # along and inward [m]
+    thickness = _THICK
+    for (s0, d0), (s1, d1) in pairwise(np.column_stack([s, depth]).tolist()):
+        low, high = max(0.0, min(s0, s1)), min(length, max(s0, s1))
+        if high - low < 1e-9 or max(d0, d1) < 1e-9:
+            continue  # beside the board, or above the ground's surface
+        ends = [d0 + (d1 - d0) * (at - s0) / (s1 - s0) for at in (low, high)]
+        thickness = min(thickness, *ends)
+    return max(_THIN, thickness)

@@ -1,0 +1,241 @@
+"""The MuJoCo world: a robot with two main tracks and four flippers on an extruded profile.
+
+In: a profile, the robot, the engine's settings and a start. Out: the robot's pose every 10 ms, and
+its whole ``RobotState`` on request. The pitch and the roll are measured against gravity, positions
+in the ground's frame; both agree unless ``lateral_slope`` is set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import (
+    NO_LIMITS,
+    SAMPLE_PERIOD,
+    FloatArray,
+    Limits,
+    Outcome,
+    Profile,
+    Robot,
+    RobotState,
+    Start,
+)
+from flipperctl.errors import ConfigError, NonFiniteError
+from flipperctl.sim.mujoco.ground import boxes
+from flipperctl.sim.mujoco.model import build
+
+if TYPE_CHECKING:
+    from flipperctl.sim.mujoco.camera import Camera
+    from flipperctl.sim.mujoco.engine import Mujoco
+
+_SERVO_RATE = 25.0
+"""Velocity that a servo demands for each rad of its angle's error [1/s]."""
+_LARGEST_STEER = 0.5
+"""Largest difference of a belt's speed from the robot's by steering, as a fraction [-]."""
+_STEER_AHEAD = 1.0
+"""Steering aims at the middle of the ground this far ahead [m]."""
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_HINGES = slice(7, 11)  # of qpos, after the free joint
+_BAD = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+
+
+def _ignore(text: str) -> None:
+    """Drop MuJoCo's warnings, which it else writes to a file in the working directory.
+
+    Divergence is read from the counts in its data.
+    """
+
+
+class MujocoWorld:
+    """One robot on one profile; rebuilt for every episode, so that replays are bit-identical."""
+
+    def __init__(self, profile: Profile, robot: Robot, sim: Mujoco, start: Start) -> None:
+        """Place the robot level at ``start``, resting on the lower flippers or the chassis.
+
+        Raises:
+            ConfigError: the start lies beside the ground.
+            TerrainError: the profile needs too many boxes.
+        """
+        mujoco.set_mju_user_warning(_ignore)
+        self.robot, self.sim, self.profile = robot, sim, profile
+        rng = _generator(profile, start, sim.variation)
+        yaw = sim.yaw * rng.uniform(-1.0, 1.0)
+        side = sim.offset * rng.uniform(-1.0, 1.0)
+        self._half_width = sim.ground_width / 2
+        if abs(side) > self._half_width:
+            raise ConfigError(
+                f"sim.offset: the start lies {abs(side):.2f} m beside the middle of a ground of "
+                f"{sim.ground_width:g} m; sim.ground_width must be larger"
+            )
+        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim)
+        self.data = mujoco.MjData(self.model)
+        self._substeps = round(SAMPLE_PERIOD / sim.substep)
+        self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
+        self._samples = 0
+        self._camera: tuple[tuple[int, int], Camera] | None = None
+        self._targets = np.array([start.front, start.rear, start.front, start.rear])
+        below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
+        lift = robot.track_radius + robot.flipper_axle * below
+        pose = self.data.qpos
+        pose[:3] = start.x, side, profile.height(start.x) + lift
+        pose[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        pose[_HINGES] = self._targets
+
+    def command(self, front: float, rear: float) -> None:
+        """Set the target angles of the flippers in frame R, left and right alike [rad]."""
+        self._targets = np.array([front, rear, front, rear])
+
+    def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
+        """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5).
+
+        See ``flipperctl.api.World``.
+
+        Raises:
+            NonFiniteError: the simulation diverged.
+        """
+        poses = np.empty((samples, 5))
+        for sample in range(samples):
+            self._drive()
+            mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+            self._samples += 1
+            x, z = self.position
+            pitch = self.pitch
+            poses[sample] = x, z, pitch, *self._angles()
+            if limits.reached(x, z, pitch) or self.ended() is not None:
+                poses = poses[: sample + 1]
+                break
+        self._check_divergence()
+        return poses
+
+    def _drive(self) -> None:
+        """Set the velocities of the servos and the speeds of the belts for one sample."""
+        angles = self.data.qpos[_HINGES]
+        targets = self._targets
+        if self.sim.roll_gain:
+            turn = self.sim.roll_gain * (self.roll - self.sim.lateral_slope)
+            targets = targets + turn * np.array([1.0, 1.0, -1.0, -1.0])
+        limit, rate = self.robot.angle_limit, self.robot.flipper_speed
+        errors = np.minimum(np.maximum(targets, -limit), limit) - angles
+        self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
+        if self.sim.heading_gain:
+            steer = self.sim.heading_gain * (self.yaw + self.data.qpos[1] / _STEER_AHEAD)
+            steer = min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
+            self.model.geom_surfacevel[:] = self._belts * (1.0 + steer * self._sides)[:, None]
+
+    def _check_divergence(self) -> None:
+        if any(self.data.warning[bad].number for bad in _BAD):
+            raise NonFiniteError(
+                f"sim=mujoco diverged before time {self.time:.2f} s; a smaller sim.substep than "
+                f"{self.sim.substep:g} s may help"
+            )
+
+    def ended(self) -> Outcome | None:
+        """Return OVERTURNED if the robot rolled over sideways or left the ground at its side."""
+        fell = abs(self.data.qpos[1]) > self._half_width
+        return Outcome.OVERTURNED if fell or abs(self.roll) >= self.sim.roll_limit else None
+
+    @property
+    def time(self) -> float:
+        """Time since the start of the episode [s]."""
+        return self._samples * SAMPLE_PERIOD
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """World coordinates (x, z) of the chassis centre [m]."""
+        pose = self.data.qpos
+        return float(pose[0]), float(pose[2])
+
+    @property
+    def pitch(self) -> float:
+        """Angle of the chassis' x axis above the horizontal, past ±π/2 if it points back [rad]."""
+        x, y, z = self._axis(0)
+        _, up_y, up_z = self._up.tolist()
+        rise = y * up_y + z * up_z
+        return math.atan2(rise, math.copysign(math.sqrt(max(0.0, 1.0 - rise * rise)), x))
+
+    @property
+    def roll(self) -> float:
+        """Angle of the chassis' y axis, to the left, above the horizontal [rad]."""
+        _, y, z = self._axis(1)
+        _, up_y, up_z = self._up.tolist()
+        return math.asin(min(1.0, max(-1.0, y * up_y + z * up_z)))
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the chassis from the x axis, to the left positive [rad]."""
+        x, y, _ = self._axis(0)
+        return math.atan2(y, x)
+
+    def _axis(self, index: int) -> tuple[float, float, float]:
+        """Return the chassis' x (0) or y (1) axis in world; ``mj_step`` leaves ``xmat`` behind."""
+        w, x, y, z = self.data.qpos[3:7].tolist()
+        if index == 0:
+            return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
+
+    def _angles(self) -> tuple[float, float]:
+        """Return the angles of the front and the rear pair, the means of both sides [rad]."""
+        front_left, rear_left, front_right, rear_right = self.data.qpos[_HINGES].tolist()
+        return (front_left + front_right) / 2, (rear_left + rear_right) / 2
+
+    def state(self) -> RobotState:
+        """Return the current state."""
+        data = self.data
+        front, rear = self._angles()
+        return RobotState(
+            position=np.array(self.position),
+            pitch=self.pitch,
+            front=front,
+            rear=rear,
+            velocity=data.qvel[[0, 2]],
+            pitch_rate=-float(data.qvel[4]),
+            time=self.time,
+            roll=self.roll,
+            yaw=self.yaw,
+            side=float(data.qpos[1]),
+        )
+
+    def penetration(self) -> float:
+        """Return the largest depth by which the robot overlaps the ground [m]."""
+        mujoco.mj_fwdPosition(self.model, self.data)
+        return max(0.0, -float(np.min(self.data.contact.dist, initial=0.0)))
+
+    def draw(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the current state from behind the robot, (H, W, 3).
+
+        Raises:
+            RequestError: the picture is too large, or the machine has neither EGL nor OSMesa.
+            FlipperctlError: the library that there is cannot draw.
+        """
+        from flipperctl.sim.mujoco.camera import Camera
+
+        if self._camera is None or self._camera[0] != (width, height):
+            self._camera = (width, height), Camera(self.model, width, height)
+        return self._camera[1].draw(self.data)
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot for ``load``, from which runs continue bit for bit."""
+        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state, self._targets, self._samples
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Return to a snapshot."""
+        state, self._targets, self._samples = saved
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+
+
+def _generator(profile: Profile, start: Start, seed: int) -> np.random.Generator:
+    """Return the generator of an episode's variation: equal arguments give equal worlds."""
+    digest = hashlib.sha256(profile.points.tobytes() + np.array([*start, seed]).tobytes()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:16], "little"))

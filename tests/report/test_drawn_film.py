@@ -1,0 +1,120 @@
+"""Films and pictures of an engine that draws itself."""
+
+import ctypes.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from flipperctl.api import Limits, Profile, Robot, Start
+from flipperctl.config import EvalConfig
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.policies.source import PolicySource
+from flipperctl.report.drawn_film import FilmedWorld, film
+from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco.world import MujocoWorld
+from tests.cli.call import call
+
+LEVEL = PolicySource.of_plugin("level", "--controller")
+DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
+
+
+def place(x: float = -0.8) -> Any:
+    return Mujoco().place(Profile([(0, 0), (0, 0.1)]), Robot(), Start(x))
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw pictures whose first pixel counts the samples."""
+
+    def draw(self: MujocoWorld, width: int, height: int) -> np.ndarray:
+        picture = np.zeros((height, width, 3), np.uint8)
+        picture[:, :, 0] = self._samples % 251  # neighbours differ, or a GIF merges them
+        return picture
+
+    monkeypatch.setattr(MujocoWorld, "draw", draw)
+
+
+@pytest.mark.usefixtures("drawn")
+@pytest.mark.parametrize("limits", [Limits(), Limits(x=-0.7)])
+def test_a_filmed_world_runs_as_it_does_alone(limits: Limits) -> None:
+    frames: list[np.ndarray] = []
+    alone, filmed = place(), FilmedWorld(place(), frames)
+    poses = []
+    for world in (alone, filmed):
+        world.command(0.3, 0.0)
+        poses.append(np.concatenate([world.advance(37, limits), world.advance(37, limits)]))
+    assert np.array_equal(*poses)
+    count = len(poses[0])
+    assert [int(frame[0, 0, 0]) for frame in frames] == list(range(0, count + 1, 20))
+    saved = filmed.save()
+    filmed.load(saved)
+    assert filmed.state().time == alone.state().time
+    assert filmed.penetration() == alone.penetration()
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_film_is_an_animation_of_the_whole_episode(tmp_path: Path) -> None:
+    config = EvalConfig(terrain={"name": "flat", "length": 0.5}, sim="mujoco")
+    film(config, LEVEL, 0, tmp_path / "drive.gif")
+    with Image.open(tmp_path / "drive.gif") as picture:
+        frames = getattr(picture, "n_frames", 1)
+        assert picture.size == (640, 480)
+    assert frames == pytest.approx(2.5 / 0.2 * 5, abs=3)  # 2.5 m at 0.2 m/s, 5 pictures a second
+
+
+def test_an_engine_without_pictures_has_no_film(tmp_path: Path) -> None:
+    config = EvalConfig(terrain="step")
+    with pytest.raises(RequestError, match="sim=planar draws no pictures"):
+        film(config, LEVEL, 0, tmp_path / "drive.gif")
+
+
+def test_a_film_is_of_one_episode_and_of_a_known_format(tmp_path: Path) -> None:
+    asked = ["transfer", "--controller", "level", "terrain=step"]
+    done = call(*asked, "--film", "a.gif", cwd=tmp_path)
+    assert (done.code, "--only INDEX" in done.err) == (2, True)
+    done = call(*asked, "--only", "0", "--film", "a.mp4", cwd=tmp_path)
+    assert done.code == 2
+    assert "a film ends in .gif, .webp, .png; got '.mp4'" in done.err
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [("", "has neither EGL nor OSMesa: on Debian, apt install libegl1"), ("egl", "has no EGL")],
+)
+def test_without_a_library_the_error_names_what_to_install(
+    variable: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", variable)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    with pytest.raises(RequestError, match=words):
+        place().draw(64, 48)
+
+
+def test_a_driver_that_cannot_draw_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from flipperctl.sim.mujoco import camera
+
+    def fail(name: str) -> None:
+        raise RuntimeError("no device")
+
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: "there")
+    monkeypatch.setattr(camera, "import_module", fail)
+    with pytest.raises(FlipperctlError, match=r"EGL cannot draw .*\(no device\).*MUJOCO_GL=osmesa"):
+        place().draw(64, 48)
+
+
+def test_a_picture_has_a_largest_size() -> None:
+    with pytest.raises(RequestError, match="at most 1920 × 1080 are allowed"):
+        place().draw(1921, 1080)
+
+
+@pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
+def test_a_picture_shows_the_robot_before_the_sky() -> None:
+    picture = place().draw(160, 120)
+    assert picture.shape == (120, 160, 3)
+    sky = picture[2].mean(axis=0)
+    assert sky[2] > 200  # bright and bluish above
+    robot = (picture[..., 0] > 150) & (picture[..., 2] < 60)
+    assert robot.sum() > 100  # orange boards of the tracks

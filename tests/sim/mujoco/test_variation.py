@@ -1,0 +1,96 @@
+"""What the side plane cannot show: heading, lateral slope, roll, and falling off the ground."""
+
+import math
+
+import pytest
+
+from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start
+from flipperctl.env.ends import Ends
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco.world import MujocoWorld
+
+FLAT = Profile([(0.0, 0.0)])
+
+
+def place(x: float = 0.0, profile: Profile = FLAT, **sim: float) -> MujocoWorld:
+    world = Mujoco(**sim).place(profile, Robot(), Start(x))
+    assert isinstance(world, MujocoWorld)
+    return world
+
+
+def turn(world: MujocoWorld, yaw: float) -> None:
+    world.data.qpos[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+
+
+@pytest.mark.parametrize("yaw", [-0.3, 0.3])
+def test_steering_brings_the_robot_back_to_the_middle(yaw: float) -> None:
+    steered, free = place(), place(heading_gain=0.0)
+    for world in (steered, free):
+        turn(world, yaw)
+        assert world.yaw == pytest.approx(yaw)
+        world.advance(2000)
+    assert steered.yaw == pytest.approx(0.0, abs=0.02)
+    assert steered.state().side == pytest.approx(0.0, abs=0.02)
+    # 20 s at 0.2 m/s are 4 m along its heading
+    assert free.yaw == pytest.approx(yaw, abs=0.01)
+    assert free.state().side == pytest.approx(4.0 * math.sin(yaw), rel=0.02)
+
+
+def test_on_a_lateral_slope_the_robot_rolls_and_holds_its_line() -> None:
+    world = place(lateral_slope=0.2)
+    assert world.roll == pytest.approx(0.2)  # against gravity, left up
+    world.advance(1000)
+    state = world.state()
+    assert (state.roll, state.pitch) == pytest.approx((0.2, 0.0), abs=2e-3)
+    assert state.position[0] == pytest.approx(2.0, rel=0.02)
+    assert abs(state.side) < 0.05
+
+
+def test_the_lower_side_is_the_right_one() -> None:
+    # With a friction of 0.1 it slides down a slope of 0.2 rad, to the right.
+    world = place(lateral_slope=0.2, friction=0.1)
+    world.advance(100)
+    assert world.state().side < -0.2
+
+
+def test_a_roll_correction_turns_the_lower_flippers_down() -> None:
+    # The left side stands 0.1 m higher, so that the robot rolls.
+    block = Profile([(-2.0, 0.0), (-2.0, 0.1), (2.0, 0.1), (2.0, 0.0)])
+    rolls = {}
+    for gain in (0.0, 1.0):
+        world = place(0.0, block, one_sided=1.0, roll_gain=gain, heading_gain=0.0)
+        world.advance(200)
+        rolls[gain] = world.roll
+        left, right = world.data.qpos[7], world.data.qpos[9]
+        assert left - right == pytest.approx(2 * gain * world.roll, abs=0.02)
+    assert 0.0 < rolls[1.0] < rolls[0.0]
+
+
+def test_a_roll_ends_as_overturned() -> None:
+    env = FlipperEnv("flat", sim={"name": "mujoco", "lateral_slope": 0.2, "roll_limit": 0.1})
+    env.reset(seed=0)
+    *_, terminated, truncated, info = env.step(4)
+    assert (info["outcome"], terminated, truncated) == (Outcome.OVERTURNED, True, False)
+
+
+def test_leaving_the_ground_sideways_ends_as_overturned() -> None:
+    world = place(ground_width=1.0, heading_gain=0.0)
+    assert isinstance(world, EndingWorld)
+    turn(world, 0.7)
+    ends = Ends(Profile([(0.0, 0.0), (9.0, 0.0)]), Robot(), FlipperEnv("flat").config.episode, 0, 1)
+    assert ends.instant(world) is None
+    poses = world.advance(1000, ends.limits)
+    assert len(poses) < 1000
+    assert world.state().side > 0.5
+    assert ends.instant(world) is Outcome.OVERTURNED
+
+
+def test_a_start_beside_the_ground_is_refused() -> None:
+    def place_all() -> None:  # about half of these starts lie more than 0.5 m aside
+        for i in range(20):
+            Mujoco(ground_width=1.0, offset=1.0).place(FLAT, Robot(), Start(-1.0 - 0.01 * i))
+
+    with pytest.raises(ConfigError, match=r"sim\.ground_width must be larger"):
+        place_all()
