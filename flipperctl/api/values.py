@@ -18,7 +18,6 @@ FloatArray = NDArray[np.float64]
 
 ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
 """Action index → (front, rear); +1 raises the flipper pair by one angle step (paper Eq. 3)."""
-
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""
 
