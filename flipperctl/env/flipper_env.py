@@ -20,6 +20,7 @@ from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
+    DrawingWorld,
     Outcome,
     Profile,
     RobotState,
@@ -33,9 +34,10 @@ from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rewards import RewardSum
-from flipperctl.env.scene import Scene
+from flipperctl.env.scene import HEIGHT, WIDTH, Scene
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import ConfigError, NonFiniteError, TerrainError
+from flipperctl.guard import fault
 from flipperctl.messages import close_match
 
 Observation = NDArray[np.float32]
@@ -274,9 +276,22 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene, (H, W, 3); None without ``render_mode="rgb_array"``."""
+        """Return a picture, (HEIGHT, WIDTH, 3); None without ``render_mode="rgb_array"``.
+
+        It is the engine's own, if its world is a ``DrawingWorld``, else the scene from the side.
+
+        Raises:
+            RequestError: the machine lacks what the engine draws with.
+            PluginFailedError: the code of the engine failed.
+        """
         if self.render_mode is None:
             return None
+        world = self.drive.world
+        if isinstance(world, DrawingWorld):
+            try:
+                return world.draw(WIDTH, HEIGHT)
+            except BaseException as error:
+                raise fault(error, self._sections[0], "draw") from error
         if self._renderer is None:
             from flipperctl.env.render import Renderer
 

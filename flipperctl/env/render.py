@@ -27,6 +27,7 @@ from flipperctl.api import (
     RobotState,
     candidate_angle,
 )
+from flipperctl.env.scene import HEIGHT, WIDTH
 from flipperctl.sim.outline import axles, belt_marks, outlines
 
 if TYPE_CHECKING:
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
 CHASSIS, FRONT, REAR, HEIGHTS = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 GROUND, EARTH, BELT = "#6E6356", "#E4DED4", "#2B2B2B"
 INK, FAINT = "#222222", "#757575"
-
-WIDTH, HEIGHT = 960, 480
-"""Width and height of the picture [px]."""
 
 _DPI = 100
 _BOX = (0.06, 0.215, 0.925, 0.765)  # the axes in the figure: left, bottom, width, height [-]

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from flipperctl.api import Outcome, Perception, Profile, RobotState
 
+WIDTH, HEIGHT = 960, 480
+"""Width and height of a picture [px]."""
+
 
 @dataclass(frozen=True)
 class Scene:

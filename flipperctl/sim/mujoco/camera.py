@@ -68,7 +68,7 @@ class Camera:
         pixels = np.empty((self._view.height, self._view.width, 3), np.uint8)
         mujoco.mjr_render(self._view, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, None, self._view, self._context)
-        return np.flipud(pixels)  # OpenGL begins at the bottom
+        return pixels[::-1].copy()  # OpenGL begins at the bottom
 
 
 def _context(width: int, height: int) -> Any:

@@ -1,14 +1,22 @@
 """The whole task in 3-D: environment, evaluation and training take the engine by its name."""
 
+import ctypes.util
 import json
 from pathlib import Path
 
 import gymnasium
 import numpy as np
+import pytest
 from gymnasium.utils.env_checker import check_env
 
 from flipperctl import checkpoint
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.scene import HEIGHT, WIDTH
+from flipperctl.errors import PluginFailedError, RequestError
+from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import RUN, call
+
+DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
 
 
 def test_the_environment_keeps_gymnasiums_contract() -> None:
@@ -17,6 +25,43 @@ def test_the_environment_keeps_gymnasiums_contract() -> None:
     first, second = (env.reset(seed=3)[0] for _ in range(2))
     assert np.array_equal(first, second)
     env.close()
+
+
+@pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
+def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
+    drawn, plain = (
+        FlipperEnv("step", sim="mujoco", render_mode=mode) for mode in ("rgb_array", None)
+    )
+    observations = [env.reset(seed=2)[0] for env in (drawn, plain)]
+    for action in (8, 0, 4):
+        picture = drawn.render()
+        assert picture is not None
+        assert (picture.shape, picture.dtype) == ((HEIGHT, WIDTH, 3), np.uint8)
+        assert np.array_equal(picture, drawn.render())
+        orange = (picture[..., 0] > 150) & (picture[..., 2] < 60)  # boards of the tracks
+        assert orange.sum() > 1000
+        assert np.array_equal(*observations)
+        observations = [env.step(action)[0] for env in (drawn, plain)]
+    assert plain.render() is None
+
+
+def test_render_names_what_is_missing_and_whose_fault_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = FlipperEnv("step", sim="mujoco", render_mode="rgb_array")
+    env.reset(seed=2)
+    with monkeypatch.context() as patched:
+        patched.delenv("MUJOCO_GL", raising=False)
+        patched.setattr(ctypes.util, "find_library", lambda name: None)
+        with pytest.raises(RequestError, match="has neither EGL nor OSMesa: on Debian"):
+            env.render()
+
+    def draw(self: MujocoWorld, width: int, height: int) -> np.ndarray:
+        raise ValueError("no colours")
+
+    monkeypatch.setattr(MujocoWorld, "draw", draw)
+    with pytest.raises(PluginFailedError, match="sim 'mujoco': draw raised ValueError: no colours"):
+        env.render()
 
 
 def test_eval_repeats_bit_for_bit_and_with_several_processes(tmp_path: Path) -> None:
