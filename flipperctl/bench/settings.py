@@ -25,6 +25,9 @@ FAMILIES = (
 )
 """Terrains of the generalist's training, for measures over all kinds of ground."""
 
+ENGINE_GROUNDS = ("flat", "stair", "plum", "paper_stair")
+"""Terrains on which engines are timed: level ground, edges, many edges, the paper's scene."""
+
 SMALL: Mapping[str, Any] = {
     "repeats": 2,
     "episodes": 1,
@@ -53,14 +56,15 @@ class BenchSettings(Settings):
     )
     seed: int = Field(0, ge=0, le=2**31 - 1, description="seed of all random numbers [-]")
     controller: str = Field(
-        "okada", description="physics, accuracy, lookahead: controller plugin that drives [-]"
+        "okada",
+        description="physics, engines, accuracy, lookahead: controller plugin that drives [-]",
     )
     episodes: int = Field(
         4,
         ge=1,
         le=1000,
-        description="physics: episodes per round; lookahead: episodes per terrain and controller "
-        "whose decisions are predicted [-]",
+        description="physics, engines: episodes per round; lookahead: episodes per terrain and "
+        "controller whose decisions are predicted [-]",
     )
     starts: int = Field(
         20, ge=1, le=10_000, description="accuracy: starts per scene, episodes per terrain [-]"
@@ -69,7 +73,8 @@ class BenchSettings(Settings):
         len(FAMILIES),
         ge=1,
         le=len(FAMILIES),
-        description=f"accuracy, lookahead: terrains, the first of {', '.join(FAMILIES)} [-]",
+        description=f"accuracy, lookahead: terrains, the first of {', '.join(FAMILIES)}; engines: "
+        f"the first of {', '.join(ENGINE_GROUNDS)} [-]",
     )
     updates: int = Field(200, ge=1, le=100_000, description="learner: updates per round [-]")
     batch_sizes: tuple[int, ...] = Field(

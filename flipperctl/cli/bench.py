@@ -19,14 +19,15 @@ if TYPE_CHECKING:
     from flipperctl.config import TrainConfig
 
 MEASURES = (
-    *("physics", "accuracy", "lookahead", "learner", "solve"),
+    *("physics", "engines", "accuracy", "lookahead", "learner", "solve"),
     *("latency", "startup", "discovery", "scaling"),
 )
 SECTION = "bench."
 
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
-[bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of its substep;
+[bold]physics[/] the environment against Chipmunk alone; [bold]engines[/] simulated time per CPU
+time of each engine; [bold]accuracy[/] of the substep;
 [bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
 [bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes
 succeed, against it too;
