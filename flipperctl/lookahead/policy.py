@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
-_OF_EACH = 2
+_OF_EACH = 1
 """Nodes that a search keeps for each first action when the costs of all actions are asked for."""
 _STANDS = 0.03
 """Way in one decision below which the robot stands [m]."""
