@@ -44,13 +44,13 @@ def test_the_default_is_nominal_for_both() -> None:
     assert policy.rewards != rule.rewards  # a policy keeps those of its training
 
 
-def test_the_generalists_training_is_varied_and_moves_neither_ground_nor_start() -> None:
-    words = ["nominal", "varied", "trained"]
+def test_the_generalists_training_is_wide_and_moves_neither_ground_nor_start() -> None:
+    words = ["nominal", "wide", "trained"]
     found = scenes(["terrain=rubble", f"conditions={','.join(words)}"], GENERALIST, None)
-    nominal, varied, trained = (config for config, _ in found)
+    nominal, wide, trained = (config for config, _ in found)
     assert [config.conditions for config, _ in found] == words
-    assert varied.environment() == trained.environment()
-    exact, drawn = FlipperEnv(config=nominal), FlipperEnv(config=varied)
+    assert wide.environment() == trained.environment()
+    exact, drawn = FlipperEnv(config=nominal), FlipperEnv(config=wide)
     for seed in range(3):
         exact.reset(seed=seed)
         drawn.reset(seed=seed)
