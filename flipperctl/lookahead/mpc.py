@@ -28,6 +28,13 @@ class Mpc(Controller):
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
+    of_each: int = Field(
+        0,
+        ge=0,
+        le=64,
+        description="nodes kept at each depth for each first action besides ``beam``; above 0 the "
+        "costs of all actions are known, from which a student learns more [-]",
+    )
     wider: float = Field(
         3.0, ge=1, le=8, description="width of the second search as a multiple of ``beam`` [-]"
     )

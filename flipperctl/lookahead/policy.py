@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
-_OF_EACH = 1
-"""Nodes that a search keeps for each first action when the costs of all actions are asked for."""
 _STANDS = 0.03
 """Way in one decision below which the robot stands [m]."""
 _PATIENCE = 3
@@ -76,7 +74,7 @@ class MpcPolicy:
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the cost of the best plan that begins with each action, (9,) [s]."""
-        costs = self._plan_from(p, of_each=_OF_EACH).costs
+        costs = self._plan_from(p).costs
         return np.where(np.isfinite(costs), costs, NO_PLAN)
 
     def took(self, action: int) -> None:
@@ -87,11 +85,8 @@ class MpcPolicy:
         turns = [turn * robot.angle_step for turn in ACTIONS[action]]
         self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
 
-    def _plan_from(self, p: Perception, of_each: int = 0) -> Plan:
-        """Search from here; remember the plan and the measured angles.
-
-        ``of_each``: nodes that the searches keep for each first action.
-        """
+    def _plan_from(self, p: Perception) -> Plan:
+        """Search from here; remember the plan and the measured angles."""
         settings = self._settings
         begun = time.perf_counter()
         deadline = begun + settings.time_limit if settings.time_limit else math.inf
@@ -100,21 +95,20 @@ class MpcPolicy:
         if self._plan is None:
             self._targets = p.front, p.rear
         model, root = self._scene(p, robot)
-        self._plan = self._search(model, root, robot, deadline, of_each)
+        self._plan = self._search(model, root, robot, deadline)
         return self._plan
 
-    def _search(
-        self, model: Model, root: FloatArray, robot: Robot, deadline: float, of_each: int
-    ) -> Plan:
+    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
         """Search with the normal prices, and wider and in a hurry if that plan gets stuck.
 
         The longer the robot stands, the wider the search and the cheaper the swing.
         """
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
-        calm = Search(robot, settings.prices(), settings.beam, settings.horizon, of_each)
+        depth, of_each = settings.horizon, settings.of_each
+        calm = Search(robot, settings.prices(), settings.beam, depth, of_each)
         width = round(settings.wider * settings.beam * hurry)
-        wide = Search(robot, settings.prices(hurry), width, settings.horizon, of_each)
+        wide = Search(robot, settings.prices(hurry), width, depth, of_each)
         plan, self.simulated = None, 0
         if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)

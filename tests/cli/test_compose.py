@@ -93,14 +93,14 @@ def test_a_teacher_and_its_settings_are_chosen_by_name() -> None:
 
 def test_the_taught_experiment_takes_any_teacher() -> None:
     (own,) = compose.compose_train(["experiment=taught"])
-    assert container(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8}
+    assert container(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8, "of_each": 1}
     for name in ("okada", "mpc", "none"):
         (config,) = compose.compose_train(["experiment=taught", f"teacher={name}"])
         (alone,) = compose.compose_train([f"teacher={name}"])
         assert config.teacher == alone.teacher  # nothing of the experiment's own teacher stays
         assert config.agent == own.agent
     (config,) = compose.compose_train(["experiment=taught", "teacher.controller.beam=6"])
-    assert container(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8}
+    assert container(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
 
 
 def test_the_ways_of_teaching_differ_from_the_taught_experiment_in_their_loss_alone() -> None:

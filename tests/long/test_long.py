@@ -25,7 +25,7 @@ def test_kills_and_races_change_nothing(command: list[str]) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 violations" in done.stdout
