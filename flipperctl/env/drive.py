@@ -14,6 +14,7 @@ import numpy as np
 from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
+    EndingWorld,
     Engine,
     FloatArray,
     Outcome,
@@ -30,6 +31,10 @@ from flipperctl.runtime.targets import TargetRule
 
 _TURN, _PERCEIVE, _END = range(3)
 """Events within a decision; those of one sample happen in this order."""
+
+
+def _never() -> None:
+    """Return the end of a world that knows none of its own."""
 
 
 class Drive:
@@ -53,6 +58,8 @@ class Drive:
             self.world: World = self._engine.place(profile, self.robot, start)
         except BaseException as error:
             raise fault(error, self._engine, "place") from error
+        # Asked once: to check a protocol takes longer than some of the work of a decision.
+        self._world_ended = self.world.ended if isinstance(self.world, EndingWorld) else _never
         self.ends = Ends(profile, self.robot, episode, start.x, period)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived state, which is ``perception.delay`` older."""
@@ -92,7 +99,7 @@ class Drive:
                 except BaseException as error:
                     raise fault(error, self._engine, "advance") from error
                 self.poses = np.concatenate([self.poses, poses])
-                if (outcome := ends.instant(world)) is not None:
+                if (outcome := self._world_ended() or ends.instant(world)) is not None:
                     return outcome
                 done += len(poses)
             if event == _TURN:

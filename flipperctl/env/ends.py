@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from flipperctl.api import EndingWorld, Limits, Outcome, Profile, Robot, World
+from flipperctl.api import Limits, Outcome, Profile, Robot, World
 from flipperctl.config import Episode
 
 
@@ -34,12 +34,7 @@ class Ends:
         self._decisions = 0
 
     def instant(self, world: World) -> Outcome | None:
-        """Return OVERTURNED, or REACHED past the finish with both ends close to the ground.
-
-        An end that the world itself knows comes first.
-        """
-        if isinstance(world, EndingWorld) and (own := world.ended()) is not None:
-            return own
+        """Return OVERTURNED, or REACHED past the finish with both ends close to the ground."""
         x, z = world.position
         if not self.limits.reached(x, z, world.pitch):
             return None

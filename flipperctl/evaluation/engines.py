@@ -16,7 +16,6 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Outcome, Perception, Policy, Simulator, action_index
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
-from flipperctl.env.actions import action_index as checked_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
@@ -189,9 +188,7 @@ def _drive(env: FlipperEnv, policy: Policy, seed: int) -> tuple[list[int], Float
     """Play an episode; return its actions, its poses at 100 Hz, (S, 5), and its result."""
     actions, poses, ending = [], [], None
     for decision in decisions(env, policy, seed):
-        index = checked_index(decision.action)
-        assert index is not None  # decisions() checks it
-        actions.append(index)
+        actions.append(int(decision.action))
         poses.append(decision.poses[1:])
         ending = decision.ending
     assert ending is not None  # decisions() yields until there is one

@@ -219,7 +219,7 @@ def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) 
         randomise = config.randomise.model_copy(update={"friction": (low, high)})
         config = config.model_copy(update={"randomise": randomise})
     else:
-        friction = min(10.0, _FRICTION * config.sim.friction)  # type: ignore[attr-defined]
+        friction = min(10.0, _FRICTION * config.sim.model_dump()["friction"])
         sim = config.sim.model_copy(update={"friction": friction})
         config = config.model_copy(update={"sim": sim})
     env = FlipperEnv(config=config)

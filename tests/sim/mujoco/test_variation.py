@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start
-from flipperctl.env.ends import Ends
+from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start, action_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.sim.mujoco import Mujoco
@@ -79,12 +78,24 @@ def test_leaving_the_ground_sideways_ends_as_overturned() -> None:
     world = place(ground_width=1.0, heading_gain=0.0)
     assert isinstance(world, EndingWorld)
     turn(world, 0.7)
-    ends = Ends(Profile([(0.0, 0.0), (9.0, 0.0)]), Robot(), FlipperEnv("flat").config.episode, 0, 1)
-    assert ends.instant(world) is None
-    poses = world.advance(1000, ends.limits)
+    assert world.ended() is None
+    poses = world.advance(1000)
     assert len(poses) < 1000
     assert world.state().side > 0.5
-    assert ends.instant(world) is Outcome.OVERTURNED
+    assert world.ended() is Outcome.OVERTURNED
+
+
+def test_an_end_of_the_worlds_own_ends_the_episode() -> None:
+    sim = {"name": "mujoco", "ground_width": 1.0, "heading_gain": 0.0, "yaw": 0.7}
+    env = FlipperEnv("flat", sim=sim)
+    env.reset(seed=0)
+    for _ in range(200):
+        *_, terminated, truncated, info = env.step(action_index(0, 0))
+        if terminated or truncated:
+            break
+    assert info["outcome"] is Outcome.OVERTURNED
+    assert abs(env.state.side) > 0.5
+    assert abs(env.state.pitch) < 0.1
 
 
 def test_a_start_beside_the_ground_is_refused() -> None:
