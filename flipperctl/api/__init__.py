@@ -11,6 +11,7 @@ and rear alike; the pitch is positive nose up.
 import warnings
 from typing import TYPE_CHECKING
 
+from flipperctl.api.candidate import candidate_angle
 from flipperctl.api.controllers import (
     Controller,
     CostPolicy,
@@ -48,7 +49,6 @@ from flipperctl.api.values import (
     Settings,
     Transition,
     action_index,
-    candidate_angle,
 )
 
 __all__ = [

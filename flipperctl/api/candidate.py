@@ -1,0 +1,38 @@
+"""The flipper angle that clears the terrain, from the paper's R_flipper and the rule ``okada``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flipperctl.api.values import FloatArray, RobotGeometry
+
+
+def candidate_angle(
+    points: FloatArray,
+    pitch: float,
+    robot: RobotGeometry,
+    *,
+    near: float = 0.1,
+    far: float = 0.45,
+    rear: bool = False,
+) -> float:
+    """Return the flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
+
+    It is the largest angle in frame R of the vectors from the hinge to the terrain points inflated
+    by the track radius: atan2(z, u) + asin(r / distance) (paper Sec. III-D, Okada et al. 2011).
+    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` [m] from the
+    hinge, measured along the chassis, count, since a point under the hinge would outweigh all
+    others. The angle is clipped to the range of the flippers; without points it is 0.
+    """
+    cos, sin = math.cos(pitch), math.sin(pitch)
+    along = cos * points[:, 0] + sin * points[:, 1]
+    up = cos * points[:, 1] - sin * points[:, 0]
+    u = (-along if rear else along) - robot.hinge_offset
+    chosen = (u >= near) & (u <= far)
+    u, up = u[chosen], up[chosen]
+    if not u.size:
+        return 0.0
+    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
+    return robot.clip(float(np.maximum.reduce(np.arctan2(up, u) + inflation)))
