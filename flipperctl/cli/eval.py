@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import (
+    AsJson,
+    CheckpointFile,
+    ControllerName,
+    Episodes,
+    Jobs,
+    Overrides,
+    PluginPaths,
+    Seed,
+    eval_overrides,
+    require_one_policy,
+)
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -47,13 +58,8 @@ def add_to(app: typer.Typer) -> None:
 
 def run(
     overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx file."),
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
-    ] = None,
+    checkpoint: CheckpointFile = None,
+    controller: ControllerName = None,
     baseline: Annotated[
         str | None,
         typer.Option(
@@ -70,11 +76,9 @@ def run(
             "crossed; success is then also reported over the episodes that any of them crosses.",
         ),
     ] = None,
-    episodes: Annotated[
-        str | None, typer.Option(metavar="N", help="Episodes per scene [100].")
-    ] = None,
-    seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")] = None,
-    jobs: Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")] = None,
+    episodes: Episodes = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
     output: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for episodes.csv, summary.json, pictures."),
@@ -93,8 +97,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    if (checkpoint is None) == (controller is None):
-        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    require_one_policy(checkpoint, controller)
     from flipperctl import plugins as loader
     from flipperctl.checkpoint.recording import require_one_layout
     from flipperctl.cli.progress import episodes_progress
@@ -104,8 +107,8 @@ def run(
     from flipperctl.files import check_writable, make_folder
 
     loader.load(plugins or ())
-    flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
-    arguments = [*(overrides or []), *(f"eval.{k}={v}" for k, v in flags.items() if v is not None)]
+    settings = eval_overrides(episodes=episodes, seed=seed, jobs=jobs)
+    arguments = [*(overrides or []), *settings]
     found = scenes(arguments, checkpoint, controller)
     against = _sources(baseline, "--baseline", found[0][1].baselines())
     references = _sources(passable, "--passable")

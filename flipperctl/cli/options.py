@@ -18,7 +18,32 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="OVERRIDE", help="key=value, as in terrain=stair agent.gamma=0.98."),
 ]
+CheckpointFile = Annotated[
+    Path | None,
+    typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx file."),
+]
+ControllerName = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
+]
+Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per scene [100].")]
+Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]
+Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+def require_one_policy(checkpoint: Path | None, controller: str | None) -> None:
+    """Check that exactly one of the two is given.
+
+    Raises:
+        RequestError: none or both are.
+    """
+    if (checkpoint is None) == (controller is None):
+        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def eval_overrides(**flags: str | None) -> list[str]:
+    """Return the overrides of the section ``eval`` that the given flags stand for."""
+    return [f"eval.{name}={value}" for name, value in flags.items() if value is not None]
 
 
 def reject_options(arguments: list[str], known: list[str]) -> None:

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import (
+    AsJson,
+    CheckpointFile,
+    ControllerName,
+    Episodes,
+    Jobs,
+    Overrides,
+    PluginPaths,
+    Seed,
+    eval_overrides,
+    require_one_policy,
+)
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -46,21 +57,14 @@ def add_to(app: typer.Typer) -> None:
 
 def run(
     overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx file."),
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
-    ] = None,
-    episodes: Annotated[
-        str | None, typer.Option(metavar="N", help="Episodes per scene [100].")
-    ] = None,
+    checkpoint: CheckpointFile = None,
+    controller: ControllerName = None,
+    episodes: Episodes = None,
     only: Annotated[
         int | None, typer.Option(min=0, metavar="INDEX", help="Play this episode alone, from 0.")
     ] = None,
-    seed: Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")] = None,
-    jobs: Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")] = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for transfer.json.")
     ] = None,
@@ -72,8 +76,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    if (checkpoint is None) == (controller is None):
-        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    require_one_policy(checkpoint, controller)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
@@ -84,8 +87,7 @@ def run(
     from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
-    flags = {"episodes": episodes, "seed": seed, "jobs": jobs}
-    settings = [f"eval.{name}={value}" for name, value in flags.items() if value is not None]
+    settings = eval_overrides(episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes([*with_engine(overrides or []), *settings], checkpoint, controller)
     for config, _ in asked:
         in_default_engine(config)  # a wrong engine is found before the first episode
