@@ -70,7 +70,7 @@ def run(
     ] = None,
     film: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Film of the episode --only in 3-D, .gif or .webp."),
+        typer.Option(metavar="FILE.gif", help="Film of the episode --only in 3-D."),
     ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,

@@ -6,9 +6,8 @@ between samples, so that the episode is the one that an evaluation plays, bit fo
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +26,10 @@ from flipperctl.api import (
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
-from flipperctl.files import write_bytes
 from flipperctl.policies.source import PolicySource
+from flipperctl.report.film import check_film, write_frames
 from flipperctl.rollout.episode import decisions
 
-if TYPE_CHECKING:
-    from PIL.Image import Image
-
-FORMATS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
-"""Ending of the file → format of the animation."""
 SIZE = 640, 480
 """Width and height [pixels]."""
 
@@ -43,20 +37,11 @@ _EVERY = 20
 """Samples between two pictures, so that 5 are shown a second [-]."""
 
 
-def check_film(path: Path) -> None:
-    """Check the ending of a film's file.
-
-    Raises:
-        RequestError: no film has this ending.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise RequestError(f"{path}: a film ends in {', '.join(FORMATS)}; got {path.suffix!r}")
-
-
 def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> None:
     """Play the episode with this ``seed`` and write its film.
 
     Raises:
+        OutputError: ``path`` is not a possible film.
         RequestError: the engine draws no pictures, or the machine cannot.
         FlipperctlError: the policy failed, or the file cannot be written.
     """
@@ -75,23 +60,10 @@ def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> Non
 
     for _ in decisions(env, source.build(config.perception), seed, pace=begin):
         pass
-    write_bytes(path, _encoded(frames, FORMATS[path.suffix.lower()]))
-
-
-def _encoded(frames: list[NDArray[np.uint8]], kind: str) -> bytes:
     from PIL.Image import fromarray
 
-    pictures: list[Image] = [fromarray(frame) for frame in frames]
-    written = io.BytesIO()
-    pictures[0].save(
-        written,
-        format=kind,
-        save_all=True,
-        append_images=pictures[1:],
-        duration=round(1000 * _EVERY * SAMPLE_PERIOD),
-        loop=0,
-    )
-    return written.getvalue()
+    pictures = [fromarray(frame) for frame in frames]
+    write_frames(path, pictures, [_EVERY * SAMPLE_PERIOD] * len(pictures))
 
 
 class FilmedWorld:

@@ -87,7 +87,12 @@ def save_film(
         colours = frames[0] if frames else None
         frames.append(picture.draw(index, state, colours))
         report_progress((index + 1) / len(states))
-    durations = [round(1000 * _SHOWN)] * (len(frames) - 1) + [round(1000 * _LAST)]  # [ms]
+    write_frames(path, frames, [_SHOWN] * (len(frames) - 1) + [_LAST])
+
+
+def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) -> None:
+    """Write frames as a GIF that begins again after the last; ``shown``: time of each [s]."""
+    durations = [round(1000 * time) for time in shown]  # [ms]
     buffer = io.BytesIO()
     frames[0].save(
         buffer, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0

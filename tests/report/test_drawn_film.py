@@ -77,7 +77,7 @@ def test_a_film_is_of_one_episode_and_of_a_known_format(tmp_path: Path) -> None:
     assert (done.code, "--only INDEX" in done.err) == (2, True)
     done = call(*asked, "--only", "0", "--film", "a.mp4", cwd=tmp_path)
     assert done.code == 2
-    assert "a film ends in .gif, .webp, .png; got '.mp4'" in done.err
+    assert "a film is a .gif file; the suffix is '.mp4'" in done.err
 
 
 @pytest.mark.parametrize(
