@@ -1,4 +1,4 @@
-"""What the README and the pages of ``docs/`` show, works."""
+"""What the README, the pages of ``docs/``, CONTRIBUTING and SECURITY show, works."""
 
 import contextlib
 import math
@@ -22,7 +22,8 @@ from tests.cli.call import RUN, call
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
+PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
@@ -57,7 +58,7 @@ def commands() -> list[list[str]]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as a reader has it.
 
-    It holds runs on stair and ridge, their exports, recorded episodes and ridge.py.
+    It holds runs on stair and ridge, exports, recorded episodes, the examples, the saved files.
     """
     folder = tmp_path_factory.mktemp("documentation")
     driven = ("--controller", "okada", "terrain=ramp", "--record", "driven.safetensors")
@@ -70,6 +71,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
     shutil.copy(folder / "stair.onnx", folder / "first.onnx")
+    (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in saved().items():
         (folder / name).write_text(text)
     with contextlib.chdir(folder):
@@ -163,7 +165,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
     lines = {
         line.partition("#")[0].strip() for block in blocks("sh") for line in block.splitlines()
     }
-    assert {line for line in lines if line and not line.startswith("flipperctl ")} == {
+    long = "python -m tests.long."  # test_documented_names.py reads their options
+    assert {line for line in lines if line and not line.startswith(("flipperctl ", long))} == {
         "make train",  # takes minutes
         "make test",  # runs this test
         "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs

@@ -1,0 +1,124 @@
+"""What the text of README, docs, CONTRIBUTING and SECURITY names in passing exists.
+
+The commands in blocks are run by ``test_documentation.py``. Here are those within sentences, make's
+targets, settings, files of the repository, and long checks, of which only the options are read.
+"""
+
+import argparse
+import re
+import runpy
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from docs import generate
+from flipperctl.cli.main import COMMANDS, app
+
+ROOT = Path(__file__).parents[1]
+NAMES = ["README.md", "CONTRIBUTING.md", "SECURITY.md"]
+PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
+TEXTS = {str(page.relative_to(ROOT)): page.read_text() for page in PAGES}
+_BLOCK = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+_SETTING = re.compile(r"([a-z_]+(?:\.[a-z_0-9]+)+)(?:=.*)?")
+UPGRADE = "docs/upgrade.md"
+"""Page that names what existed before."""
+
+
+def spans() -> list[tuple[str, str]]:
+    """Return each page and text between backticks outside of blocks, each once."""
+    found = (
+        (name, " ".join(span.split()))
+        for name, text in TEXTS.items()
+        for span in re.findall(r"`([^`]+)`", _BLOCK.sub("", text))
+    )
+    return list(dict.fromkeys(found))
+
+
+def inline_commands() -> list[str]:
+    """Return the commands of flipperctl within sentences; its name may be left out."""
+    texts = dict.fromkeys(span.removeprefix("flipperctl ") for _, span in spans())
+    return [text for text in texts if " " in text and text.split()[0] in COMMANDS]
+
+
+@pytest.mark.parametrize("text", inline_commands())
+def test_a_command_within_a_sentence_has_these_options(text: str) -> None:
+    command, words = typer.main.get_command(app), shlex.split(text)
+    while words and words[0] in getattr(command, "commands", {}):
+        command = command.commands[words.pop(0)]
+    assert not getattr(command, "commands", {}) or not words or words[0].startswith("-")
+    known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+    assert {word for word in words if word.startswith("-")} - known - {"--help", "-m"} == set()
+
+
+def test_every_target_of_make_exists() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    code = [span for _, span in spans()]
+    code += [
+        line
+        for text in TEXTS.values()
+        for block in _BLOCK.findall(text)
+        for line in block.splitlines()
+    ]
+    named = {word for line in code for word in re.findall(r"^make ([a-z-]+)", line)}
+    assert {"setup", "check", "test", "docs", "train"} <= named <= targets
+
+
+def test_every_file_that_is_named_exists() -> None:
+    paths = [
+        span
+        for _, span in spans()
+        if re.fullmatch(
+            r"(\.ci|\.github|configs|docs|examples|flipperctl|plugins|tests)/[\w./]*", span
+        )
+    ]
+    assert len(paths) > 10
+    assert [path for path in paths if "NAME" not in path and not (ROOT / path).exists()] == []
+
+
+def test_every_setting_that_is_named_exists() -> None:
+    known = set(re.findall(r"^\| `([\w.<>]+)` \|", generate.settings(), re.MULTILINE))
+    sections = {path.partition(".")[0] for path in known if "." in path} - {"hydra"}
+    missing = set()
+    for page, span in spans():
+        named = _SETTING.fullmatch(span)
+        if page == UPGRADE or not named or named[1].partition(".")[0] not in sections:
+            continue
+        path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
+        path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
+        own = re.search(rf"^    {path.rpartition('.')[2]}: ", TEXTS[page], re.MULTILINE)
+        if path not in known and not own:  # a field of the plugin that the page writes
+            missing.add((page, path))
+    assert missing == set()
+
+
+def long_checks() -> list[str]:
+    found = re.findall(r"^python -m (.*)$", "\n".join(TEXTS.values()), re.MULTILINE)
+    return list(dict.fromkeys([*found, *(s[10:] for _, s in spans() if s[:10] == "python -m ")]))
+
+
+class _ParsedError(Exception):
+    pass
+
+
+@pytest.mark.parametrize("command", long_checks())
+def test_the_options_of_a_long_check_are_read(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, *options = shlex.split(command)
+    assert find_spec(module) is not None
+    if not options:
+        return
+    parse = argparse.ArgumentParser.parse_args
+
+    def parsed(parser: argparse.ArgumentParser, *arguments: object) -> None:
+        parse(parser, *arguments)
+        raise _ParsedError
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parsed)
+    monkeypatch.setattr(sys, "argv", [module, *options])
+    with pytest.raises(_ParsedError):
+        runpy.run_module(module, run_name="__main__")
