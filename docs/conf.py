@@ -1,5 +1,6 @@
 """Sphinx builds these pages: ``make docs``. Nothing is read from the network."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -25,20 +26,40 @@ autodoc_type_aliases = {"ArrayLike": "ArrayLike", "FloatArray": "FloatArray"}
 autodoc_preserve_defaults = True
 autodoc_default_options = {"exclude-members": "model_config"}  # pydantic's
 
+smartquotes_action = "qe"  # no dashes: options begin with two hyphens
+
 html_theme = "furo"
 html_title = f"flipperctl {version}"
 html_copy_source = False
+html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
 
 
 def setup(app: Sphinx) -> None:
     """Fill in what is generated from the code."""
     app.connect("source-read", _fill)
+    app.connect("html-page-context", _keep_options_whole)
     app.connect("autodoc-process-signature", _leave_out_fields)
     app.connect("autodoc-process-docstring", _mark_errors)
 
 
 def _fill(app: Sphinx, page: str, source: list[str]) -> None:
     source[0] = generate.fill(source[0])
+
+
+def _keep_options_whole(
+    app: Sphinx, page: str, template: str, context: dict[str, str], *_: object
+) -> None:
+    """Let a command break before an option, not after its hyphens; ``pages.css`` says how."""
+    parts = re.split(
+        r'(<div class="highlight-(?:sh|console).*?</pre>)', context.get("body", ""), flags=re.S
+    )
+    parts[1::2] = [
+        re.sub(r"(?<=[ >])--?[a-z][\w-]*", r'<span class="option">\g<0></span>', p)
+        for p in parts[1::2]
+    ]
+    context["body"] = "".join(parts)
 
 
 def _mark_errors(

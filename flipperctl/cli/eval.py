@@ -33,7 +33,7 @@ A checkpoint, or an exported .onnx file run as on the robot, is evaluated on its
 unless terrain=… names another.
 
 conditions=… chooses physics, sensing, start and randomisation: nominal (the default, for policies
-and rules alike), varied, or trained (those of the checkpoint). Overrides are applied on top.
+and rules alike), varied, wide, or trained (those of the checkpoint). Overrides are applied on top.
 
 [bold]Examples[/]
 

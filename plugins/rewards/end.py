@@ -7,12 +7,12 @@ from flipperctl.api import Outcome, RewardTerm, Transition, reward
 
 @reward("end")
 class End(RewardTerm):
-    """R_end (paper Eq. 7): the settlement, +R when the finish is reached, -R at any other end."""
+    """R_end (paper Eq. 7): +R when the finish is reached, -R at any other end of the episode."""
 
     settlement: float = Field(10.0, gt=0, le=1e6, description="R; not given in the paper [-]")
 
     def __call__(self, t: Transition) -> float:
-        """Return the settlement at the end of the episode, and 0 before."""
+        """Return ±R at the end of the episode, and 0 before."""
         if t.outcome is None:
             return 0.0
         return self.settlement if t.outcome is Outcome.REACHED else -self.settlement
