@@ -102,8 +102,7 @@ def slice_along(
         ValueError: fewer than ``fewest`` points lie in the slice.
     """
     offset = points[:, :2] - np.asarray(line.start)
-    ahead, left = line.direction, np.array([-line.direction[1], line.direction[0]])
-    along, beside = offset @ ahead, offset @ left
+    along, beside = offset @ line.direction, offset @ line.left
     within = (np.abs(beside) <= thickness / 2) & (along >= 0) & (along <= line.length)
     if (count := int(within.sum())) < fewest:
         extent = "nothing"

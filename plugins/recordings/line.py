@@ -33,6 +33,11 @@ class Line:
         return np.subtract(self.end, self.start) / self.length
 
     @property
+    def left(self) -> FloatArray:
+        """Unit vector to the left of the line, (2,)."""
+        return np.array([-self.direction[1], self.direction[0]])
+
+    @property
     def distances(self) -> FloatArray:
         """Distances of the heights from the start, both ends included, (D,) [m]."""
         inner = np.arange(0.0, self.length - 1e-9, self.spacing)
@@ -43,10 +48,13 @@ class Line:
         """Positions of the heights, (D, 2) in (x, y) [m]."""
         return np.asarray(self.start) + self.distances[:, None] * self.direction
 
-    def profile(self, heights: FloatArray, largest_gap: float) -> FloatArray:
+    def profile(
+        self, heights: FloatArray, largest_gap: float, unknown: str = "no height is known"
+    ) -> FloatArray:
         """Return distance and height of each point, (D, 2) [m], from heights (D,) [m].
 
         Unknown heights are NaN and are interpolated linearly, or continued to the line's ends.
+        ``unknown`` begins the text of the error.
 
         Raises:
             ValueError: heights are unknown over more than ``largest_gap`` [m].
@@ -54,12 +62,12 @@ class Line:
         distances = self.distances
         known = np.isfinite(heights)
         if not known.any():
-            raise ValueError(f"no height is known along the line from {self.start} to {self.end}")
+            raise ValueError(f"{unknown} along the line from {self.start} to {self.end}")
         at = distances[known]
         for low, high in zip(np.append(0.0, at), np.append(at, self.length), strict=True):
             if high - low > max(largest_gap, self.spacing + 1e-9):
                 raise ValueError(
-                    f"no height is known from {low:.2f} to {high:.2f} m along the line; "
+                    f"{unknown} from {low:.2f} to {high:.2f} m along the line; "
                     f"the largest gap that is bridged is {largest_gap:g} m"
                 )
         return np.column_stack([distances, np.interp(distances, at, heights[known])])

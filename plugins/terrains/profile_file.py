@@ -1,4 +1,4 @@
-"""Recorded ground: a profile, a height map or a point cloud from a file."""
+"""Recorded ground: a profile, a height map, a mesh or a point cloud from a file."""
 
 import logging
 import math
@@ -14,13 +14,14 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recordings import cloud, height_map, polyline
+from ..recordings import cloud, height_map, mesh, polyline
 from ..recordings.line import Line
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
 CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
-SUFFIXES = (".csv", *MAPS, *CLOUDS)
+MESHES = (".stl", ".obj", ".dae")
+SUFFIXES = (".csv", *MAPS, *MESHES, *CLOUDS)
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 MIN_POINTS = 10
 """Smallest number of points in a slice through a cloud [-]."""
@@ -34,18 +35,21 @@ class ProfileFile(Terrain):
 
     ``.csv``: columns x (forward) and z (up), x never decreasing.
     ``.npy``, ``.tif``: a height map; the profile is taken along the line from ``start`` to ``end``.
+    ``.stl``, ``.obj``, ``.dae``: a mesh seen from above, along that line.
     ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line.
-    GeoTIFF, PCD and PLY need the extra ``profiles``.
+    GeoTIFF, meshes, PCD and PLY need the extra ``profiles``.
     """
 
     path: str | None = Field(
         None, description="file to read; null is a small example that is included [-]"
     )
     unit: Literal["m", "cm", "mm", "ft"] = Field(
-        "m", description="unit of the file's coordinates; for a map, of its heights only [-]"
+        "m",
+        description="unit of the file's coordinates; for a map, of its heights only; a .dae "
+        "states its unit and the axis that points up [-]",
     )
     start: tuple[float, float] | None = Field(
-        None, description="x and y at which the line over a map or through a cloud begins [m]"
+        None, description="x and y at which the line over the ground begins [m]"
     )
     end: tuple[float, float] | None = Field(
         None, description="x and y at which that line ends; the robot drives towards it [m]"
@@ -66,14 +70,17 @@ class ProfileFile(Terrain):
     )
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
         "z",
-        description="axis of a cloud's frame that points up; start and end are given in the "
-        "other two axes, as x and y of a right-handed frame [-]",
+        description="axis of a cloud's or mesh's frame that points up; start and end are given in "
+        "the other two axes, as x and y of a right-handed frame [-]",
     )
     thickness: float = Field(
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
     )
     quantile: float = Field(
         0.9, ge=0, le=1, description="quantile of the cloud's heights at a place to take [-]"
+    )
+    largest_mesh: int = Field(
+        2_000_000, ge=1, le=100_000_000, description="largest number of faces of a mesh [-]"
     )
 
     @model_validator(mode="after")
@@ -83,9 +90,13 @@ class ProfileFile(Terrain):
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
         stated = [self.start is not None, self.end is not None]
         if suffix == ".csv" and any(stated):
-            raise ValueError("start and end belong to maps and clouds; a .csv is the line itself")
+            raise ValueError(
+                "start and end belong to maps, meshes and clouds; a .csv is the line itself"
+            )
         if suffix != ".csv" and not all(stated):
             raise ValueError(f"a {suffix} file needs start and end, the line over the ground")
+        if suffix == ".dae" and (self.unit, self.up) != ("m", "z"):
+            raise ValueError("a .dae states its unit and axes; unit and up must not be stated too")
         if self.start is not None and self.end is not None:
             length = math.dist(self.start, self.end)
             if not 0 < length <= MAX_LENGTH:
@@ -153,6 +164,9 @@ class ProfileFile(Terrain):
         if suffix in MAPS:
             rows = 1 if self.rows == "+y" else -1
             found = MAPS[suffix](file, self.resolution, unit, rows).along(line)
+        elif suffix in MESHES:
+            faces = mesh.read_mesh(file, unit, self.up, self.largest_mesh)
+            return line.profile(faces.along(line), self.largest_gap, "the mesh is not closed")
         else:
             points = cloud.upright(CLOUDS[suffix](file) * unit, self.up)
             found = cloud.slice_along(points, line, self.thickness, self.quantile, MIN_POINTS)

@@ -1,0 +1,140 @@
+"""Meshes of triangles, seen from straight above.
+
+In: STL, OBJ and DAE files in any frame with an axis that points up. Out: heights of the topmost
+faces along and beside a line, in the frame with x and y level and z up [m].
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray
+
+from .cloud import upright
+from .line import Line
+
+BYTES_PER_FACE = 500
+"""A file with more bytes for each allowed face is refused before it is read; texts need 300."""
+_SAME = 1e-4
+"""Faces of one place nearer than this are one sheet with two sides [m]."""
+_INSIDE = 1e-9
+"""By how much a place may lie outside of a triangle that it belongs to, as a fraction [-]."""
+_AT_ONCE = 1_000_000
+"""Pairs of a place and a triangle around it that are computed at once, which takes 100 MB."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles, of which the topmost at each place is ground."""
+
+    corners: FloatArray
+    """(T, 3, 3): triangle, corner, (x, y, z) [m], counterclockwise seen from outside."""
+
+    def along(self, line: Line) -> FloatArray:
+        """Return the heights at the line's points, (D,) [m]; NaN where the mesh is open.
+
+        Raises:
+            ValueError: an end of the line lies outside of the mesh.
+        """
+        low, high = self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
+        for end in (line.start, line.end):
+            if not ((end >= low[:2] - _SAME) & (end <= high[:2] + _SAME)).all():
+                raise ValueError(
+                    f"{end} lies outside of the mesh, which covers x from {low[0]:.2f} to "
+                    f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m"
+                )
+        return self.beside(line, line.distances, np.zeros(1))[:, 0]
+
+    def beside(self, line: Line, along: FloatArray, left: FloatArray) -> FloatArray:
+        """Return the heights on a grid, (A, L) [m]; NaN where the mesh is open.
+
+        ``along``, (A,), are distances from the line's start in its direction and ``left``, (L,),
+        distances to its left, both ascending [m]. A mesh is open where it has no face, or where
+        the topmost face is seen from behind, as the bottom of a body is through a hole in its top.
+        """
+        shape = len(along), len(left)
+        level = self.corners[:, :, :2] - np.asarray(line.start)
+        placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
+        area = _cross(placed[:, 1] - placed[:, 0], placed[:, 2] - placed[:, 0])  # twice, (T,) [m²]
+        tops = []
+        for sign in (1.0, -1.0):
+            top = np.full(shape, -np.inf)
+            for places, heights in _covered(placed[area * sign > 1e-12], along, left):
+                np.maximum.at(top.reshape(-1), places, heights)
+            tops.append(top)
+        front, back = tops
+        return np.where(np.isfinite(front) & (front >= back - _SAME), front, np.nan)
+
+
+def _covered(
+    triangles: FloatArray, along: FloatArray, left: FloatArray
+) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
+    """Yield flat indices of the grid's places below triangles (T, 3, 3), and the heights there."""
+    low, high = triangles.min(axis=1) - _INSIDE, triangles.max(axis=1) + _INSIDE
+    row, column = np.searchsorted(along, low[:, 0]), np.searchsorted(left, low[:, 1])
+    rows = np.searchsorted(along, high[:, 0], side="right") - row
+    columns = np.searchsorted(left, high[:, 1], side="right") - column
+    used = np.flatnonzero(rows * columns)
+    parts = np.cumsum((rows * columns)[used]) // _AT_ONCE
+    for part in np.split(used, np.flatnonzero(np.diff(parts)) + 1):
+        counts = rows[part] * columns[part]
+        of = np.repeat(part, counts)  # the triangle of each pair
+        place = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
+        i, j = row[of] + place // columns[of], column[of] + place % columns[of]
+        a, b, c = (triangles[of, corner] for corner in range(3))
+        at = np.column_stack([along[i], left[j]]) - a[:, :2]
+        ab, ac = b - a, c - a
+        area = _cross(ab, ac)
+        to_b, to_c = _cross(at, ac) / area, _cross(ab, at) / area  # weights of corners b and c
+        inside = (to_b >= -_INSIDE) & (to_c >= -_INSIDE) & (to_b + to_c <= 1 + _INSIDE)
+        heights = a[:, 2] + to_b * ab[:, 2] + to_c * ac[:, 2]
+        yield (i * len(left) + j)[inside], heights[inside]
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the z of the cross products of (P, 2 or 3) vectors, (P,)."""
+    product: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return product
+
+
+def read_mesh(path: Path, unit: float, up: str, most: int) -> Mesh:
+    """Return a file's triangles; ``unit`` [m] and ``up`` are the file's, unless it is a DAE.
+
+    Raises:
+        ValueError: it has no faces, more than ``most``, or a coordinate that is not finite.
+    """
+    import trimesh
+
+    if (size := path.stat().st_size) > most * BYTES_PER_FACE:
+        raise ValueError(
+            f"the mesh is too large: {size / 1e6:.0f} MB for largest_mesh of {most} faces"
+        )
+    suffix = path.suffix.lower()
+    if suffix == ".dae":
+        unit, up = _dae_frame(path)
+    with path.open("rb") as file:
+        found: Any = trimesh.load_mesh(
+            file, file_type=suffix[1:], process=False, skip_materials=True
+        )
+    count = len(getattr(found, "faces", ()))
+    if count == 0:
+        raise ValueError("it has no faces")
+    if count > most:
+        raise ValueError(f"the mesh is too large: it has {count} faces; largest_mesh allows {most}")
+    points = np.asarray(found.triangles, dtype=np.float64).reshape(-1, 3) * unit
+    if not np.isfinite(points).all():
+        raise ValueError("a coordinate of the mesh is not a finite number")
+    return Mesh(upright(points, up).reshape(-1, 3, 3))
+
+
+def _dae_frame(path: Path) -> tuple[float, str]:
+    """Return the unit [m] and the axis that points up, which a DAE file states."""
+    import collada
+
+    with path.open("rb") as file:
+        asset = collada.Collada(file, ignore=[collada.common.DaeError]).assetInfo
+    return float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")[0].lower()
