@@ -59,7 +59,9 @@ class Simulator(Protocol):
         """
 
     def perceive_exactly(self) -> Perception:
-        """Return what a sensor without errors and delay would perceive now.
+        """Return what a sensor without errors and delay would perceive now, and the drawn physics.
+
+        Its ``robot`` and ``friction`` are those of the episode, as far as the engine has them.
 
         Called like ``perceive``: once after ``restart`` and once after each ``step``.
         """

@@ -246,6 +246,8 @@ class Perception:
     """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
+    friction: float | None = None
+    """Friction between track and ground, which only exact perception tells; None: not known [-]."""
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ class Teacher(Settings):
     )
     privileged: bool = Field(
         False,
-        description="the teacher perceives ground and posture exactly and at once, while "
-        "the student perceives as perception says [-]",
+        description="the teacher perceives ground and posture exactly and at once, and knows the "
+        "drawn robot and friction, while the student perceives as perception says [-]",
     )
     episodes: str | None = Field(
         None,

@@ -24,7 +24,6 @@ from flipperctl.api import (
     Outcome,
     Profile,
     RobotState,
-    Sensor,
     Start,
     Transition,
 )
@@ -141,13 +140,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         self._rngs = rngs[0], rngs[1]
-        self._perceiver = self._new_perceiver(self._sections[2], self._rngs)
-        self._drawn_values = {
-            "start_shift": shift,
-            "start_front": front,
-            "start_rear": rear,
-            **drawn,
-        }
+        self._perceiver = self._new_perceiver(self._rngs)
+        starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
+        self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
         self._metrics = measures.EpisodeMetrics(measures.MEASURES)
@@ -161,11 +156,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return Drive(self.profile, self._sections, config.episode, self._start, period)
 
     def _new_perceiver(
-        self, sensor: Sensor, rngs: tuple[np.random.Generator, np.random.Generator]
+        self, rngs: tuple[np.random.Generator, np.random.Generator], exact: bool = False
     ) -> Perceiver:
-        config, episode = self.config, self.config.episode
+        episode, (engine, robot, sensor) = self.config.episode, self._sections
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        return Perceiver(sensor, self.profile, margin + 2.0, config.robot, rngs)
+        ground = self.profile, margin + 2.0
+        if exact:  # it tells the drawn physics as well
+            friction = getattr(engine, "friction", None)
+            return Perceiver(sensor.exact(), *ground, robot, rngs, friction)
+        return Perceiver(sensor, *ground, self.config.robot, rngs)
 
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None
@@ -175,11 +174,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
         first, second = self._rngs
-        sensor = self._sections[2]
         return SceneSimulator(
             self._drive,
-            lambda: self._new_perceiver(sensor, (fresh(first), fresh(second))),
-            lambda: self._new_perceiver(sensor.exact(), (fresh(first), fresh(second))),
+            lambda: self._new_perceiver((fresh(first), fresh(second))),
+            lambda: self._new_perceiver((fresh(first), fresh(second)), exact=True),
             self.profile,
             report_progress,
         )

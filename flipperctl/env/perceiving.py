@@ -23,16 +23,17 @@ class Perceiver:
         margin: float,
         robot: RobotGeometry,
         rngs: tuple[np.random.Generator, np.random.Generator],
+        friction: float | None = None,
     ) -> None:
         """Use ``sensor`` on ``profile`` with ``margin`` [m] of level ground on both sides.
 
         ``robot``: the robot that policies believe in; ``rngs``: the generators of the sensor's
-        noise and of random policies.
+        noise and of random policies; ``friction``: what policies are told of it [-].
 
         Raises:
             PluginFailedError: the sensor's code failed.
         """
-        self._sensor, self._robot = sensor, robot
+        self._sensor, self._robot, self._friction = sensor, robot, friction
         self._sensor_rng, self._controller_rng = rngs
         self._layout = sensor.layout
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
@@ -68,6 +69,7 @@ class Perceiver:
             self._controller_rng,
             tuple(self._recent),
             ground.filled,
+            self._friction,
         )
 
 

@@ -73,8 +73,9 @@ class Mpc(Controller):
         0.8,
         gt=0,
         le=10,
-        description="friction between track and ground in the simulation; too low costs some "
-        "smoothness, too high gets stuck on stairs that slip [-]",
+        description="friction between track and ground in the simulation, unless a privileged "
+        "teacher is told it; too low costs some smoothness, too high gets stuck on stairs that "
+        "slip [-]",
     )
     step: float = Field(0.02, ge=0.005, le=0.04, description="time step of the prediction [s]")
     iterations: int = Field(8, ge=1, le=40, description="solver iterations per step [-]")

@@ -128,7 +128,7 @@ class MpcPolicy:
         model = Model(
             line,
             robot,
-            friction=settings.friction,
+            friction=settings.friction if p.friction is None else p.friction,
             step=settings.step,
             iterations=settings.iterations,
             overturn=settings.overturn,

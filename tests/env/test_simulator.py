@@ -60,3 +60,14 @@ def test_a_policy_perceives_in_the_simulator_what_it_does_in_the_episode() -> No
             assert np.array_equal(p.points, points)
             assert (len(p.recent), p.rng.random()) == (recent, number)
             env.step(8)
+
+
+def test_exact_perception_alone_tells_the_drawn_physics() -> None:
+    drawn = {"randomise.friction": [0.6, 0.6], "randomise.flipper_length": [0.5, 0.5]}
+    env = FlipperEnv(terrain="step", **drawn)
+    env.reset(seed=1)
+    simulator = env.simulator()
+    exact, perceived = simulator.perceive_exactly(), simulator.perceive()
+    assert (exact.friction, exact.robot.flipper_length) == (0.6, 0.5)
+    assert (perceived.friction, perceived.robot) == (None, env.config.robot)
+    assert env.config.robot.flipper_length != 0.5

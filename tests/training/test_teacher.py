@@ -80,7 +80,8 @@ def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> Non
     )
 
     def labels(config: EnvConfig, **settings: bool) -> NDArray[np.float64]:
-        teacher = Teacher(controller="mpc", student_share=1, **settings)
+        mpc = {"name": "mpc", "friction": 1.0}  # the true one, which a privileged teacher is told
+        teacher = Teacher(controller=mpc, student_share=1, **settings)
         policy = TaughtPolicy(
             *(_Student(), PluginPolicy(teacher.controller), teacher),
             *(lambda: True, np.random.default_rng(0)),
