@@ -9,6 +9,7 @@ import pytest
 from flipperctl.api import MirroredSurface, Profile, Robot, Start, Surface
 from flipperctl.errors import PluginFailedError, TerrainError
 from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco import ground as ground_boxes
 from flipperctl.sim.mujoco.ground import Box, boxes
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.sim.mujoco.test_ground import surface as height_at
@@ -143,6 +144,14 @@ def test_unknown_ground_is_an_error_where_the_robot_drives() -> None:
         assert height_at(found, x, y) == pytest.approx(z, abs=1e-6)
     with pytest.raises(TerrainError, match=r"0\.67 m to each side"):
         boxes(profile(hole), narrow.model_copy(update={"offset": 0.5}), np.random.default_rng(0))
+
+
+def test_too_many_boxes_of_a_surface_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ground_boxes, "MOST", 20)
+    with pytest.raises(
+        TerrainError, match=r"more than 20 boxes; shorten the line, or raise sim\.str"
+    ):
+        place(profile(lambda x, y: 0.1 * np.sin(x + y)))
 
 
 def test_a_surface_that_cannot_be_read_is_the_request_s_fault() -> None:
