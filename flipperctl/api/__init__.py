@@ -35,6 +35,7 @@ from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
 from flipperctl.api.robot import Robot
 from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sensor, sensor
+from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
     ACTIONS,
@@ -66,6 +67,7 @@ __all__ = [
     "FloatArray",
     "GroundSensor",
     "Limits",
+    "MirroredSurface",
     "Network",
     "ObservationLayout",
     "Outcome",
@@ -84,6 +86,7 @@ __all__ = [
     "Shaping",
     "Simulator",
     "Start",
+    "Surface",
     "Terrain",
     "Transition",
     "World",

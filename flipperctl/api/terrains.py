@@ -46,7 +46,9 @@ class Terrain(Plugin, ABC):
         if not isinstance(profile, Profile):
             found = type(profile).__name__
             raise ValueError(f"generate must return a Profile; it returned a {found}")
-        return profile if profile.label else Profile(profile.points, self.plugin_name)
+        if profile.label:
+            return profile
+        return Profile(profile.points, self.plugin_name, profile.surface)
 
 
 def _nested_terrain(value: object) -> object:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from flipperctl.api.surface import Surface
+
 FloatArray = NDArray[np.float64]
 """An array of floats of any shape."""
 
@@ -79,7 +81,8 @@ class Profile:
 
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
     The ground is level before the first point and past the last. ``label`` names the drawn terrain
-    in tables; if it is empty, they show the terrain's own name.
+    in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground beside
+    the line, if it is known; else it is the same on both sides.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
@@ -87,8 +90,14 @@ class Profile:
 
     points: FloatArray
     label: str = ""
+    surface: Surface | None = None
 
-    def __init__(self, points: ArrayLike | Sequence[tuple[float, float]], label: str = "") -> None:
+    def __init__(
+        self,
+        points: ArrayLike | Sequence[tuple[float, float]],
+        label: str = "",
+        surface: Surface | None = None,
+    ) -> None:
         array = np.array(points, dtype=np.float64)
         if array.size == 0:
             raise ValueError("a profile needs at least one point; it is empty")
@@ -107,6 +116,7 @@ class Profile:
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
         object.__setattr__(self, "label", label)
+        object.__setattr__(self, "surface", surface)
 
     @property
     def start(self) -> float:

@@ -41,7 +41,7 @@ def thinned(profile: Profile, track_radius: float) -> Profile:
     so narrow that a round end of radius r sinks into it by less than ``TOLERANCE``: between two
     edges at distance d it sinks by d²/8r, so that d = 9 mm at a radius of 0.1 m. The first and the
     last point and all ground that is not fine are kept. If no point is omitted, the profile itself
-    is returned.
+    is returned. Its surface stays as it is.
     """
     if len(profile.points) <= FEW:
         return profile
@@ -49,7 +49,9 @@ def thinned(profile: Profile, track_radius: float) -> Profile:
 
     span = math.sqrt(8 * track_radius * TOLERANCE)
     keep = kept_points(profile.points, _fixed(profile.points), TOLERANCE, span)
-    return profile if keep.all() else Profile(profile.points[keep], profile.label)
+    if keep.all():
+        return profile
+    return Profile(profile.points[keep], profile.label, profile.surface)
 
 
 def check_extent(profile: Profile) -> None:

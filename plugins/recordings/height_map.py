@@ -47,6 +47,30 @@ class HeightMap:
         for end, cell in ((line.start, cells[0]), (line.end, cells[-1])):
             if not ((cell >= -1e-6) & (cell <= last + 1e-6)).all():
                 raise ValueError(f"{end} lies outside of the map, which covers {self._extent()}")
+        return self._at(cells, line)
+
+    def beside(self, line: Line, along: FloatArray, left: FloatArray) -> FloatArray:
+        """Return the heights on a grid, (A, L) [m]; NaN where unknown and outside of the map.
+
+        ``along``, (A,), are distances from the line's start in its direction and ``left``, (L,),
+        distances to its left [m].
+
+        Raises:
+            ValueError: too many cells surround the grid.
+        """
+        ahead = np.asarray(line.start) + along[:, None, None] * line.direction  # (A, 1, 2)
+        places = (ahead + left[:, None] * line.left).reshape(-1, 2)
+        cells = places @ self.to_cell[:, :2].T + self.to_cell[:, 2]
+        last = np.array(self.shape) - 1
+        inside = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=1)
+        found = np.full(len(cells), np.nan)
+        if inside.any():
+            found[inside] = self._at(cells[inside], line)
+        return found.reshape(len(along), len(left))
+
+    def _at(self, cells: FloatArray, line: Line) -> FloatArray:
+        """Return the heights at places in the grid, (P, 2) of row and column, along a line."""
+        last = np.array(self.shape) - 1
         cells = np.clip(cells, 0, last)
         low = np.minimum(cells.astype(int), np.maximum(last - 1, 0))
         fraction = cells - low  # (D, 2) position between two cell centres [-]

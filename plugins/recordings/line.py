@@ -4,6 +4,7 @@ In the frame, x and y are level and z points up. A line runs from ``start`` to `
 [m]; distances are measured along it from ``start``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,15 +60,29 @@ class Line:
         Raises:
             ValueError: heights are unknown over more than ``largest_gap`` [m].
         """
-        distances = self.distances
+        if not np.isfinite(heights).any():
+            raise ValueError(f"{unknown} along the line from {self.start} to {self.end}")
+        for low, high in self._gaps(heights, largest_gap):
+            raise ValueError(
+                f"{unknown} from {low:.2f} to {high:.2f} m along the line; "
+                f"the largest gap that is bridged is {largest_gap:g} m"
+            )
+        return np.column_stack([self.distances, self.bridged(heights, largest_gap)])
+
+    def bridged(self, heights: FloatArray, largest_gap: float) -> FloatArray:
+        """Return heights (D,) [m] with gaps of up to ``largest_gap`` [m] filled; NaN in others."""
         known = np.isfinite(heights)
         if not known.any():
-            raise ValueError(f"{unknown} along the line from {self.start} to {self.end}")
-        at = distances[known]
+            return heights
+        distances = self.distances
+        filled = np.interp(distances, distances[known], heights[known])
+        for low, high in self._gaps(heights, largest_gap):
+            filled[~known & (distances >= low) & (distances <= high)] = np.nan
+        return filled
+
+    def _gaps(self, heights: FloatArray, largest_gap: float) -> Iterator[tuple[float, float]]:
+        """Yield the distances between which heights are unknown over more than the largest gap."""
+        at = self.distances[np.isfinite(heights)]
         for low, high in zip(np.append(0.0, at), np.append(at, self.length), strict=True):
             if high - low > max(largest_gap, self.spacing + 1e-9):
-                raise ValueError(
-                    f"{unknown} from {low:.2f} to {high:.2f} m along the line; "
-                    f"the largest gap that is bridged is {largest_gap:g} m"
-                )
-        return np.column_stack([distances, np.interp(distances, at, heights[known])])
+                yield low, high

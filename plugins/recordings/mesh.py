@@ -132,9 +132,16 @@ def read_mesh(path: Path, unit: float, up: str, most: int) -> Mesh:
 
 
 def _dae_frame(path: Path) -> tuple[float, str]:
-    """Return the unit [m] and the axis that points up, which a DAE file states."""
+    """Return the unit [m] and the axis that points up, which a DAE file states.
+
+    Raises:
+        ValueError: it states another unit or axis than there are.
+    """
     import collada
 
     with path.open("rb") as file:
         asset = collada.Collada(file, ignore=[collada.common.DaeError]).assetInfo
-    return float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")[0].lower()
+    unit, up = float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")
+    if not (0 < unit < np.inf and up in ("X_UP", "Y_UP", "Z_UP")):
+        raise ValueError(f"it states a unit of {unit:g} m and {up} as the axis that points up")
+    return unit, up[0].lower()

@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import AnyTerrain, Profile, terrain
+from flipperctl.api import AnyTerrain, MirroredSurface, Profile, terrain
 
 from .combinator import Combinator
 from .curb_and_ramp import CurbAndRamp
@@ -27,4 +27,5 @@ class Mirror(Combinator):
         if rng.random() >= self.probability:
             return profile
         last = profile.points[-1]
-        return Profile((profile.points[::-1] - last) * (-1.0, 1.0), profile.label)
+        surface = profile.surface and MirroredSurface(profile.surface, (last[0], last[1]))
+        return Profile((profile.points[::-1] - last) * (-1.0, 1.0), profile.label, surface)

@@ -5,7 +5,7 @@ import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal, Self
 
@@ -14,8 +14,11 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recordings import cloud, height_map, mesh, polyline
+from ..recordings import cloud, height_map, polyline
+from ..recordings.height_map import HeightMap
 from ..recordings.line import Line
+from ..recordings.mesh import Mesh, read_mesh
+from ..recordings.surface import RecordedSurface
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
@@ -124,7 +127,11 @@ class ProfileFile(Terrain):
     @cached_property
     def _profile(self) -> Profile:
         points = self._points()
-        return Profile(points - points[0], self._file.stem)
+        surface = None
+        if self._file.suffix.lower() in (*MAPS, *MESHES):
+            height = float(points[0, 1])
+            surface = RecordedSurface(points[:, 0], partial(self._beside, height))
+        return Profile(points - points[0], self._file.stem, surface)
 
     def _points(self) -> FloatArray:
         """Read the points, (V, 2) of x and z [m].
@@ -132,12 +139,57 @@ class ProfileFile(Terrain):
         Raises:
             ValueError: the file is missing, unreadable or does not fit the settings.
         """
+        with self._naming_file() as file:
+            points = self._read(file, file.suffix.lower())
+        extent = np.ptp(points, axis=0)
+        if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
+            raise ValueError(
+                f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
+                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}?"
+            )
+        return points
+
+    def _read(self, file: Path, suffix: str) -> FloatArray:
+        if self.start is None or self.end is None:
+            return polyline.read_csv(file) * UNITS[self.unit]
+        line = Line(self.start, self.end, self.spacing)
+        if suffix in CLOUDS:
+            points = cloud.upright(CLOUDS[suffix](file) * UNITS[self.unit], self.up)
+            found = cloud.slice_along(points, line, self.thickness, self.quantile, MIN_POINTS)
+            return line.profile(found, self.largest_gap)
+        unknown = "the mesh is not closed" if suffix in MESHES else "no height is known"
+        return line.profile(self._ground(file).along(line), self.largest_gap, unknown)
+
+    def _ground(self, file: Path) -> HeightMap | Mesh:
+        """Return the map or the mesh, which may be read anywhere."""
+        suffix, unit = file.suffix.lower(), UNITS[self.unit]
+        if suffix in MESHES:
+            return read_mesh(file, unit, self.up, self.largest_mesh)
+        return MAPS[suffix](file, self.resolution, unit, 1 if self.rows == "+y" else -1)
+
+    def _beside(self, height: float, y: FloatArray) -> FloatArray:
+        """Return the heights above ``height`` at all points of the line and at ``y``, (D, Y) [m].
+
+        Raises:
+            ValueError: the file cannot be read.
+        """
+        assert self.start is not None
+        assert self.end is not None
+        line = Line(self.start, self.end, self.spacing)
+        with self._naming_file() as file:
+            found = self._ground(file).beside(line, line.distances, y)
+        columns = [line.bridged(column, self.largest_gap) for column in found.T]
+        return np.column_stack(columns) - height
+
+    @contextmanager
+    def _naming_file(self) -> Iterator[Path]:
+        """Name the file in whatever its reader raises, as a ValueError."""
         file = self._file
         try:
             with file.open("rb"):  # raises the system's own message if the file cannot be read
                 pass
             with _quiet():
-                points = self._read(file, file.suffix.lower())
+                yield file
         except ImportError as error:
             raise ValueError(
                 f"{file}: {file.suffix} files need the package {error.name}; "
@@ -148,29 +200,6 @@ class ProfileFile(Terrain):
         except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
-        extent = np.ptp(points, axis=0)
-        if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
-            raise ValueError(
-                f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
-                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}?"
-            )
-        return points
-
-    def _read(self, file: Path, suffix: str) -> FloatArray:
-        unit = UNITS[self.unit]
-        if self.start is None or self.end is None:
-            return polyline.read_csv(file) * unit
-        line = Line(self.start, self.end, self.spacing)
-        if suffix in MAPS:
-            rows = 1 if self.rows == "+y" else -1
-            found = MAPS[suffix](file, self.resolution, unit, rows).along(line)
-        elif suffix in MESHES:
-            faces = mesh.read_mesh(file, unit, self.up, self.largest_mesh)
-            return line.profile(faces.along(line), self.largest_gap, "the mesh is not closed")
-        else:
-            points = cloud.upright(CLOUDS[suffix](file) * unit, self.up)
-            found = cloud.slice_along(points, line, self.thickness, self.quantile, MIN_POINTS)
-        return line.profile(found, self.largest_gap)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from trimesh import PointCloud as PlyCloud
 
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from tests.plugins.test_mesh import solid, write
 
 LINE = {"start": (0.2, 0.5), "end": (1.8, 0.5)}
 LONGEST = 60.0
@@ -39,6 +40,9 @@ def files(folder: Path) -> dict[str, bytes]:
     for name, how in (("a", "ascii"), ("b", "binary")):
         data = PlyCloud(points).export(file_type="ply", encoding=how)
         (folder / f"{name}.ply").write_bytes(data)
+    bodies = solid(((0, 0, 0), (2, 1, 0.1)), ((1, 0, 0), (1.5, 1, 0.2)))
+    for suffix in ("stl", "obj", "dae"):
+        write(folder / f"a.{suffix}", bodies)
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
@@ -50,6 +54,8 @@ def read(path: Path) -> str:
     env = FlipperEnv(resolver.create("terrain", settings, "terrain"))
     profile = env._draw(np.random.default_rng(0), 1.0)
     assert np.isfinite(profile.points).all()
+    if profile.surface is not None:
+        profile.surface.heights(np.array([-0.3, 0.3]))
     if np.hypot(*np.diff(profile.points, axis=0).T).sum() < LONGEST:
         env.reset(seed=0)
     return str(profile.points.tolist())

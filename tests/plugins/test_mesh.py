@@ -75,6 +75,9 @@ def test_a_mesh_has_the_unit_and_the_axes_that_are_stated(tmp_path: Path) -> Non
     assert_block(profile(tmp_path / "feet.obj", unit="ft", up="y", **LINE), 0.02)
     write(tmp_path / "inches.dae", turned, 0.0254, "Y_UP")
     assert_block(profile(tmp_path / "inches.dae", **LINE), 0.02)
+    write(tmp_path / "negative.dae", turned, -1.0, "Y_UP")
+    with pytest.raises(TerrainError, match="states a unit of -1 m and Y_UP as the axis"):
+        profile(tmp_path / "negative.dae", **LINE)
     with pytest.raises(ConfigError, match="unit and up must not be stated too"):
         resolver.create("terrain", {"name": "profile_file", "path": "a.dae", "up": "y", **LINE}, "")
 

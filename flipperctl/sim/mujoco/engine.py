@@ -1,4 +1,7 @@
-"""``sim=mujoco``: settings of the 3-D engine, which places a robot on an extruded profile."""
+"""``sim=mujoco``: settings of the 3-D engine.
+
+It places a robot on an extruded profile or, where the terrain has one, on a surface.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,10 @@ from flipperctl.errors import MissingExtraError, RequestError
 
 @engine("mujoco")
 class Mujoco(Engine):
-    """Simulates the robot in 3-D with MuJoCo, on the profile extruded sideways."""
+    """Simulates the robot in 3-D with MuJoCo, on the profile extruded sideways.
+
+    Where the ground to both sides of the profile is recorded too, the robot drives over that.
+    """
 
     substep: float = Field(
         0.005, gt=0.0004, le=0.005, description="time step; 0.01 is a whole multiple of it [s]"
@@ -27,6 +33,12 @@ class Mujoco(Engine):
     )
     ground_width: float = Field(
         4.0, ge=1, le=100, description="width of the ground, half to each side [m]"
+    )
+    strip_width: float = Field(
+        0.2,
+        ge=0.02,
+        le=1,
+        description="width of the strips in which the robot drives over a recorded surface [m]",
     )
     main_track_offset: float = Field(
         0.086, ge=0.05, le=1, description="middle of each main track beside the chassis centre [m]"
@@ -112,7 +124,7 @@ class Mujoco(Engine):
             MissingExtraError: MuJoCo is not installed.
             RequestError: the environment names an OpenGL library that is not there.
             ConfigError: the start lies beside the ground.
-            TerrainError: the profile needs too many pieces of ground.
+            TerrainError: the ground needs too many pieces, or is unknown where the robot drives.
         """
         try:
             import mujoco  # noqa: F401

@@ -64,7 +64,7 @@ class MujocoWorld:
 
         Raises:
             ConfigError: the start lies beside the ground.
-            TerrainError: the profile needs too many boxes.
+            TerrainError: the ground needs too many boxes, or is unknown where the robot drives.
         """
         mujoco.set_mju_user_warning(_ignore)
         self.robot, self.sim, self.profile = robot, sim, profile
