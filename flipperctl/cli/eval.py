@@ -81,7 +81,9 @@ def run(
     jobs: Jobs = None,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for episodes.csv, summary.json, pictures."),
+        typer.Option(
+            metavar="DIR", help="Folder for episodes.csv, summary.json, tables, pictures."
+        ),
     ] = None,
     film: Annotated[
         Path | None,
