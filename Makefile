@@ -13,8 +13,11 @@ DECISIONS ?= 30000
 setup: $(VENV)/ready
 
 $(VENV)/ready: pyproject.toml requirements.txt
+	@echo "1 of 3: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -r requirements.txt
+	@echo "2 of 3: the packages of requirements.txt, about 2.3 GB when installed"
+	$(BIN)/python -m pip install -r requirements.txt
+	@echo "3 of 3: flipperctl itself"
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 

@@ -20,3 +20,9 @@ def test_every_package_is_listed() -> None:
             inner = init.parent.relative_to(ROOT / folder).parts
             found.add(".".join([package, *inner]))
     assert sorted(listed) == sorted(found)
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        version = tomllib.load(file)["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from flipperctl.evaluation.results import EvaluationResult
     from flipperctl.policies.source import PolicySource
 
-HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % bootstrap intervals.
+HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
 OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
 A checkpoint, or an exported .onnx file run as on the robot, is evaluated on its training terrain
@@ -81,7 +81,9 @@ def run(
     jobs: Jobs = None,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for episodes.csv, summary.json, pictures."),
+        typer.Option(
+            metavar="DIR", help="Folder for episodes.csv, summary.json, tables, pictures."
+        ),
     ] = None,
     film: Annotated[
         Path | None,

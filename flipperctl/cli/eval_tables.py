@@ -23,6 +23,7 @@ from flipperctl.evaluation.results import (
     SceneResult,
     Summary,
 )
+from flipperctl.evaluation.tables import FEWEST, interval_text
 
 
 def table(result: EvaluationResult) -> Table:
@@ -90,19 +91,24 @@ def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
 def _cells(name: str, summary: Summary) -> list[str]:
     fair = summary.passable
     counts = summary.outcomes.container()
+    reached, episodes = summary.outcomes.reached, summary.episodes
     return [
         name,
-        str(summary.episodes),
-        _format_interval(summary.success, 3),
-        *([str(fair.episodes), _format_interval(fair.success, 3)] if fair else []),
+        str(episodes),
+        _rate_text(summary.success),
+        *([str(fair.episodes), _rate_text(fair.success)] if fair else []),
         " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count),
-        _format_interval(summary.pitch_variation_100hz),
-        _format_interval(summary.pitch_variation),
-        _format_interval(summary.t_cost, 1),
-        _format_interval(summary.max_pitch),
-        _format_interval(summary.flipper_travel),
+        interval_text(summary.pitch_variation_100hz, reached),
+        interval_text(summary.pitch_variation, reached),
+        interval_text(summary.t_cost, reached, 1),
+        interval_text(summary.max_pitch, episodes),
+        interval_text(summary.flipper_travel, reached),
         *(
-            _format_interval(summary.further[measure.name], measure.digits)
+            interval_text(
+                summary.further[measure.name],
+                reached if measure.reached_only else episodes,
+                measure.digits,
+            )
             for measure in _further()
         ),
     ]
@@ -114,21 +120,19 @@ def _further() -> list[type[Measure]]:
 
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
-    pairs = difference.pitch_variation_100hz
+    swing = difference.pitch_variation_100hz
+    pairs = swing.episodes if swing else 0
     return [
         name,
-        str(pairs.episodes if pairs else 0),
-        _format_interval(other.success, 3),
-        _format_interval(other.pitch_variation_100hz),
-        _format_interval(pairs),
-        _format_interval(difference.pitch_variation),
-        _format_interval(difference.t_cost, 1),
+        str(pairs),
+        _rate_text(other.success),
+        interval_text(other.pitch_variation_100hz, other.outcomes.reached),
+        interval_text(swing, pairs),
+        interval_text(difference.pitch_variation, pairs),
+        interval_text(difference.t_cost, pairs, 1),
     ]
 
 
-def _format_interval(interval: Interval | None, digits: int = 2) -> str:
-    if interval is None:
-        return "–"
-    numbers = (interval.mean, interval.low, interval.high)
-    mean, low, high = (f"{number:.{digits}f}" for number in numbers)
-    return f"{mean} [{low}, {high}]"
+def _rate_text(success: Interval | None) -> str:
+    """Return a success rate, whose interval is known from the first episode on."""
+    return interval_text(success, FEWEST, 3)

@@ -142,16 +142,18 @@ def _table(found: list[TransferResult]) -> Table:
     ):
         table.add_column(escape(heading))
     for one in found:
+        swing = one.gap.pitch_variation_100hz
+        pairs = swing.episodes if swing else 0
         table.add_row(
             one.terrain,
             str(one.other.episodes),
             f"{one.default.success_rate:.3f}",
             f"{one.other.success_rate:.3f}",
-            _interval(one.success_gap, 3),
+            _interval(one.success_gap, one.other.episodes, 3),
             "–" if one.kept is None else f"{one.kept:.1%}",
             f"{_swing(one.default)} → {_swing(one.other)}",
-            _interval(one.gap.pitch_variation_100hz, 2),
-            _interval(one.gap.t_cost, 1),
+            _interval(swing, pairs, 2),
+            _interval(one.gap.t_cost, pairs, 1),
             ", ".join(f"{cause} {count}" for cause, count in one.causes.items()) or "none",
         )
     return table
@@ -174,10 +176,10 @@ def _failures(
             yield f"  {shlex.join(['flipperctl', 'transfer', *again, *seed])}"
 
 
-def _interval(found: Interval | None, digits: int) -> str:
-    if found is None:
-        return "–"
-    return f"{found.mean:+.{digits}f} [{found.low:+.{digits}f}, {found.high:+.{digits}f}]"
+def _interval(found: Interval | None, pairs: int, digits: int) -> str:
+    from flipperctl.evaluation.tables import interval_text
+
+    return interval_text(found, pairs, digits, sign="+")
 
 
 def _swing(summary: Summary) -> str:

@@ -1,4 +1,4 @@
-"""The files of an evaluation: ``episodes.csv`` with a row per episode, and ``summary.json``.
+"""The files of an evaluation: ``episodes.csv`` with a row per episode, ``summary.json``, tables.
 
 The episodes themselves, decision by decision, are a file of recorded episodes.
 """
@@ -14,11 +14,12 @@ from typing import Any
 from flipperctl.checkpoint import recording
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
+from flipperctl.evaluation.tables import write_tables
 from flipperctl.files import write_bytes, write_json
 
 
 def write(folder: Path, result: EvaluationResult) -> None:
-    """Write both files into an existing folder, each completely or not at all.
+    """Write all files into an existing folder, each completely or not at all.
 
     Raises:
         OutputError: a file cannot be written.
@@ -31,6 +32,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
     writer.writerows(rows)
     write_bytes(folder / "episodes.csv", text.getvalue().encode())
     write_json(folder / "summary.json", result.container())
+    write_tables(folder, result)
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:

@@ -18,7 +18,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its 95 % bootstrap interval, in the unit of the values."""
+    """A mean or a rate and its 95 % interval, in the unit of the values."""
 
     mean: float
     low: float

@@ -1,7 +1,8 @@
-"""Means with 95 % bootstrap intervals, the summary of episodes, and differences at equal seeds."""
+"""Means and rates with 95 % intervals, the summary of episodes, and differences at equal seeds."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -21,6 +22,9 @@ from flipperctl.evaluation.results import (
 )
 
 RESAMPLES = 10_000
+"""Number of resamples of the bootstrap [-]."""
+Z = 1.959964
+"""97.5 % quantile of the standard normal distribution [-]."""
 
 Row = Mapping[str, Any]
 """A flat row of ``rollout.episode.play``."""
@@ -45,6 +49,26 @@ def interval(values: Sequence[float]) -> Interval:
     )
     low, high = np.quantile(means, (0.025, 0.975))
     return Interval(float(array.mean()), float(low), float(high))
+
+
+def proportion(count: int, total: int) -> Interval:
+    """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
+
+    The bootstrap of equal outcomes is a point, as if five of five proved certainty; the score
+    interval of five of five begins at 0.566.
+
+    Raises:
+        ValueError: there are no outcomes.
+    """
+    if total == 0:
+        raise ValueError("a rate needs at least one outcome")
+    rate, spread = count / total, Z**2 / total
+    centre = (rate + spread / 2) / (1 + spread)
+    half = Z * math.sqrt(rate * (1 - rate) / total + spread / (4 * total)) / (1 + spread)
+    # The ends of 0 and 1 are exact; rounding would pass them by a last digit.
+    low = centre - half if count > 0 else 0.0
+    high = centre + half if count < total else 1.0
+    return Interval(rate, low, high)
 
 
 def reached(rows: Sequence[Row]) -> list[Row]:
@@ -118,7 +142,7 @@ def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str,
 
 
 def _success(episodes: Sequence[EpisodeResult]) -> Interval:
-    return interval([float(e.reached) for e in episodes])
+    return proportion(sum(e.reached for e in episodes), len(episodes))
 
 
 def _passable(episodes: Sequence[EpisodeResult], reached: int) -> Passable | None:

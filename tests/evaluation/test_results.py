@@ -1,7 +1,8 @@
 """The documents of an evaluation are those that 0.1 wrote, byte by byte.
 
 ``recorded/`` holds what these commands wrote before results had types, the path of the policy cut
-to its name; a change of a key or a number there breaks the readers of these documents.
+to its name; a change of a key or a number there breaks the readers of these documents. Only the
+ends of the intervals of success rates are those of 0.2, which are Wilson's.
 
 - ``mix``: ``eval --controller level --baseline okada --passable okada,random terrain=mix
   'terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1},wave]' sim.friction=0.8

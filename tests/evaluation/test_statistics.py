@@ -8,6 +8,7 @@ from flipperctl.evaluation.statistics import (
     interval,
     measure,
     paired,
+    proportion,
     reached,
     success_rate,
     summarise,
@@ -35,6 +36,22 @@ def test_an_interval_of_two_values_ends_at_them() -> None:
     assert measure([1.0, 3.0]).range == 2.0
 
 
+def test_the_interval_of_a_rate_is_wilsons() -> None:
+    # z² = 3.84146. Of 5 of 5: low = 5 / (5 + z²); of 0 of 5: high = z² / (5 + z²).
+    assert proportion(5, 5) == Interval(1.0, pytest.approx(0.56552, abs=1e-5), 1.0)
+    assert proportion(0, 5) == Interval(0.0, 0.0, pytest.approx(0.43448, abs=1e-5))
+    # Of 50 of 100: 0.5 ± z · √(0.25 / (100 + z²)) = 0.5 ± 0.09617.
+    assert proportion(50, 100).low == pytest.approx(0.40383, abs=1e-5)
+    assert proportion(50, 100).high == pytest.approx(0.59617, abs=1e-5)
+    # Of 9 of 10: centre (0.9 + 0.192073) / 1.384146 = 0.788987, half width 0.193136.
+    assert proportion(9, 10).low == pytest.approx(0.59585, abs=1e-5)
+    assert proportion(9, 10).high == pytest.approx(0.98212, abs=1e-5)
+    assert all(proportion(k, n).high <= 1 for n in range(1, 60) for k in range(n + 1))
+    assert all(proportion(k, n).low >= 0 for n in range(1, 60) for k in range(n + 1))
+    with pytest.raises(ValueError, match="at least one outcome"):
+        proportion(0, 0)
+
+
 def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> None:
     episodes = [
         sample(0, "reached", 1.0),
@@ -44,7 +61,7 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
     ]
     found = summarise("step", episodes)
     assert (found.terrain, found.episodes, found.success_rate) == ("step", 4, 0.5)
-    assert found.success.mean == 0.5
+    assert found.success == proportion(2, 4)
     assert found.outcomes == Outcomes(reached=2, overturned=0, stuck=1, timeout=1)
     assert found.pitch_variation == measure([1.0, 3.0])
     assert found.pitch_variation_100hz == measure([2.0, 6.0])
@@ -61,9 +78,9 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
 def test_what_only_a_crossing_gives_is_none_where_nobody_crossed() -> None:
     found = summarise("step", [sample(0, "overturned", 1.0)])
     assert (found.t_cost, found.pitch_variation, found.flipper_travel) == (None, None, None)
-    assert found.success == Interval(0.0, 0.0, 0.0)
+    assert found.success == proportion(0, 1)
     assert found.max_pitch.mean == pytest.approx(0.1)
-    with pytest.raises(ValueError, match="at least one value"):
+    with pytest.raises(ValueError, match="at least one outcome"):
         summarise("step", [])
 
 
@@ -75,7 +92,7 @@ def test_whoever_else_crosses_makes_a_draw_passable() -> None:
     ]
     found = summarise("step", episodes)
     assert found.success_rate == pytest.approx(1 / 3)
-    assert found.passable == Passable(2, 0.5, Interval(0.5, 0.0, 1.0))
+    assert found.passable == Passable(2, 0.5, proportion(1, 2))
     assert summarise("step", episodes[2:]).passable == Passable(0, None, None)
 
 

@@ -1,0 +1,162 @@
+"""The tables of an evaluation for papers: ``table.csv`` and ``table.tex``.
+
+In: the result of an evaluation. Out: a row for each scene and method, where the methods of a scene
+are the policy and then its baselines.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flipperctl.evaluation.results import EvaluationResult, Interval, SceneResult, Summary
+from flipperctl.files import write_bytes
+
+FEWEST = 2
+"""Smallest number of episodes whose mean has an interval [-]."""
+
+_DIGITS = 4
+"""Decimals of ``table.csv``."""
+_HEADINGS = (
+    "scene",
+    "method",
+    "$n$",
+    "reached",
+    "success",
+    r"$t_\mathrm{cost}$ [s]",
+    r"$\hat\theta_R$ at 100\,Hz [rad]",
+    r"$\hat\theta_R$ at decisions [rad]",
+    "largest pitch [rad]",
+)
+_ESCAPES = str.maketrans(
+    {
+        **{char: f"\\{char}" for char in "&%$#_{}"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A mean over some episodes, as one entry of a table."""
+
+    name: str
+    """Key of the mean in the JSON of ``eval``."""
+    mean: Interval | None
+    episodes: int
+    """Number of episodes of the mean."""
+    digits: int
+    """Decimals of its text."""
+
+
+def interval_text(found: Interval | None, episodes: int, digits: int = 2, *, sign: str = "") -> str:
+    """Return ``mean [low, high]``.
+
+    A mean over fewer than ``FEWEST`` episodes is followed by ``[–]``, and ``–`` stands for None.
+    ``sign`` is that of a format specification: ``+`` shows the sign of positive numbers, too.
+    """
+    if found is None:
+        return "–"
+    mean, low, high = (f"{n:{sign}.{digits}f}" for n in (found.mean, found.low, found.high))
+    return f"{mean} [–]" if episodes < FEWEST else f"{mean} [{low}, {high}]"
+
+
+def write_tables(folder: Path, result: EvaluationResult) -> None:
+    """Write ``table.csv`` and ``table.tex`` into an existing folder.
+
+    Raises:
+        OutputError: a file cannot be written.
+        WriteError: writing failed half way; an earlier file is untouched.
+    """
+    rows = list(_csv_rows(result))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(folder / "table.csv", text.getvalue().encode())
+    write_bytes(folder / "table.tex", latex(result).encode())
+
+
+def latex(result: EvaluationResult) -> str:
+    """Return a tabular for LaTeX with the package booktabs."""
+    lines = [
+        *(
+            f"% {_escape(scene.terrain)}: seed {scene.seed}, conditions "
+            f"{_escape(scene.conditions.name)} {scene.conditions.hash}"
+            for scene in result.scenes
+        ),
+        "% 95 % intervals; needs \\usepackage{booktabs}",
+        r"\begin{tabular}{ll" + "r" * (len(_HEADINGS) - 2) + "}",
+        r"\toprule",
+        _latex_row(_HEADINGS),
+    ]
+    for scene in result.scenes:
+        lines.append(r"\midrule")
+        for method, summary in _methods(result, scene):
+            texts = [interval_text(c.mean, c.episodes, c.digits) for c in _cells(summary)]
+            numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
+            # A dash that every font has; the names may hold others.
+            numbers = [number.replace("–", "--") for number in numbers]
+            lines.append(_latex_row([_escape(scene.terrain), _escape(method), *numbers]))
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _escape(text: str) -> str:
+    """Return the text for LaTeX, on one line."""
+    return " ".join(text.split()).translate(_ESCAPES)
+
+
+def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
+    for scene in result.scenes:
+        for method, summary in _methods(result, scene):
+            row: dict[str, Any] = {
+                "scene": scene.terrain,
+                "method": method,
+                "n": summary.episodes,
+                "reached": summary.outcomes.reached,
+            }
+            for cell in _cells(summary):
+                row |= _csv_cells(cell)
+            yield {
+                **row,
+                "seed": scene.seed,
+                "conditions": scene.conditions.name,
+                "conditions_hash": scene.conditions.hash,
+            }
+
+
+def _csv_cells(cell: Cell) -> dict[str, float | None]:
+    """Return the mean and the ends of its interval, each None where there is none."""
+    mean, known = cell.mean, cell.episodes >= FEWEST
+    return {
+        cell.name: round(mean.mean, _DIGITS) if mean else None,
+        f"{cell.name}_low": round(mean.low, _DIGITS) if mean and known else None,
+        f"{cell.name}_high": round(mean.high, _DIGITS) if mean and known else None,
+    }
+
+
+def _methods(result: EvaluationResult, scene: SceneResult) -> list[tuple[str, Summary]]:
+    baselines = [(other.controller, other.summary) for other in scene.baselines]
+    return [(result.controller, scene.summary), *baselines]
+
+
+def _cells(summary: Summary) -> list[Cell]:
+    reached, episodes = summary.outcomes.reached, summary.episodes
+    return [
+        # The interval of a rate is known from its first episode on.
+        Cell("success", summary.success, max(episodes, FEWEST), 3),
+        Cell("t_cost", summary.t_cost, reached, 1),
+        Cell("pitch_variation_100hz", summary.pitch_variation_100hz, reached, 2),
+        Cell("pitch_variation", summary.pitch_variation, reached, 2),
+        Cell("max_pitch", summary.max_pitch, episodes, 2),
+    ]
