@@ -174,7 +174,9 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "make test",  # runs this test
         "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
         "pip install numpy onnxruntime",  # the network
-        "pip install --no-deps .",  # tests/test_wheel.py installs the wheel
+        "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
+        "pip install --no-deps flipperctl-*.whl",  # likewise
+        "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -58,6 +59,7 @@ def export(
     saved = checkpoints.read(find_policy(checkpoint))
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
+    print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
     found = run(saved, kind.value, target)
     if as_json:
         print(json.dumps(found, indent=2))
@@ -65,6 +67,7 @@ def export(
     print(
         f"{target}: {found['bytes']} bytes, from {saved.path}\n"
         f"compared with torch on {found['observations']} observations of rollouts: "
-        f"Q-values differ by at most {found['largest_difference']:.2g}, "
+        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
+        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
         f"the chosen action agrees on {found['action_agreement']:.2%}"
     )

@@ -68,7 +68,8 @@ def compare(
     if actual.shape != expected.shape:
         raise ExportError(f"the exported policy gives {actual.shape}, torch {expected.shape}")
     difference = float(np.abs(expected - actual).max())
-    limit = TOLERANCE * max(1.0, float(np.abs(expected).max()))
+    largest = float(np.abs(expected).max())
+    limit = TOLERANCE * max(1.0, largest)
     agreement = float((expected.argmax(1) == actual.argmax(1)).mean())
     ordered = np.sort(expected, axis=1)
     decided = ordered[:, -1] - ordered[:, -2] > 2 * limit  # no tie within rounding
@@ -82,5 +83,7 @@ def compare(
     return {
         "observations": len(observations),
         "largest_difference": difference,
+        "largest_q_value": largest,
+        "allowed_difference": limit,
         "action_agreement": agreement,
     }

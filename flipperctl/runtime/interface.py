@@ -25,6 +25,14 @@ ANGLES = 3
 """Number of angles after the heights: theta_f1, theta_f2 and theta_R."""
 ACTIONS = 9
 """Number of actions."""
+LARGEST_ANGLE = math.pi
+"""Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
+LARGEST_HEIGHT = 5.0
+"""Largest height of an observation, beside half the length of the perceived ground [m].
+
+No ground that a robot crosses is as steep or deep; the -10 of a robot that measures its own height
+above level ground in centimetres, and the -100 of one that does in millimetres, are beyond it.
+"""
 TARGETS = f"{PREFIX}targets"
 """Entry of the rule for the flippers' targets."""
 
@@ -76,6 +84,12 @@ class Interface:
     def size(self) -> int:
         """Length of one observation."""
         return len(self.observation)
+
+    @property
+    def limits(self) -> NDArray[np.float64]:
+        """Largest plausible magnitudes of the numbers of one observation, (N + 3,) [m, rad]."""
+        highest = LARGEST_HEIGHT + self.bins * self.bin_width / 2
+        return np.array([highest] * self.bins + [LARGEST_ANGLE] * ANGLES)
 
     @property
     def inputs(self) -> int:

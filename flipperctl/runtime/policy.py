@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl.errors import MissingExtraError, NonFiniteError, PolicyError
+from flipperctl.errors import FlipperctlError, MissingExtraError, NonFiniteError, PolicyError
 from flipperctl.runtime.checksum import verify
-from flipperctl.runtime.interface import ACTIONS, ANGLES, read_interface
+from flipperctl.runtime.interface import ACTIONS, ANGLES, LARGEST_ANGLE, read_interface
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _Shapes = dict[str, tuple[str, list[int | str | None]]]
 FloatPair = NDArray[np.float64]
 INPUT, OUTPUT = "observation", "q_values"
+DEGREES = "angles are in radians"
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -53,6 +54,8 @@ class OnnxPolicy:
         self._frames = self._input.reshape(self.interface.frames, -1)
         self._row, self._q = self._frames[-1], self._output[0]
         self._has_history, self._episode_begins = len(self._frames) > 1, True
+        self._limits = self.interface.limits.astype(np.float32)
+        self._input_limits = np.tile(self._limits, self.interface.frames)
         self._bound = self._session.io_binding()
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
@@ -70,12 +73,15 @@ class OnnxPolicy:
         ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 
         Raises:
-            PolicyError: the observation has another shape, or is not numbers.
+            PolicyError: the observation has another shape, is not numbers, or holds one beyond
+                ``interface.limits``.
             NonFiniteError: the observation or a Q-value is NaN or infinite.
         """
-        array = self._numbers(observation)
+        array = self._numbers(observation, self.interface.size)
         if array.shape != self._row.shape:
             raise self._shape_error(array, f"({self.interface.size},)")
+        if not (np.abs(array) <= self._limits).all():  # false for NaN too
+            raise self._value_error(array)
         if self._has_history:
             self._frames[:-1] = array if self._episode_begins else self._frames[1:]
             self._episode_begins = False
@@ -97,7 +103,7 @@ class OnnxPolicy:
         rule is ``interface.targets``, the environment's own.
 
         Raises:
-            PolicyError: an argument is not two numbers, or there is no such action.
+            PolicyError: an argument is not two numbers within ±π, or there is no such action.
             NonFiniteError: an angle is NaN or infinite.
         """
         if not self.interface.states_targets:
@@ -119,6 +125,8 @@ class OnnxPolicy:
             raise PolicyError(f"{self.path}: the {name} have shape {pair.shape}; (2,) is allowed")
         if not np.isfinite(pair).all():
             raise NonFiniteError(f"{self.path}: the {name} are {pair}; finite numbers are allowed")
+        if not (np.abs(pair) <= LARGEST_ANGLE).all():
+            raise PolicyError(f"{self.path}: the {name} are {pair} rad; ±π is allowed: {DEGREES}")
         numbers: list[float] = pair.tolist()
         return numbers
 
@@ -129,13 +137,16 @@ class OnnxPolicy:
         keeps are neither read nor changed.
 
         Raises:
-            PolicyError: the observation has another shape, or is not numbers.
+            PolicyError: the observation has another shape, is not numbers, or holds one beyond
+                ``interface.limits``.
             NonFiniteError: the observation or a Q-value is NaN or infinite.
         """
-        array = self._numbers(observation)
         size = self.interface.inputs
+        array = self._numbers(observation, size)
         if array.ndim not in (1, 2) or array.shape[-1] != size:
             raise self._shape_error(array, f"({size},) or (B, {size})")
+        if not (np.abs(array) <= self._input_limits).all():
+            raise self._value_error(array)
         batch = np.ascontiguousarray(array.reshape(-1, size))
         values: NDArray[np.float32]
         try:
@@ -146,21 +157,32 @@ class OnnxPolicy:
             raise self._non_finite_error(values)
         return values[0] if array.ndim == 1 else values
 
-    def _numbers(self, observation: ArrayLike) -> NDArray[np.float32]:
+    def _numbers(self, observation: ArrayLike, size: int) -> NDArray[np.float32]:
+        if observation is None:  # which numpy would read as NaN
+            raise PolicyError(
+                f"{self.path}: there is no observation (None); {size} numbers are needed"
+            )
         try:
-            array = np.asarray(observation, dtype=np.float32)
+            return np.asarray(observation, dtype=np.float32)
         except (TypeError, ValueError) as error:
             raise PolicyError(f"{self.path}: the observation is not numbers: {error}") from error
-        if not np.isfinite(array).all():
-            index = np.argwhere(~np.isfinite(array))[0]
-            size = self.interface.size
-            known = array.ndim and array.shape[-1] in (size, self.interface.inputs)
-            name = self.interface.observation[index[-1] % size].name if known else "?"
-            raise NonFiniteError(
-                f"{self.path}: observation{index.tolist()} ({name}) is {array[tuple(index)]}; "
-                "finite numbers are allowed"
-            )
-        return array
+
+    def _value_error(self, array: NDArray[np.float32]) -> FlipperctlError:
+        """Return an error that names the first number that is not finite or beyond its limit."""
+        size = self.interface.size
+        limits = np.resize(self._limits, array.shape)
+        index = np.argwhere(~(np.abs(array) <= limits))[0]
+        at, quantity = index[-1] % size, self.interface.observation[index[-1] % size]
+        value, limit = float(array[tuple(index)]), self.interface.limits[at]
+        found = f"{self.path}: observation{index.tolist()} ({quantity.name}) is {value:g}"
+        if not math.isfinite(value):
+            return NonFiniteError(f"{found}; finite numbers are allowed")
+        if at >= self.interface.bins:
+            return PolicyError(f"{found} rad; ±π is allowed: {DEGREES}")
+        return PolicyError(
+            f"{found} m; ±{limit:g} m is allowed: heights are in metres, measured from the chassis "
+            "centre"
+        )
 
     def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
         return PolicyError(

@@ -16,6 +16,7 @@ from flipperctl.config import resolver
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.export import policy
 from flipperctl.export.metadata import describe_observation
+from flipperctl.export.parity import compare
 from flipperctl.policies.trained import policy_module
 
 
@@ -106,6 +107,21 @@ def test_a_mismatch_fails_and_writes_nothing(
     with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
         policy.export(saved, "pt2", tmp_path / "bad.pt2")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_difference_is_stated_beside_what_is_allowed() -> None:
+    def exported(observations: np.ndarray) -> np.ndarray:
+        return module(torch.from_numpy(observations)).numpy() + np.float32(shift)
+
+    module = torch.nn.Identity()
+    observations = np.full((2, 9), -200.0, np.float32)  # which are their own Q-values
+    shift = 0.015  # below 0.0001 · 200
+    found = compare(module, exported, observations)
+    assert found["largest_difference"] == pytest.approx(0.015, abs=1e-4)
+    assert (found["largest_q_value"], found["allowed_difference"]) == pytest.approx((200, 0.02))
+    shift = 0.03125
+    with pytest.raises(ExportError, match=r"differ by up to 0\.03125.*\(allowed 0\.02\)"):
+        compare(module, exported, observations)
 
 
 def test_a_missing_package_is_named(

@@ -89,20 +89,54 @@ def test_a_policy_of_several_frames_keeps_the_observations_before(tmp_path: Path
     assert act(8) == [0]  # the refused observation is not kept
     with pytest.raises(PolicyError, match=r"\(27,\) or \(B, 27\) is allowed: 6 .* of each frame"):
         policy.q_values(np.zeros(9))
-    assert policy.q_values(np.arange(27.0)).tolist() == list(range(9))
+    assert policy.q_values(np.arange(27.0) / 9).tolist() == pytest.approx(np.arange(9) / 9)
+    with pytest.raises(PolicyError, match=r"observation\[16\] \(theta_f2\) is 4 rad"):
+        policy.q_values(np.where(np.arange(27) == 16, 4.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "text"),
+    [
+        (17, 20.0, r"\[17\] \(theta_R\) is 20 rad; ±π is allowed: angles are in radians"),
+        (15, -3.2, r"\[15\] \(theta_f1\) is -3\.2 rad"),
+        # 5 m and half of 15 bins of 0.15 m
+        (3, -100.0, r"\[3\] \(h_4\) is -100 m; ±6\.125 m is allowed: heights are in metres"),
+        (14, 6.2, r"\[14\] \(h_15\) is 6\.2 m"),
+    ],
+)
+def test_an_observation_in_another_unit_is_refused(
+    policy: OnnxPolicy, at: int, value: float, text: str
+) -> None:
+    wrong = observation(4)
+    wrong[at] = value
+    with pytest.raises(PolicyError, match=text):
+        policy.act(wrong)
+    with pytest.raises(PolicyError, match=r"observation\[1, "):
+        policy.q_values([observation(4), wrong])
+    assert policy.act(observation(5)) == 5  # the next decision is right again
+
+
+def test_the_largest_plausible_numbers_are_accepted(policy: OnnxPolicy) -> None:
+    largest = np.array([6.125] * 15 + [math.pi] * 3)
+    assert policy.interface.limits == pytest.approx(largest)
+    for sign in (-1, 1):
+        policy.act(sign * largest)
+        policy.act(sign * largest.astype(np.float32))
 
 
 def test_an_observation_that_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:
     with pytest.raises(PolicyError, match="is not numbers"):
         policy.act(["steep"] * 18)
+    with pytest.raises(PolicyError, match=r"no observation \(None\); 18 numbers are needed"):
+        policy.act(None)
 
 
 def test_a_q_value_that_is_not_finite_is_no_action(tmp_path: Path) -> None:
-    policy = OnnxPolicy(write(tmp_path / "p.onnx", scale=1e38))
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", scale=3e38))
     with pytest.raises(NonFiniteError, match="Q-value of action 4 is inf"):
-        policy.act(observation(4) * 100)
+        policy.act(observation(4) * 4)
     with pytest.raises(NonFiniteError, match="Q-value of action 4 is inf"):
-        policy.q_values(observation(4) * 100)
+        policy.q_values(observation(4) * 4)
     with pytest.raises(NonFiniteError, match="Q-value of action 0 is nan"):
         OnnxPolicy(write(tmp_path / "q.onnx", scale=math.nan))
 

@@ -35,6 +35,15 @@ def test_a_target_stays_near_the_measured_angle(
     assert found == pytest.approx((expected, -expected))
 
 
+def test_a_blocked_pair_as_the_page_about_robots_describes_it() -> None:
+    rule = TargetRule(window=15.0, limit=60.0)  # in degrees, with the front pair held at 3°
+    found, target = [], 0.0
+    for turn in (15.0, 15.0, 15.0, 15.0, -15.0):
+        target, _ = rule.next_targets((target, 0.0), (3.0 if found else 0.0, 0.0), (turn, 0.0))
+        found.append(target)
+    assert found == [15.0, 30.0, 33.0, 33.0, 3.0]
+
+
 def test_the_robot_turns_its_flippers_by_the_rule_of_its_policy(tmp_path: Path) -> None:
     policy = OnnxPolicy(write(tmp_path / "p.onnx", targets=STATED))
     assert policy.interface.targets == RULE
@@ -76,6 +85,7 @@ def test_a_wrong_rule_is_refused(stated: object, tmp_path: Path) -> None:
         ([0.0], [0.0, 0.0], 4, PolicyError, r"targets have shape \(1,\); \(2,\) is allowed"),
         ([0.0, 0.0], ["x", 0.0], 4, PolicyError, "angles are not numbers"),
         ([0.0, 0.0], [math.nan, 0.0], 4, NonFiniteError, "angles are .*nan"),
+        ([0.0, 0.0], [45.0, 0.0], 4, PolicyError, r"angles are \[45\.  0\.\] rad; ±π is allowed"),
         ([0.0, 0.0], [0.0, 0.0], 9, PolicyError, "no action 9; 0 to 8 is allowed"),
         ([0.0, 0.0], [0.0, 0.0], -1, PolicyError, "no action -1"),
     ],
