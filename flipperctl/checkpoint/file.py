@@ -5,8 +5,10 @@ A file holds tensors and one JSON document (see ``document``), sealed by a check
 
 from __future__ import annotations
 
+import contextlib
+import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -159,13 +161,27 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
             return known[str(run_or_file)]
         raise CheckpointError(
             f"{run_or_file}: there is no such run or checkpoint file"
-            f"{close_match(str(run_or_file), known)}; policies that come with flipperctl: "
+            f"{_suggestion(run_or_file, known)}; policies that come with flipperctl: "
             f"{', '.join(known) or 'none'}"
         )
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
             return run_or_file / name
     raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; is it a run directory?")
+
+
+def _suggestion(missing: Path, shipped: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?`` for the closest run beside the path, or shipped policy."""
+    folder = missing.parent
+    with contextlib.suppress(OSError):  # a folder that cannot be read has no suggestion
+        runs = [
+            run.name
+            for run in sorted(folder.iterdir())
+            if any((run / name).is_file() for name in (BEST, LAST))
+        ]
+        if found := difflib.get_close_matches(missing.name, runs, n=1):
+            return f"; did you mean {str(folder / found[0])!r}?"
+    return close_match(str(missing), shipped)
 
 
 def shipped_policies() -> dict[str, Path]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -141,7 +143,20 @@ def run(
     if as_json:
         print(result.to_json())
     else:
-        _print(result)
+        # The table names a run as it was typed; files and JSON name the checkpoint in it.
+        typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
+        _print(replace(result, controller=typed))
+    _report_written(folder, film, record)
+
+
+def _report_written(folder: Path | None, film: Path | None, record: Path | None) -> None:
+    """Print a line on stderr for each folder or file that was written."""
+    if folder:
+        names = "episodes.csv, summary.json, table.csv, table.tex and a picture of each scene"
+        print(f"wrote {names} to {folder}", file=sys.stderr)
+    for file in (film, record):
+        if file:
+            print(f"wrote {file}", file=sys.stderr)
 
 
 def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:

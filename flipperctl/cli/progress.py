@@ -17,6 +17,7 @@ from flipperctl.cli.swing import swing_text
 from flipperctl.training.events import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
+_KNOWN_AFTER = 20.0  # [s]; before it, compiling and starting workers hide the rate
 
 
 def progress(total: int, done: int) -> Listener:
@@ -44,6 +45,12 @@ class _Rate:
     def __init__(self, done: int) -> None:
         self._start = time.perf_counter()
         self._done = done
+
+    def seconds_left(self, decision: int, total: int) -> str:
+        """Return the expected time to the end of the training [s]; ``–`` until it is known."""
+        if time.perf_counter() - self._start < _KNOWN_AFTER or decision <= self._done:
+            return "–"
+        return f"{(total - decision) / self(decision):.0f}"
 
     def __call__(self, decision: int) -> float:
         return (decision - self._done) / max(1e-9, time.perf_counter() - self._start)
@@ -112,9 +119,9 @@ class Lines:
             return
         self._last = now
         decision, rate = row["decision"], self._rate(row["decision"])
-        left = (self._total - decision) / max(1e-9, rate)
+        left = self._rate.seconds_left(decision, self._total)
         print(
-            f"{decision}/{self._total} decisions  {_state(row, rate)}  {left:.0f} s left",
+            f"{decision}/{self._total} decisions  {_state(row, rate)}  {left} s left",
             file=sys.stderr,
             flush=True,
         )

@@ -237,8 +237,8 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
 def _resume(run: Path, overrides: list[str]) -> None:
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import override_values
-    from flipperctl.cli.training import resume_run
-    from flipperctl.errors import ConfigError
+    from flipperctl.cli.training import quote_path, resume_run
+    from flipperctl.errors import ConfigError, InterruptedRunError
 
     for override in overrides:
         if "=" not in override or not override.startswith(_RESUMABLE):
@@ -248,4 +248,9 @@ def _resume(run: Path, overrides: list[str]) -> None:
             )
     with convert_hydra_errors():
         changes = override_values(overrides)
-    resume_run(run, changes, _check_device)
+    try:
+        resume_run(run, changes, _check_device)
+    except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
+        raise InterruptedRunError(
+            f"interrupted. Resume with: flipperctl train --resume {quote_path(run)}"
+        ) from error

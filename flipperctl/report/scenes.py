@@ -24,7 +24,8 @@ def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_p
         terrain = config.terrain.plugin_name
         with progress(f"{terrain}, picture", 1) as report:
             states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
-        figure = episode_figure(states, profile, config.robot, f"{source.label()} on {terrain}")
+        title = f"{source.label()} on {terrain}, episode 1 of {config.eval.episodes}"
+        figure = episode_figure(states, profile, config.robot, title)
         save(figure, folder / name)
 
 

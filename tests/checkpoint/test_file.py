@@ -159,6 +159,15 @@ def test_a_run_directory_stands_for_its_checkpoint(short_run: Path, tmp_path: Pa
         checkpoint.find(tmp_path / "missing")
 
 
+def test_a_misspelt_run_suggests_the_run_beside_it(short_run: Path, tmp_path: Path) -> None:
+    (tmp_path / "first").symlink_to(short_run)
+    (tmp_path / "frost").mkdir()  # no run
+    with pytest.raises(CheckpointError, match=r"did you mean '.*/first'\?"):
+        checkpoint.find(tmp_path / "frist")
+    with pytest.raises(CheckpointError, match="did you mean 'generalist'"):
+        checkpoint.find(Path("generalsit"))
+
+
 _FILL = """
 import resource, signal, sys
 from pathlib import Path

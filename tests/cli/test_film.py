@@ -30,4 +30,5 @@ def test_a_shipped_policy_is_called_by_its_name(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.code == 0, done.err
     assert '"controller": "generalist"' in done.out
+    assert "wrote film.gif\n" in done.err
     assert (tmp_path / "film.gif").read_bytes().startswith(b"GIF89a")
