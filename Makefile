@@ -13,6 +13,7 @@ DECISIONS ?= 30000
 setup: $(VENV)/ready
 
 $(VENV)/ready: pyproject.toml requirements.txt
+	@echo "installing flipperctl and its exact dependencies into $(VENV): 2.3 GB when unpacked, some minutes without a word"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -r requirements.txt
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
