@@ -63,7 +63,10 @@ def _check(profile: Profile, terrain: Terrain) -> None:
         )
     length = profile.end - profile.start
     if length > LONGEST:
-        raise refuse(f"returned a profile {length:g} m long; at most {LONGEST:g} m is allowed")
+        raise refuse(
+            f"returned a profile {length:g} m long; at most {LONGEST:g} m is allowed "
+            "(is its unit metres?)"
+        )
     height = float(np.abs(points[:, 1] - points[0, 1]).max())
     if height > HIGHEST:
         raise refuse(

@@ -97,7 +97,10 @@ class ProfileFile(Terrain):
                 "start and end belong to maps, meshes and clouds; a .csv is the line itself"
             )
         if suffix != ".csv" and not all(stated):
-            raise ValueError(f"a {suffix} file needs start and end, the line over the ground")
+            raise ValueError(
+                f"a {suffix} file needs start and end, the line over the ground in metres: "
+                "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
+            )
         if suffix == ".dae" and (self.unit, self.up) != ("m", "z"):
             raise ValueError("a .dae states its unit and axes; unit and up must not be stated too")
         if self.start is not None and self.end is not None:
@@ -145,7 +148,7 @@ class ProfileFile(Terrain):
         if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
-                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}?"
+                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}? terrain.unit states it"
             )
         return points
 
