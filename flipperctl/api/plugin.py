@@ -56,7 +56,8 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
         if taken is not None:
             raise ValueError(
                 f"two {family.kind} plugins are called {name!r}: "
-                f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}"
+                f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}; "
+                "keep one: uninstall the package, or leave out its file"
             )
         cls.plugin_name = name
         registry[family.kind, name] = cls
