@@ -120,5 +120,6 @@ def test_the_options_of_a_long_check_are_read(
 
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parsed)
     monkeypatch.setattr(sys, "argv", [module, *options])
+    monkeypatch.delitem(sys.modules, module, raising=False)  # else running it again warns
     with pytest.raises(_ParsedError):
         runpy.run_module(module, run_name="__main__")

