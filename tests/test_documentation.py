@@ -31,6 +31,7 @@ SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
 _BLOCK = re.DOTALL | re.MULTILINE
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
+QUICK_MEASURES = ["physics", "accuracy", "startup", "lookahead", "engines"]
 SEARCH = {
     "planner": ["controller.budget=2000"],
     "mpc": ["controller.beam=4", "controller.horizon=4"],
@@ -101,7 +102,9 @@ def smaller(command: list[str]) -> list[str]:
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
-        return [*command, "--small", "--repeats", "2", "bench.limit=1"]
+        # All measures at once take a minute; the long ones have their own tests in tests/bench.
+        measures = QUICK_MEASURES if command[1].startswith("-") else []
+        return [*command, *measures, "--small", "--repeats", "2", "bench.limit=1"]
     if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
