@@ -74,6 +74,7 @@ def test_eval_repeats_bit_for_bit_and_with_several_processes(tmp_path: Path) -> 
     assert runs[0]["scenes"][0]["success_rate"] == 1.0
 
 
+@pytest.mark.slow
 def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in RUN.items()]
     run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", "train.mode=exact", *settings]
