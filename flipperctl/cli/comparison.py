@@ -17,7 +17,7 @@ from hydra.core.utils import JobReturn
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.cli.training import quote_path
 from flipperctl.errors import InterruptedRunError
-from flipperctl.files import write_bytes
+from flipperctl.files import write_csv
 from flipperctl.training.run_folder import SUMMARY
 
 FILE = "sweep.csv"
@@ -90,11 +90,7 @@ def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
     if not runs:
         return
     rows = _earlier_rows(folder / FILE, runs) + [run.row() for run in runs]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes(folder / FILE, text.getvalue().encode())
+    write_csv(folder / FILE, rows)
     _print(folder, runs)
 
 

@@ -5,8 +5,6 @@ The episodes themselves, decision by decision, are a file of recorded episodes.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ from flipperctl.checkpoint import recording
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.tables import write_tables
-from flipperctl.files import write_bytes, write_json
+from flipperctl.files import write_csv, write_json
 
 
 def write(folder: Path, result: EvaluationResult) -> None:
@@ -25,12 +23,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
         OutputError: a file cannot be written.
         WriteError: writing failed half way; an earlier file is untouched.
     """
-    rows = list(episode_rows(result))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes(folder / "episodes.csv", text.getvalue().encode())
+    write_csv(folder / "episodes.csv", list(episode_rows(result)))
     write_json(folder / "summary.json", result.container())
     write_tables(folder, result)
 

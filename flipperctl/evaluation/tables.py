@@ -6,15 +6,13 @@ are the policy and then its baselines.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from flipperctl.evaluation.results import EvaluationResult, Interval, SceneResult, Summary
-from flipperctl.files import write_bytes
+from flipperctl.files import write_bytes, write_csv
 
 FEWEST = 2
 """Smallest number of episodes whose mean has an interval [-]."""
@@ -74,12 +72,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
         OutputError: a file cannot be written.
         WriteError: writing failed half way; an earlier file is untouched.
     """
-    rows = list(_csv_rows(result))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes(folder / "table.csv", text.getvalue().encode())
+    write_csv(folder / "table.csv", list(_csv_rows(result)))
     write_bytes(folder / "table.tex", latex(result).encode())
 
 

@@ -6,7 +6,6 @@ Both are listeners of the trainer; both can continue from an earlier decision wh
 from __future__ import annotations
 
 import csv
-import io
 import os
 import socket
 import time
@@ -16,7 +15,7 @@ from typing import Any, Protocol, cast
 
 from flipperctl.env import measures
 from flipperctl.errors import WriteError
-from flipperctl.files import failure, make_folder, write_bytes
+from flipperctl.files import failure, make_folder, write_csv
 
 
 class Listener(Protocol):
@@ -64,11 +63,7 @@ class MetricsCsv:
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
             kept = [row for row in _complete_rows(path) if int(row["decision"]) <= resume_at]
-        text = io.StringIO()
-        writer = csv.DictWriter(text, self._columns, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(kept)
-        write_bytes(path, text.getvalue().encode())
+        write_csv(path, kept, self._columns)
         self._path = path
         self._file = path.open("a", encoding="utf-8", newline="", buffering=1)
         self._writer = csv.DictWriter(self._file, self._columns, extrasaction="ignore")
