@@ -30,8 +30,8 @@ FIRST = "runs/first"  # the first run of the README, which is shown where it tra
 SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
 _BLOCK = re.DOTALL | re.MULTILINE
+_LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
-QUICK_MEASURES = ["physics", "accuracy", "startup", "lookahead", "engines"]
 SEARCH = {
     "planner": ["controller.budget=2000"],
     "mpc": ["controller.beam=4", "controller.horizon=4"],
@@ -49,8 +49,9 @@ def saved() -> dict[str, str]:
 
 
 def commands() -> list[list[str]]:
-    """Return every command that is shown, each once."""
+    """Return every command that is shown, each once; those of a loop over runs for one run."""
     lines = [line for block in blocks("sh") for line in block.splitlines()]
+    lines = [_LOOP.sub(lambda loop: loop[1].replace("$run", SHOWN), line) for line in lines]
     words = [shlex.split(line, comments=True) for line in lines]
     return [list(w) for w in dict.fromkeys(map(tuple, words)) if w and w[0] == "flipperctl"]
 
@@ -102,9 +103,7 @@ def smaller(command: list[str]) -> list[str]:
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
-        # All measures at once take a minute; the long ones have their own tests in tests/bench.
-        measures = QUICK_MEASURES if command[1].startswith("-") else []
-        return [*command, *measures, "--small", "--repeats", "2", "bench.limit=1"]
+        return [*command, "--small", "--repeats", "2", "bench.limit=1"]
     if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
@@ -169,10 +168,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         line.partition("#")[0].strip() for block in blocks("sh") for line in block.splitlines()
     }
     long = "python -m tests.long."  # test_documented_names.py reads their options
-    each = "for run in runs/paper"  # a loop of the shell over the runs of a sweep
-    assert {
-        line for line in lines if line and not line.startswith(("flipperctl ", long, each))
-    } == {
+    others = {line for line in lines if line and not _LOOP.fullmatch(line)}
+    assert {line for line in others if not line.startswith(("flipperctl ", long))} == {
         "make train",  # takes minutes
         "make test",  # runs this test
         "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
