@@ -53,6 +53,15 @@ def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: flo
     return (labelled * excess).sum() / labelled.sum().clamp(min=1)
 
 
+def mean_value(values: torch.Tensor) -> torch.Tensor:
+    """Return the mean square of each state's mean Q-value; ``values`` are (B, A) [-].
+
+    Labels say nothing of that mean. Rounding moves it, by the size of a whole step of Adam: it came
+    to 5·10⁴ where the actions differ by 0.1, and took their last digits.
+    """
+    return values.mean(dim=1).square().mean()
+
+
 def double_quantile_target(
     reward: torch.Tensor,
     discount: torch.Tensor,
