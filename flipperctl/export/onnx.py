@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from flipperctl.agent.frames import input_size
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
+from flipperctl.export.folded import folded
 from flipperctl.export.parity import QFunction, compare
 
 OPSET = 18
@@ -73,7 +74,7 @@ def compare_onnx(
         ExportError: torch cannot export the network, or the exported one disagrees with torch.
     """
     try:
-        _, q_values = export_onnx(module, config, {})
+        _, q_values = export_onnx(folded(module), config, {})
     except FlipperctlError:
         raise
     except Exception as error:  # the exporter raises errors of many types, without a common one

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.errors import ExportError
+from flipperctl.export.folded import folded
 from flipperctl.export.metadata import policy_metadata
 from flipperctl.export.onnx import export_onnx
 from flipperctl.export.parity import compare, rollout_observations
@@ -39,10 +40,10 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
     try:
         if format == "onnx":
             metadata = {**metadata, CHECKSUM: PLACEHOLDER}
-            data, q_values = export_onnx(module, config, metadata)
+            data, q_values = export_onnx(folded(module), config, metadata)
             data = add_checksum(data)
         else:
-            data, q_values = export_pt2(module, config, metadata)
+            data, q_values = export_pt2(folded(module), config, metadata)
     except BaseException as error:  # the exporters run the network's code, and wrap its errors
         raise fault(error, config.network, "forward", ExportError, while_=" (export)") from error
     found = compare(module, q_values, observations)

@@ -58,6 +58,27 @@ class Dueling(nn.Module):
         q: torch.Tensor = self.value(features) + advantage - advantage.mean(dim=1, keepdim=True)
         return q
 
+    @torch.no_grad()
+    def folded(self) -> nn.Module:
+        """Return two layers of the same Q-values, which are linear in what both heads hide.
+
+        Heads of other layers than ``nn.Linear`` stay as they are.
+        """
+        layers = [m for head in (self.value, self.advantage) for m in head.modules()]
+        linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
+        if len(linear) != 4 or any(isinstance(layer, NoisyLinear) for layer in layers):
+            return self
+        value, v, advantage, a = linear
+        hidden = nn.Linear(value.in_features, value.out_features + advantage.out_features)
+        hidden.weight.copy_(torch.cat([value.weight, advantage.weight]))
+        hidden.bias.copy_(torch.cat([value.bias, advantage.bias]))
+        actions = a.out_features
+        centre = torch.eye(actions) - 1 / actions  # subtracts the mean of all actions
+        q = nn.Linear(hidden.out_features, actions)
+        q.weight.copy_(torch.cat([v.weight.expand(actions, -1), centre @ a.weight], dim=1))
+        q.bias.copy_(v.bias + centre @ a.bias)
+        return nn.Sequential(hidden, nn.LeakyReLU(SLOPE), q)
+
 
 class DuelingQuantiles(nn.Module):
     """A front end followed by dueling heads for K quantiles of each action's return."""
