@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.machine_code import compile_environment
+
 FOLDERS = ("agent", "checkpoint", "config", "env", "runtime", "sim")
 FILES = ("test_api.py", "test_habits.py", "test_packages.py", "test_shaping.py")
 LIMIT = 3.0
@@ -42,14 +44,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def machine_code(request: pytest.FixtureRequest) -> None:
     """Compile what the quick tests use, or read it from the cache, outside any test's time."""
     if request.config.getoption("--quick"):
-        from flipperctl.api import Profile
-        from flipperctl.env.flipper_env import FlipperEnv
-        from flipperctl.sim.ground import thinned
-
-        thinned(Profile([(0.001 * i, 0.0001 * i) for i in range(2000)]), 0.1)
-        env = FlipperEnv("flat", **{"perception.occlusion": True})
-        env.reset(seed=0)
-        env.step(4)
+        compile_environment()
 
 
 @pytest.hookimpl(wrapper=True)

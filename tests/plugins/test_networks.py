@@ -8,6 +8,7 @@ from flipperctl_plugins.networks.modules import Motion, NoisyLinear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError
+from flipperctl.export.folded import folded
 
 LAYOUT = ObservationLayout()
 
@@ -74,3 +75,22 @@ def test_the_convolution_continues_the_ground_beyond_its_ends() -> None:
 def test_a_layer_of_zero_width_is_refused(name: str, field: str) -> None:
     with pytest.raises(ConfigError, match=rf"network\.{field}\.0: .* greater than 0"):
         build(name, **{field: (0,)})
+
+
+@pytest.mark.parametrize("name", ["at_d3qn", "conv", "dueling_mlp", "stacked"])
+def test_folded_heads_give_the_same_values_in_fewer_layers(name: str) -> None:
+    module = build(name)
+    inputs = LAYOUT.size * (3 if name == "stacked" else 1)
+    observation = torch.randn(5, inputs)
+    before = {key: value.clone() for key, value in module.state_dict().items()}
+    found = folded(module)
+    assert torch.allclose(found(observation), module(observation), atol=1e-5)
+    layers = [sum(isinstance(m, torch.nn.Linear) for m in n.modules()) for n in (module, found)]
+    assert layers[1] == layers[0] - 2
+    assert all(torch.equal(before[key], value) for key, value in module.state_dict().items())
+
+
+def test_noisy_heads_stay_as_they_are() -> None:
+    module = build("noisy").eval()
+    observation = torch.randn(5, LAYOUT.size)
+    assert torch.equal(folded(module)(observation), module(observation))

@@ -15,6 +15,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
 from tests.short import short_config, trainer
 
@@ -146,3 +147,7 @@ def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path, loss: str) -> N
     )
     summary = trainer(config, tmp_path).run()
     assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600 decisions
+    last = checkpoint.read(tmp_path / checkpoint.LAST)
+    observations = last.part("replay")["observation"][:200]
+    values = policy_module(last)(observations.reshape(len(observations), -1))
+    assert float(values.mean(dim=1).abs().max()) < 1.0

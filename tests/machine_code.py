@@ -1,0 +1,27 @@
+"""Compiles the simulator and the prediction model into numba's cache.
+
+    python -m tests.machine_code
+
+``make test`` does so before it starts its workers: in a fresh clone each of them, and each process
+that they start, would else spend half a minute on the same.
+"""
+
+from flipperctl.api import Profile
+
+
+def compile_environment() -> None:
+    """Thin a profile, and play a decision with a sensor that casts rays."""
+    from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.sim.ground import thinned
+
+    thinned(Profile([(0.001 * i, 0.0001 * i) for i in range(2000)]), 0.1)
+    env = FlipperEnv("flat", **{"perception.occlusion": True})
+    env.reset(seed=0)
+    env.step(4)
+
+
+if __name__ == "__main__":
+    from flipperctl.lookahead.model import compile_now
+
+    compile_environment()
+    compile_now()
