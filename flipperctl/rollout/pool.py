@@ -12,15 +12,17 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any
 
 from flipperctl.errors import FlipperctlError
 
 _ACTOR = "flipperctl.rollout.actor"
+_STOPS = (signal.SIGINT, signal.SIGTERM)
 _MAX_DEATHS = 3
 """Deaths of a worker, without a result in between, after which the pool fails."""
 
@@ -77,7 +79,8 @@ class WorkerPool:
         self, worker: int, function: Callable[..., Any], arguments: tuple[Any, ...]
     ) -> Future[Any]:
         try:
-            return self._executors[worker].submit(function, *arguments)
+            with _holding_stops():
+                return self._executors[worker].submit(function, *arguments)
         except BrokenProcessPool as error:  # the process died after its last call
             failed: Future[Any] = Future()
             failed.set_exception(error)
@@ -126,9 +129,30 @@ class WorkerPool:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
+@contextlib.contextmanager
+def _holding_stops() -> Iterator[None]:
+    """Hold back what stops a run while a process is started.
+
+    The process inherits that, and its imports are not interrupted: Ctrl-C in a terminal reaches
+    every process of the run.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # whose start would let the signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _initialize_process(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     with contextlib.suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process handles Ctrl-C
+        for number in _STOPS:  # the main process handles them, and ends its workers
+            signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()

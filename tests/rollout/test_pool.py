@@ -63,6 +63,23 @@ def test_an_error_in_a_worker_is_raised_unchanged() -> None:
         workers.close()
 
 
+@pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
+def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count: int) -> None:
+    """Ctrl-C and a scheduler's SIGTERM reach every process; the learner stops its workers."""
+    workers = WorkerPool(count, initialize, ())
+    try:
+        call = workers.submit(double, 1)
+        for number in (signal.SIGINT, signal.SIGTERM):  # while it is starting
+            os.kill(workers.process_ids()[0], number)
+        assert workers.result(call) == 2
+        for number in (signal.SIGINT, signal.SIGTERM):
+            os.kill(workers.process_ids()[0], number)
+        assert workers.result(workers.submit(double, 2)) == 4
+        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
+    finally:
+        workers.close()
+
+
 class Killer:
     """A listener that kills a worker after the fifth episode and collects the notes."""
 
