@@ -85,7 +85,9 @@ def explain(
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
     message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
-    return f"{location}: {message}{allowed}; the value is {_short(first['input'])}{rest}"
+    whole = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # of a model
+    value = "" if whole else f"; the value is {_short(first['input'])}"
+    return f"{location}: {message}{allowed}{value}{rest}"
 
 
 def _owner(

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from flipperctl.cli.console import console
 from flipperctl.cli.swing import swing_text
@@ -77,18 +77,22 @@ class Bar:
             TextColumn("{task.completed}/{task.total} decisions"),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]} s left"),
             TextColumn("{task.description}"),
             console=console(stderr=True),
         )
-        self._task = self._progress.add_task("", total=total, completed=done)
+        self._total = total
+        self._task = self._progress.add_task("", total=total, completed=done, left="–")
         self._progress.start()
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Move the bar."""
         decision = row["decision"]
-        text = _state(row, self._rate(decision))
-        self._progress.update(self._task, completed=decision, description=text)
+        text, left = (
+            _state(row, self._rate(decision)),
+            self._rate.seconds_left(decision, self._total),
+        )
+        self._progress.update(self._task, completed=decision, description=text, left=left)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line above the bar."""

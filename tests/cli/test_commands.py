@@ -153,7 +153,10 @@ def test_inspect_terrain_draws_and_measures(tmp_path: Path) -> None:
     draw = json.loads(done.out)["draws"][0]
     assert draw["largest_face"] == pytest.approx(0.2)
     assert abs(draw["climb"]) in [pytest.approx(0.2 * steps) for steps in (3, 4, 5)]
-    assert "[m]" in call("inspect", "terrain", "stair", cwd=tmp_path).out
+    assert "[m]" in (drawn := call("inspect", "terrain", "stair", cwd=tmp_path).out)
+    equal = call("inspect", "terrain", "paper_step", cwd=tmp_path).out  # the same for each seed
+    assert len(drawn.splitlines()) == len(equal.splitlines()) + 3
+    assert "any" in equal
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
 
 

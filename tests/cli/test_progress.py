@@ -25,6 +25,18 @@ def test_the_time_left_is_unknown_at_first(
     assert third.endswith("  50 s left")
 
 
+def test_a_bar_keeps_quiet_about_the_time_left_as_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(progress, "_KNOWN_AFTER", 3600.0)
+    bar = progress.Bar(1000, 0)
+    bar.episode({"loss": None, "success_rate": 0.0, "epsilon": 1.0, "decision": 500})
+    bar.close()
+    assert "500/1000 decisions" in (shown := capsys.readouterr().err)
+    assert "– s left" in shown
+
+
 def test_an_interrupted_start_of_a_resumed_run_says_how_to_resume(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -122,6 +122,12 @@ def test_faces_that_look_down_and_a_line_outside_are_refused(tmp_path: Path) -> 
         profile(file, start=(1.0, 2.0), end=(5.0, 2.0))
 
 
+def test_a_mesh_without_a_line_says_how_to_give_one_and_no_more() -> None:
+    with pytest.raises(ConfigError) as caught:
+        resolver.create("terrain", {"name": "profile_file", "path": "x.stl"}, "terrain")
+    assert str(caught.value).endswith("'terrain.start=[x,y]' 'terrain.end=[x,y]'")
+
+
 def test_a_mesh_that_is_too_large_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "block.stl"
     write(file, block())  # 2 bodies of 12 faces

@@ -109,8 +109,10 @@ def _print(name: str, numbers: list[dict[str, Any]]) -> None:
     for heading in (*headings, "largest face [m]", "steepest slope [°]", "points"):
         table.add_column(escape(heading), justify="right")
     keys = ("length", "lowest", "highest", "climb", "largest_face", "steepest_slope_degrees")
-    for row in numbers:
-        table.add_row(
-            str(row["seed"]), *(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))
-        )
+    cells = [(*(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))) for row in numbers]
+    seeds = [str(row["seed"]) for row in numbers]
+    if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
+        seeds, cells = ["any"], cells[:1]  # nothing about the terrain is random
+    for seed, row in zip(seeds, cells, strict=True):
+        table.add_row(seed, *row)
     console().print(table)
