@@ -95,13 +95,6 @@ class Randomise(Settings):
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )
-    share: float = Field(
-        1.0,
-        ge=0,
-        le=1,
-        description="fraction of the episodes in which anything is sampled; the others have the "
-        "settings as they are [-]",
-    )
 
     def ranges(self) -> Iterator[tuple[str, str, tuple[float, float]]]:
         """Yield the section, name and range of each sampled setting."""
@@ -120,18 +113,8 @@ class Randomise(Settings):
         """Names of the sampled settings."""
         return [name for _, name, _ in (*self.ranges(), *self.probabilities())]
 
-    @property
-    def without_effect(self) -> set[str]:
-        """Names of settings that do not influence an episode."""
-        return {"share"} if self.share == 1 or not self.names else set()
-
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
-        """Sample a value of each randomised setting, in SI units; a switch is 1 or 0.
-
-        In an episode outside of ``share`` nothing is sampled, and the result is empty.
-        """
-        if self.share < 1 and rng.random() >= self.share:
-            return {}
+        """Sample a value of each randomised setting, in SI units; a switch is 1 or 0."""
         values = {name: _fitting(name, rng.uniform(*found)) for _, name, found in self.ranges()}
         for _, name, probability in self.probabilities():
             values[name] = float(rng.random() < probability)

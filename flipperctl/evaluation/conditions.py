@@ -42,7 +42,6 @@ class Conditions:
         left_out = {
             "sim": config.sim.without_effect,
             "perception": set(ObservationLayout.model_fields),  # the policy brings it
-            "randomise": config.randomise.without_effect,
         }
         sections = {
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}

@@ -52,7 +52,7 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
-    assert {*RANGES, "occlusion", "share"} == set(Randomise.model_fields)
+    assert {*RANGES, "occlusion"} == set(Randomise.model_fields)
     for seed in range(5):
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
@@ -108,14 +108,6 @@ def test_a_certain_switch_acts_as_the_setting_itself(probability: int, setting: 
     other = episode(3, **{"randomise.occlusion": probability})
     assert {name: other[name] for name in one} == one
     assert other["occlusion"] == probability
-
-
-def test_outside_of_the_share_nothing_is_sampled() -> None:
-    half = {"randomise.noise": [0.01, 0.02], "randomise.share": 0.5}
-    rows = [episode(seed, **half) for seed in range(20)]
-    assert 4 <= sum("noise" in row for row in rows) <= 16  # each seed draws the same every time
-    nominal = next(seed for seed, row in enumerate(rows) if "noise" not in row)
-    assert rows[nominal] == episode(nominal)
 
 
 def test_drawing_leaves_terrain_and_start_alone() -> None:
