@@ -170,12 +170,21 @@ class NoisyLinear(nn.Module):
 class Motion(nn.Module):
     """Replace F stacked observations by the newest one and the F - 1 changes that led to it."""
 
-    def __init__(self, frames: int) -> None:
+    def __init__(self, frames: int, size: int) -> None:
+        """``size`` is n, the length of one observation."""
         super().__init__()
-        self.frames = frames
+        self.frames, self.size = frames, size
 
     def forward(self, stacked: torch.Tensor) -> torch.Tensor:
         """Map (B, F·n), oldest first, to (B, F·n): the newest n numbers, then the changes."""
-        frames = stacked.view(-1, self.frames, stacked.shape[1] // self.frames)
+        frames = stacked.view(-1, self.frames, self.size)
         changes = frames[:, 1:] - frames[:, :-1]
         return torch.cat([frames[:, -1], changes.flatten(1)], dim=1)
+
+    @torch.no_grad()
+    def folded(self) -> nn.Module:
+        """Return one layer of the same results."""
+        inputs = self.frames * self.size
+        layer = nn.Linear(inputs, inputs, bias=False)
+        layer.weight.copy_(self(torch.eye(inputs)).T)
+        return layer

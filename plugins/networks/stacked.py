@@ -49,7 +49,7 @@ class Stacked(Network):
         changes = (self.window - 1) * layout.size
         return nn.Sequential(
             Normalise(layout, self.window),
-            Motion(self.window),
+            Motion(self.window, layout.size),
             Fusion(layout, terrain, self.terrain[-1], self.fused, changes),
             Dueling(self.fused, self.head, n_actions),
         )
