@@ -45,10 +45,8 @@ tests:
 	$(BIN)/python -m tests.machine_code
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-quick-# Each test worker waits for the processes that it starts, so a third one keeps two cores busy.
-tests:
-	$(BIN)/python -m tests.machine_code
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder --quick
+quick-tests:
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick
 
 docs: setup
 	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet docs build/docs
