@@ -40,10 +40,9 @@ static:
 	nice $(BIN)/mypy
 	nice $(BIN)/lint-imports
 
-# Each test worker waits for the processes that it starts, so a third one keeps two cores busy.
 tests:
 	$(BIN)/python -m tests.machine_code
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 quick-tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick

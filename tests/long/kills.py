@@ -132,6 +132,7 @@ def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
     modes = {mode: reference(mode, folder / mode) for mode in names}
     tallies: dict[str, Tally] = defaultdict(Tally)
     left = {"early": early, "later": count - early}
+    pace = 1.0  # time that a case takes for each second of the reference
     for index in range(20 * count):
         if not any(left.values()):
             break
@@ -141,9 +142,11 @@ def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
         # Half of the early kills fall into the short time in which the first files are written, as
         # long as the machine is as fast as it was for the reference.
         earliest = model.begun if left["early"] % 2 and index < 3 * count else 0.0
-        state = case.kill(earliest, model.first if left["early"] else model.whole)
+        latest = model.first if left["early"] else model.whole
+        state = case.kill(pace * earliest, pace * latest)
         kind = "later" if state == "after the first checkpoint" else "early"
         if state is None or not left[kind]:
+            pace *= 1.25 if state and kind == "early" else 0.8
             shutil.rmtree(case.folder)
             continue
         left[kind] -= 1
