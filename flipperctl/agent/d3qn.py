@@ -20,7 +20,11 @@ from flipperctl.agent.building import (
     record_plugin,
 )
 from flipperctl.agent.heads import choose_head
-from flipperctl.agent.losses import mean_value, teacher_cross_entropy, teacher_large_margin
+from flipperctl.agent.losses import (
+    mean_value_penalty,
+    teacher_cross_entropy,
+    teacher_large_margin,
+)
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear
@@ -160,7 +164,7 @@ class D3qn:
             imitation = teacher_cross_entropy(values, batch.label, s.q_temperature)
         loss = linear(s.weight, s.weight_end, fraction) * imitation
         if not s.td_weight:
-            return loss + mean_value(values)
+            return loss + mean_value_penalty(values)
         td = self._head.loss(self.online, batch.observation, batch.action, target)
         return s.td_weight * td + loss
 

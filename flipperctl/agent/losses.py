@@ -53,7 +53,7 @@ def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: flo
     return (labelled * excess).sum() / labelled.sum().clamp(min=1)
 
 
-def mean_value(values: torch.Tensor) -> torch.Tensor:
+def mean_value_penalty(values: torch.Tensor) -> torch.Tensor:
     """Return the mean square of each state's mean Q-value; ``values`` are (B, A) [-].
 
     Labels say nothing of that mean. Rounding moves it, by the size of a whole step of Adam: it came

@@ -64,9 +64,8 @@ class Dueling(nn.Module):
 
         Heads of other layers than ``nn.Linear`` stay as they are.
         """
-        layers = [m for head in (self.value, self.advantage) for m in head.modules()]
-        linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        if len(linear) != 4 or any(isinstance(layer, NoisyLinear) for layer in layers):
+        linear = [layer for layer in self.modules() if isinstance(layer, nn.Linear)]
+        if len(linear) != 4:  # a noisy layer holds two
             return self
         value, v, advantage, a = linear
         hidden = nn.Linear(value.in_features, value.out_features + advantage.out_features)

@@ -9,7 +9,7 @@ from flipperctl.agent.losses import (
     double_q_target,
     double_quantile_target,
     huber,
-    mean_value,
+    mean_value_penalty,
     quantile_huber,
     teacher_cross_entropy,
     teacher_large_margin,
@@ -105,9 +105,9 @@ def test_the_large_margin_raises_the_teachers_action_and_lowers_the_rival() -> N
     assert values.grad.tolist() == [[-1.0, 1.0, 0.0]]
 
 
-def test_the_mean_value_is_drawn_to_zero_and_the_differences_are_left_alone() -> None:
+def test_the_mean_value_penalty_is_drawn_to_zero_and_the_differences_are_left_alone() -> None:
     values = torch.tensor([[3.0, 1.0, 2.0], [-1.0, 0.0, 1.0]], requires_grad=True)
-    loss = mean_value(values)
+    loss = mean_value_penalty(values)
     assert loss.item() == pytest.approx(2.0)  # (2² + 0²) / 2
     loss.backward()
     assert values.grad is not None

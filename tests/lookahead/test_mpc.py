@@ -10,6 +10,7 @@ from flipperctl.api import Controller, Outcome
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.rollout.episode import decisions, play
 from flipperctl.rollout.seeds import episode_seed
 from tests.cli.call import call
@@ -62,7 +63,9 @@ def test_a_time_limit_ends_the_search_and_not_the_drive() -> None:
     assert isinstance(found, Controller)
     policy = found.build()
     for _ in islice(decisions(env, policy, 4), 12):
-        assert len(policy._plan.actions) == 1  # type: ignore[attr-defined]  # one depth
+        assert isinstance(policy, MpcPolicy)
+        assert policy._plan is not None
+        assert len(policy._plan.actions) == 1
 
 
 def test_the_rules_stand_beside_it_unless_others_are_named(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import llvmlite.binding
 import numpy as np
 import pymunk
-from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # carray
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # numba's stubs lack carray
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
