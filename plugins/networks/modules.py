@@ -32,11 +32,41 @@ class Normalise(nn.Module):
         return observation / self.scale
 
 
-def perceptron(sizes: Sequence[int], linear: Linear = nn.Linear) -> nn.Sequential:
-    """Return linear layers of the given widths, each followed by a Leaky ReLU."""
+class Dropout(nn.Module):
+    """Sets numbers to 0 at random while the network learns (Srivastava et al. 2014).
+
+    The numbers that remain are scaled up by as much as were lost. Unlike torch's layer it acts only
+    where gradients are recorded: never in a decision, nor in a target.
+    """
+
+    def __init__(self, rate: float) -> None:
+        """``rate`` is the fraction of the numbers that are set to 0, below 1."""
+        super().__init__()
+        self.rate = rate
+        self._seed = 0
+
+    def draw_noise(self, rng: np.random.Generator) -> None:
+        """Draw from ``rng`` which numbers are set to 0."""
+        self._seed = int(rng.integers(2**62))
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Map (B, n) to (B, n)."""
+        if not (self.training and torch.is_grad_enabled()):
+            return features
+        generator = torch.Generator(features.device).manual_seed(self._seed)
+        kept = torch.empty_like(features).bernoulli_(1 - self.rate, generator=generator)
+        return features * kept / (1 - self.rate)
+
+
+def perceptron(
+    sizes: Sequence[int], linear: Linear = nn.Linear, dropout: float = 0.0
+) -> nn.Sequential:
+    """Return linear layers of the given widths, each with a Leaky ReLU and ``dropout`` after it."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
+        if dropout:
+            layers.append(Dropout(dropout))
     return nn.Sequential(*layers)
 
 
@@ -44,12 +74,18 @@ class Dueling(nn.Module):
     """Value and advantage heads: Q = V + A - mean A (Wang et al. 2016, Eq. 9)."""
 
     def __init__(
-        self, features: int, hidden: int, n_actions: int, linear: Linear = nn.Linear
+        self,
+        features: int,
+        hidden: int,
+        n_actions: int,
+        linear: Linear = nn.Linear,
+        dropout: float = 0.0,
     ) -> None:
         super().__init__()
-        self.value = nn.Sequential(perceptron((features, hidden), linear), linear(hidden, 1))
+        widths = features, hidden
+        self.value = nn.Sequential(perceptron(widths, linear, dropout), linear(hidden, 1))
         self.advantage = nn.Sequential(
-            perceptron((features, hidden), linear), linear(hidden, n_actions)
+            perceptron(widths, linear, dropout), linear(hidden, n_actions)
         )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
@@ -118,12 +154,13 @@ class Fusion(nn.Module):
         features: int,
         fused: int,
         more: int = 0,
+        dropout: float = 0.0,
     ) -> None:
         """``terrain`` maps (B, N) to (B, features); ``more`` inputs follow the robot's three."""
         super().__init__()
         self.bins = layout.bins
         self.terrain = terrain
-        self.joined = perceptron((features + 3 + more, fused))
+        self.joined = perceptron((features + 3 + more, fused), dropout=dropout)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map (B, N + 3 + more) to S′ (B, fused)."""

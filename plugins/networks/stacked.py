@@ -27,6 +27,13 @@ class Stacked(Network):
     )
     fused: int = Field(128, ge=1, le=4096, description="width of S′ [-]")
     head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
+    dropout: float = Field(
+        0.0,
+        ge=0,
+        le=0.9,
+        description="fraction of each layer's numbers that an update sets to 0 at random, so that "
+        "labels are not learnt by heart [-]",
+    )
 
     @property
     def frames(self) -> int:
@@ -45,11 +52,12 @@ class Stacked(Network):
             perceptron,
         )
 
-        terrain = perceptron((layout.bins, *self.terrain))
+        lost = self.dropout
+        terrain = perceptron((layout.bins, *self.terrain), dropout=lost)
         changes = (self.window - 1) * layout.size
         return nn.Sequential(
             Normalise(layout, self.window),
             Motion(self.window, layout.size),
-            Fusion(layout, terrain, self.terrain[-1], self.fused, changes),
-            Dueling(self.fused, self.head, n_actions),
+            Fusion(layout, terrain, self.terrain[-1], self.fused, changes, lost),
+            Dueling(self.fused, self.head, n_actions, dropout=lost),
         )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from flipperctl_plugins.networks.modules import Motion, NoisyLinear
+from flipperctl_plugins.networks.modules import Dropout, Motion, NoisyLinear
 
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
@@ -46,6 +46,20 @@ def test_noise_comes_from_the_generator_and_is_not_a_weight() -> None:
     assert layer.noise_in.mean().item() == pytest.approx(0.0, abs=0.15)
 
 
+def test_dropout_acts_where_gradients_are_recorded_alone() -> None:
+    layer, ones = Dropout(0.25), torch.ones(100, 100)
+    layer.draw_noise(np.random.default_rng(1))
+    first = layer(ones)
+    assert first.unique().tolist() == pytest.approx([0.0, 1 / 0.75])
+    assert (first == 0).float().mean().item() == pytest.approx(0.25, abs=0.02)
+    assert torch.equal(layer(ones), first)
+    layer.draw_noise(np.random.default_rng(2))
+    assert not torch.equal(layer(ones), first)
+    with torch.inference_mode():  # as a decision of training is made
+        assert torch.equal(layer(ones), ones)
+    assert torch.equal(layer.eval()(ones), ones)
+
+
 def test_motion_is_the_newest_frame_and_the_changes_up_to_it() -> None:
     rows = torch.tensor([[1.0, 5.0, 2.0, 4.0, 4.0, 0.0]])  # (1, 5), then (2, 4), then (4, 0)
     assert Motion(3, 2)(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
@@ -80,7 +94,7 @@ def test_a_layer_of_zero_width_is_refused(name: str, field: str) -> None:
 
 @pytest.mark.parametrize("name", ["at_d3qn", "conv", "dueling_mlp", "stacked"])
 def test_folded_heads_give_the_same_values_in_fewer_layers(name: str) -> None:
-    module = build(name)
+    module = build(name, **({"dropout": 0.1} if name == "stacked" else {})).eval()
     inputs = LAYOUT.size * (3 if name == "stacked" else 1)
     observation = torch.randn(5, inputs)
     before = {key: value.clone() for key, value in module.state_dict().items()}
