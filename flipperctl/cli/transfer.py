@@ -84,6 +84,7 @@ def run(
     from flipperctl.cli.scenes import scenes, with_engine
     from flipperctl.evaluation.engines import in_default_engine
     from flipperctl.evaluation.transfer import transfer
+    from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
@@ -95,7 +96,8 @@ def run(
     if film:
         _film(film, asked, only or 0)
     chosen = None if only is None else [only]
-    found = [transfer(c, s, only=chosen, progress=episodes_progress) for c, s in asked]
+    with EpisodeWorkers(asked[0][0].eval.jobs) as workers:
+        found = [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
     document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
     if folder:
         write_json(folder / "transfer.json", document)

@@ -14,6 +14,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.ranking import SceneRanking, common_draws, measures, rank
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 Rewards = Mapping[str, RewardTerm]
@@ -31,7 +32,10 @@ class RewardScene:
 
 
 def compare_rewards(
-    scene: RewardScene, policies: Mapping[str, PolicySource], progress: Progress = no_progress
+    scene: RewardScene,
+    policies: Mapping[str, PolicySource],
+    workers: EpisodeWorkers,
+    progress: Progress = no_progress,
 ) -> SceneRanking:
     """Play the scene's draws with each policy; rank the policies by each of its rewards.
 
@@ -44,7 +48,7 @@ def compare_rewards(
     every = {f"{at}.{n}": t for at, terms in scene.rewards.items() for n, t in terms.items()}
     with_every_term = config.model_copy(update={"rewards": every})
     played = {
-        label: play_scene(with_every_term, source, f"{terrain}, {label}", progress)
+        label: play_scene(with_every_term, source, f"{terrain}, {label}", workers, progress)
         for label, source in policies.items()
     }
     return SceneRanking(

@@ -16,6 +16,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
 from flipperctl.evaluation.statistics import differences, summarise
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 Scene = tuple[EvalConfig, PolicySource]
@@ -51,27 +52,31 @@ def evaluate(
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    results = [evaluate_scene(c, s, baselines, references, progress, record) for c, s in scenes]
+    with EpisodeWorkers(scenes[0][0].eval.jobs) as workers:
+        results = [
+            _evaluate_scene(c, s, baselines, references, workers, progress, record)
+            for c, s in scenes
+        ]
     return EvaluationResult(scenes[0][1].label(), tuple(results))
 
 
-def evaluate_scene(
+def _evaluate_scene(
     config: EvalConfig,
     source: PolicySource,
-    baselines: Sequence[PolicySource] = (),
-    references: Sequence[PolicySource] = (),
-    progress: Progress = no_progress,
-    record: bool = False,
+    baselines: Sequence[PolicySource],
+    references: Sequence[PolicySource],
+    workers: EpisodeWorkers,
+    progress: Progress,
+    record: bool,
 ) -> SceneResult:
-    """Evaluate a policy on one scene; see ``evaluate``."""
     terrain = config.terrain.plugin_name
-    episodes = play_scene(config, source, terrain, progress, record=record)
+    episodes = play_scene(config, source, terrain, workers, progress, record=record)
     if references:
-        episodes = _crossed_by_references(config, source, references, episodes, progress)
+        episodes = _crossed_by_references(config, source, references, episodes, workers, progress)
     others = []
     for baseline in baselines:
         label = baseline.label()
-        played = play_scene(config, baseline, f"{terrain}, {label}", progress)
+        played = play_scene(config, baseline, f"{terrain}, {label}", workers, progress)
         others.append(compare(terrain, episodes, label, played))
     return SceneResult(
         summarise(terrain, episodes),
@@ -100,6 +105,7 @@ def _crossed_by_references(
     source: PolicySource,
     references: Sequence[PolicySource],
     episodes: Sequence[EpisodeResult],
+    workers: EpisodeWorkers,
     progress: Progress,
 ) -> list[EpisodeResult]:
     """Return the episodes with ``crossed_by`` set: the policy's label, a reference's, or empty."""
@@ -107,7 +113,7 @@ def _crossed_by_references(
     for reference in references:
         left = [index for index, label in crossed_by.items() if not label]
         label = f"{config.terrain.plugin_name}, {reference.label()} on what was not crossed"
-        for result in play_scene(config, reference, label, progress, left):
+        for result in play_scene(config, reference, label, workers, progress, left):
             if result.reached:
                 crossed_by[result.episode] = reference.label()
     return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
@@ -117,6 +123,7 @@ def play_scene(
     config: EvalConfig,
     source: PolicySource,
     label: str,
+    workers: EpisodeWorkers,
     progress: Progress,
     indices: Sequence[int] | None = None,
     *,
@@ -136,7 +143,7 @@ def play_scene(
             source,
             episodes=chosen,
             seed=settings.seed,
-            jobs=settings.jobs,
+            workers=workers,
             report_progress=search,
             record=record,
         ):

@@ -23,6 +23,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.results import Differences, Interval, Summary
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
 from flipperctl.evaluation.statistics import differences, interval, summarise
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
 
@@ -126,6 +127,7 @@ class TransferResult:
 def transfer(
     config: EvalConfig,
     source: PolicySource,
+    workers: EpisodeWorkers,
     *,
     only: Sequence[int] | None = None,
     progress: Progress = no_progress,
@@ -141,7 +143,7 @@ def transfer(
     plane = in_default_engine(config)
     terrain, engines = config.terrain.plugin_name, (DEFAULT_ENGINE, config.sim.plugin_name)
     ours, theirs = (
-        play_scene(chosen, source, f"{terrain}, {engine}", progress, only)
+        play_scene(chosen, source, f"{terrain}, {engine}", workers, progress, only)
         for chosen, engine in zip((plane, config), engines, strict=True)
     )
     pairs = list(zip(ours, theirs, strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from flipperctl.evaluation.episodes import EpisodeRunner
+from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save

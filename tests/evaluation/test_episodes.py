@@ -15,7 +15,9 @@ from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.episodes import EpisodeRunner, play_episodes
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool
@@ -29,8 +31,11 @@ HIGH = {"name": "step", "low": 0.4, "high": 0.4}
 def test_two_processes_give_the_results_of_one() -> None:
     config = EnvConfig(terrain="step")
     one = list(play_episodes(config, OKADA, episodes=4, seed=3))
-    two = list(play_episodes(config, OKADA, episodes=4, seed=3, jobs=2))
-    assert one == two
+    with EpisodeWorkers(2) as workers:
+        for _ in range(2):  # the second time by the same processes
+            assert one == list(play_episodes(config, OKADA, episodes=4, seed=3, workers=workers))
+        level = list(play_episodes(config, LEVEL, episodes=4, seed=3, workers=workers))
+    assert level == list(play_episodes(config, LEVEL, episodes=4, seed=3))
     assert [result.episode for result in one] == [0, 1, 2, 3]
     assert [result.seed for result in one] == [episode_seed("evaluation", 3, i) for i in range(4)]
 
@@ -39,7 +44,8 @@ def test_chosen_episodes_are_those_of_the_whole_evaluation() -> None:
     config = EnvConfig(terrain="flat")
     whole = list(play_episodes(config, LEVEL, episodes=4, seed=3))
     assert list(play_episodes(config, LEVEL, episodes=[3, 1], seed=3)) == [whole[3], whole[1]]
-    assert list(play_episodes(config, LEVEL, episodes=[], seed=3, jobs=2)) == []
+    with EpisodeWorkers(2) as workers:
+        assert list(play_episodes(config, LEVEL, episodes=[], seed=3, workers=workers)) == []
 
 
 def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
@@ -54,11 +60,13 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
 
     monkeypatch.setattr(WorkerPool, "__init__", remembered)
     config = EnvConfig(terrain="stair")
-    results = play_episodes(config, OKADA, episodes=30, seed=3, jobs=2)
-    first = next(results)
-    for pid in started[0].process_ids():
-        os.kill(pid, signal.SIGKILL)
-    assert [first, *results] == list(play_episodes(config, OKADA, episodes=30, seed=3))
+    with EpisodeWorkers(2) as workers:
+        results = play_episodes(config, OKADA, episodes=30, seed=3, workers=workers)
+        first = next(results)
+        for pid in started[0].process_ids():
+            os.kill(pid, signal.SIGKILL)
+        found = [first, *results]
+    assert found == list(play_episodes(config, OKADA, episodes=30, seed=3))
     assert "a worker died and is replaced; episode" in caplog.text
 
 
@@ -152,7 +160,9 @@ def test_recorded_episodes_are_those_of_the_evaluation(jobs: int) -> None:
     config = EnvConfig(terrain="step")
     source = PolicySource(settings={"name": "mpc", "beam": 4, "horizon": 3})
     plain = list(play_episodes(config, source, episodes=2, seed=3))
-    found = list(play_episodes(config, source, episodes=2, seed=3, jobs=jobs, record=True))
+    with EpisodeWorkers(jobs) as workers:
+        played = play_episodes(config, source, episodes=2, seed=3, workers=workers, record=True)
+        found = list(played)
     assert found == plain  # a policy that offers costs drives the same when it is recorded
     assert [result.recorded for result in plain] == [None, None]
     for result in found:

@@ -9,7 +9,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.results import Outcomes, PairedDifference, Passable
-from flipperctl.evaluation.scenes import evaluate, evaluate_scene
+from flipperctl.evaluation.scenes import evaluate
 from flipperctl.evaluation.statistics import proportion
 from flipperctl.policies.source import PolicySource
 
@@ -65,7 +65,7 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
         yield done.append
 
     for config in (STEP, FLAT):
-        evaluate_scene(config, LEVEL, [OKADA], [OKADA], progress)
+        evaluate([(config, LEVEL)], baselines=[OKADA], references=[OKADA], progress=progress)
     assert opened == [
         ("step", 2),
         ("step, okada on what was not crossed", 2),
@@ -78,7 +78,7 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
 
 
 def test_without_references_no_episode_says_who_crossed_it() -> None:
-    found = evaluate_scene(FLAT, LEVEL)
+    (found,) = evaluate([(FLAT, LEVEL)]).scenes
     assert found.baselines == ()
     assert found.summary.passable is None
     assert "crossed_by" not in found.episodes[0].row()

@@ -8,6 +8,7 @@ from flipperctl import checkpoint
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError, PolicyError
 from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
@@ -28,7 +29,8 @@ def test_the_exported_policy_acts_as_the_trained_one(short_run: Path, exported: 
     robot = PolicySource(checkpoint=exported)
     expected = list(play_episodes(config, trained, episodes=3, seed=1))
     assert list(play_episodes(config, robot, episodes=3, seed=1)) == expected
-    assert list(play_episodes(config, robot, episodes=3, seed=1, jobs=2)) == expected
+    with EpisodeWorkers(2) as workers:
+        assert list(play_episodes(config, robot, episodes=3, seed=1, workers=workers)) == expected
 
 
 def test_the_file_holds_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:

@@ -91,13 +91,15 @@ def _compare(names: str, overrides: list[str], episodes: int, as_json: bool) -> 
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.reward_scenes import policies, reward_scenes
     from flipperctl.evaluation.compare_rewards import compare_rewards
+    from flipperctl.evaluation.workers import EpisodeWorkers
 
     sources, others = policies(names, overrides)
     scenes = reward_scenes([*others, f"eval.episodes={episodes}"])
     for scene in scenes:
         for source in sources.values():
             source.build(scene.config.perception)  # a wrong layout is found before the first draw
-    found = [compare_rewards(scene, sources, episodes_progress) for scene in scenes]
+    with EpisodeWorkers(scenes[0].config.eval.jobs) as workers:
+        found = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     if as_json:
         print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
     else:

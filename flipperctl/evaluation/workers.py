@@ -1,0 +1,113 @@
+"""Worker processes of an evaluation, which play the episodes of one policy after the other.
+
+In: an environment configuration and a policy's source. Out: one result per episode, in order.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+from flipperctl import plugins
+from flipperctl.config import EnvConfig, container, parse
+from flipperctl.errors import FlipperctlError
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Whose episodes a worker plays, and where."""
+
+    number: int
+    """A worker that has played for this number goes on with what it built."""
+    config: dict[str, Any]
+    source: PolicySource
+    seed: int
+    record: bool
+    plugin_paths: list[str]
+
+
+class EpisodeWorkers:
+    """``count`` processes, which start with the first episodes; a process that dies is replaced."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: WorkerPool | None = None
+        self._numbers = itertools.count()
+
+    def __enter__(self) -> EpisodeWorkers:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def play(
+        self,
+        config: EnvConfig,
+        source: PolicySource,
+        indices: Sequence[int],
+        seed: int,
+        *,
+        record: bool = False,
+    ) -> Iterator[EpisodeResult]:
+        """Yield the results of these episodes, in order; see ``play_episodes``."""
+        document = container(config.environment())
+        paths = plugins.configured_paths()
+        task = _Task(next(self._numbers), document, source, seed, record, paths)
+        if self._pool is None:
+            self._pool = WorkerPool(self.count, _use_one_thread, ())
+        pool = self._pool
+        waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
+        for index in indices:
+            yield _result(pool, task, waiting.popleft(), index)
+
+    def close(self) -> None:
+        """Stop the processes; episodes that have not begun are not played."""
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
+
+
+def _result(pool: WorkerPool, task: _Task, job: PendingCall, index: int) -> EpisodeResult:
+    """Wait for an episode; play it again if its worker died, since equal seeds repeat it."""
+    for _ in range(pool.count + 2):  # all may have died at once
+        try:
+            result: EpisodeResult = pool.result(job)
+            return result
+        except WorkerDiedError:
+            _log.warning("a worker died and is replaced; episode %d is played again", index)
+            job = pool.submit(_play_in_worker, task, index)
+    raise FlipperctlError(f"episode {index} of the evaluation killed its worker again and again")
+
+
+_runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process
+
+
+def _use_one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _play_in_worker(task: _Task, index: int) -> EpisodeResult:
+    global _runner
+    if _runner is None or _runner[0] != task.number:
+        plugins.load(task.plugin_paths)
+        config = parse(EnvConfig, task.config)
+        _runner = task.number, EpisodeRunner(config, task.source, task.seed, record=task.record)
+    return _runner[1].play(index)
