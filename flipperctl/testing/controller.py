@@ -15,19 +15,21 @@ from flipperctl.testing.recorded import SCENES, SHORT, Scene
 DECISIONS = 20
 """Largest number of decisions on each scene; an episode may end before [-]."""
 ENOUGH = 0.1
-"""Computing time on a scene after which no further decision is asked for [s]."""
+"""Computing time after which each scene is left after one decision [s]."""
 
 
 def actions(controller: Controller) -> None:
     """Check that every action is an index into ``ACTIONS``."""
+    left = ENOUGH
     for index in range(len(_scenes(controller))):
-        _drive(controller, index)
+        _, times = _drive(controller, index, left)
+        left -= sum(times)
 
 
 def repeats(controller: Controller) -> None:
     """Check that equal episodes give equal actions, with random numbers from ``p.rng`` only."""
     for index in range(len(_scenes(controller))):
-        (one, _), (other, _) = (_drive(controller, index) for _ in range(2))
+        (one, _), (other, _) = (_drive(controller, index, ENOUGH) for _ in range(2))
         require(
             all(a == b for a, b in zip(one, other, strict=False)),  # one may have been slower
             f"two equal episodes on scene {index} get unequal actions; "
@@ -38,7 +40,8 @@ def repeats(controller: Controller) -> None:
 def in_time(controller: Controller) -> None:
     """Check that the median decision takes at most one period, without the search before it."""
     period = SCENES[0].environment().robot.decision_period
-    times = [t for index in range(len(_scenes(controller))) for t in _drive(controller, index)[1]]
+    count = len(_scenes(controller))
+    times = [t for index in range(count) for t in _drive(controller, index, ENOUGH)[1]]
     require(
         median(times) <= period,
         f"a decision takes it {median(times):.2f} s at the median; "
@@ -55,12 +58,15 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
     return (SHORT,) if looks_ahead(type(controller)) else SCENES
 
 
-def _drive(controller: Controller, scene: int) -> tuple[list[int], list[float]]:
-    """Drive on a scene; return the actions and the time that each of them took [s]."""
+def _drive(controller: Controller, scene: int, enough: float) -> tuple[list[int], list[float]]:
+    """Drive on a scene; return the actions and the time that each of them took [s].
+
+    It ends early after ``enough`` of that time [s].
+    """
     env = _scenes(controller)[scene].environment()
     recorder = _ActionRecorder(controller, scene)
     for _ in islice(decisions(env, recorder, scene), DECISIONS):
-        if sum(recorder.times) > ENOUGH:  # one that plans takes long at its outermost settings
+        if sum(recorder.times) > enough:  # one that plans takes long at its outermost settings
             break
     return recorder.actions, recorder.times
 
