@@ -27,6 +27,8 @@ PITCH_TOLERANCE = 0.05
 """Largest root mean square of the pitches' difference at equal times that counts as equal [rad]."""
 TIME_TOLERANCE = 0.03
 """Largest difference of the times to the finish that counts as equal, as a fraction [-]."""
+_ALONG = 0.002
+"""Distance between the places at which pitches are compared [m], one sample's way."""
 
 _SHARED = ("friction", "gravity")
 """Settings that the default engine takes over from the other one."""
@@ -49,7 +51,9 @@ class EngineEpisode:
     swings: tuple[float, float]
     """θ̂_R at 100 Hz [rad]."""
     pitch_rms: float
-    """Root mean square of the pitches' difference, while both drive [rad]."""
+    """Root mean square of the pitches' difference at equal times, while both drive [rad]."""
+    pitch_rms_along: float
+    """The same at equal x, each reached for the first time: a delay alone leaves it 0 [rad]."""
     parts_at: tuple[float, float] | None
     """Time [s] and x [m] from which the pitches differ by more than ``PITCH_TOLERANCE``; None if
     they never do."""
@@ -215,5 +219,17 @@ def _episode(
         (first["t_cost"], second["t_cost"]),
         (first["pitch_variation_100hz"], second["pitch_variation_100hz"]),
         math.sqrt(float((differences**2).mean())),
+        _pitch_rms_along(*poses),
         parts_at,
     )
+
+
+def _pitch_rms_along(first: FloatArray, second: FloatArray) -> float:
+    """Return the RMS of the pitches' difference at equal x, both (S, 5) [rad]."""
+    ways = [np.maximum.accumulate(poses[:, 0]) for poses in (first, second)]
+    begin, end = max(way[0] for way in ways), min(way[-1] for way in ways)
+    x = np.arange(begin, end, _ALONG)
+    ours, theirs = (
+        poses[np.searchsorted(way, x), 2] for way, poses in zip(ways, (first, second), strict=True)
+    )
+    return math.sqrt(float(((ours - theirs) ** 2).mean())) if len(x) else 0.0

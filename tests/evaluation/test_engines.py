@@ -50,8 +50,15 @@ def test_pitches_are_compared_while_both_drive() -> None:
     found = episode(0, ({**row, "t_cost": 1.0}, {**row, "t_cost": 1.2}), (ours, theirs))
     assert found.pitch_rms == pytest.approx(0.06 / math.sqrt(2))
     assert found.parts_at == (0.51, 5.0)
+    assert found.pitch_rms_along == 0.0  # the second stands still
     assert found.time_ratio == pytest.approx(0.2)
     assert not found.agrees  # 20 % slower
+    late = np.concatenate([np.zeros((20, 5)), ours])
+    late[20:, 2] = ours[:, 2] = np.sin(ours[:, 0])
+    delayed = episode(0, ({**row, "t_cost": 1.0}, {**row, "t_cost": 1.2}), (ours, late))
+    assert delayed.pitch_rms > 0.1
+    assert delayed.pitch_rms_along == pytest.approx(0.0, abs=1e-12)
+    ours[:, 2] = 0.0
     stuck = {**row, "outcome": "stuck", "t_cost": 1.2}
     other = episode(0, ({**row, "t_cost": 1.0}, stuck), (ours, theirs))
     assert (other.outcomes, other.agrees) == ((Outcome.REACHED, Outcome.STUCK), False)

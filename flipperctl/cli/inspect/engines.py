@@ -21,6 +21,7 @@ A policy drives in the default engine; the other one repeats its actions open lo
 ground, so that only physics differs. Engines agree on an episode if the outcomes are equal and,
 where both reach the finish, the pitches differ by at most 0.05 rad RMS at equal times and the times
 by at most 3 %. Episodes that disagree are listed with the time and the place at which they part.
+Pitches that differ at equal times but not at equal x are the same motion, a little later.
 
 Settings of sim are those of the other engine; friction and gravity apply to both.
 
@@ -133,5 +134,5 @@ def _disagreements(found: list[EngineComparison]) -> Iterator[str]:
             yield (
                 f"{scene.terrain}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
                 f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "
-                f"{e.pitch_rms:.3f} rad{where}"
+                f"{e.pitch_rms:.3f} rad, {e.pitch_rms_along:.3f} rad at equal x{where}"
             )
