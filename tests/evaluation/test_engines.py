@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Outcome
-from flipperctl.config import EvalConfig
+from flipperctl.config import EnvConfig, EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
+from flipperctl.evaluation.engines import _drive as drive
 from flipperctl.evaluation.engines import _episode as episode
 from flipperctl.evaluation.engines import compare_engines, in_default_engine
 from flipperctl.policies.source import PolicySource
@@ -64,3 +66,18 @@ def test_pitches_are_compared_while_both_drive() -> None:
     assert (other.outcomes, other.agrees) == ((Outcome.REACHED, Outcome.STUCK), False)
     alike = episode(0, (stuck, stuck), (ours, theirs))
     assert alike.agrees  # where neither reaches the finish, the outcome counts
+
+
+@pytest.mark.parametrize("engine", ["planar", "mujoco"])
+def test_a_wall_lifts_level_flippers_from_the_friction_of_statics_on(engine: str) -> None:
+    # The belts slip at the wall and at the rear end, whose forces are μ² N and μ N: moments about
+    # the rear end, 0.616 m behind the centre of mass and 1.332 m behind the wall, 0.1 m below the
+    # nose, give 1.332 μ² + 0.1 μ = 0.616 (1 + μ²).
+    lifts = (-0.1 + math.sqrt(0.1**2 + 4 * (1.332 - 0.616) * 0.616)) / (2 * (1.332 - 0.616))
+    assert lifts == pytest.approx(0.86, abs=0.002)
+    for friction, expected in ((lifts - 0.06, False), (lifts + 0.06, True)):
+        settings = {"name": engine, "friction": friction}
+        wall = {"name": "step", "low": 0.4, "high": 0.4}
+        env = FlipperEnv(config=EnvConfig(terrain=wall, sim=settings))
+        _, poses, _ = drive(env, PolicySource.of_plugin("level", "").build(env.layout), 0)
+        assert (poses[:, 2].max() > 0.1) == expected, friction
