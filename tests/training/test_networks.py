@@ -29,10 +29,10 @@ def config(name: str, **more: object) -> TrainConfig:
         "agent.learning_starts": 60,
         "agent.batch_size": 32,
         "agent.epsilon_start": 0.2,
-        **({"network.dropout": 0.1} if name == "stacked" else {}),
         **more,
     }
-    return short_config(network=name, **quick)
+    network = {"name": name, "dropout": 0.1} if name == "stacked" else name
+    return short_config(network=network, **quick)
 
 
 @pytest.fixture(scope="module", params=NEW)
