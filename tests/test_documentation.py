@@ -13,6 +13,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
+from flipperctl.cli.bench import MEASURES
 from flipperctl.env import flipper_env
 from flipperctl.lookahead import best_known
 from flipperctl.lookahead.planner import Planner
@@ -101,9 +102,13 @@ def smaller(command: list[str]) -> list[str]:
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
-        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
+        launched = any(word.startswith("hydra/launcher=") for word in command)
+        bare = ["train.mode=exact"] if launched else []  # each job would start its own workers
+        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own, *bare]
     if command[0] == "bench":
-        return [*command, "--small", "--repeats", "2", "bench.limit=1"]
+        every = not set(MEASURES) & set(command)
+        quick = ["physics", "engines", "startup"] if every else []  # each has a test in tests/bench
+        return [*command, *quick, "--small", "--repeats", "2", "bench.limit=1"]
     if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))

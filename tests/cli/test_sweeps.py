@@ -16,7 +16,7 @@ from tests.cli.call import RUN, Done, call
 
 pytestmark = pytest.mark.slow
 
-QUICK = [f"{key}={value}" for key, value in {**RUN, "train.workers": 1}.items()]
+QUICK = [f"{key}={value}" for key, value in {**RUN, "train.mode": "exact"}.items()]
 RAY = [
     "hydra/launcher=ray",
     "hydra.launcher.ray.init.address=local",  # not a cluster that happens to run here
