@@ -1,5 +1,6 @@
 """torch modules that the built-in networks are composed of; imported only inside ``build``."""
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -30,6 +31,13 @@ class Normalise(nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map (B, F·(N + 3)) in SI units to (B, F·(N + 3)) [-]."""
         return observation / self.scale
+
+    @torch.no_grad()
+    def folded_into(self, layer: nn.Linear) -> nn.Linear:
+        """Return a layer of what ``layer`` gives for normalised observations."""
+        joined = copy.deepcopy(layer)
+        joined.weight.div_(self.scale)
+        return joined
 
 
 class Dropout(nn.Module):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from flipperctl_plugins.networks.modules import Dropout, Motion, NoisyLinear
+from flipperctl_plugins.networks.modules import Dropout, Motion, NoisyLinear, Normalise
 
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
@@ -102,6 +102,8 @@ def test_folded_heads_give_the_same_values_in_fewer_layers(name: str) -> None:
     assert torch.allclose(found(observation), module(observation), atol=1e-5)
     layers = [sum(isinstance(m, torch.nn.Linear) for m in n.modules()) for n in (module, found)]
     assert layers[1] == layers[0] - 2 + (name == "stacked")  # whose frames are one layer, too
+    if name == "stacked":
+        assert not any(isinstance(m, Normalise) for m in found.modules())
     assert all(torch.equal(before[key], value) for key, value in module.state_dict().items())
 
 
