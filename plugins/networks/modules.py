@@ -212,16 +212,19 @@ class NoisyLinear(nn.Module):
 
 
 class Motion(nn.Module):
-    """Replace F stacked observations by the newest one and the F - 1 changes that led to it."""
+    """Replace stacked observations by the newest one and the changes that led to it."""
 
-    def __init__(self, frames: int, size: int) -> None:
-        """``size`` is n, the length of one observation."""
+    def __init__(self, seen: Sequence[int], frames: int, size: int) -> None:
+        """``seen``: which of the F frames count, counted from 0, the oldest; the newest last.
+
+        ``size`` is n, the length of one observation.
+        """
         super().__init__()
-        self.frames, self.size = frames, size
+        self.seen, self.frames, self.size = list(seen), frames, size
 
     def forward(self, stacked: torch.Tensor) -> torch.Tensor:
-        """Map (B, F·n), oldest first, to (B, F·n): the newest n numbers, then the changes."""
-        frames = stacked.view(-1, self.frames, self.size)
+        """Map (B, F·n), oldest first, to (B, len(seen)·n): the newest, then the changes."""
+        frames = stacked.view(-1, self.frames, self.size)[:, self.seen]
         changes = frames[:, 1:] - frames[:, :-1]
         return torch.cat([frames[:, -1], changes.flatten(1)], dim=1)
 
@@ -229,6 +232,6 @@ class Motion(nn.Module):
     def folded(self) -> nn.Module:
         """Return one layer of the same results."""
         inputs = self.frames * self.size
-        layer = nn.Linear(inputs, inputs, bias=False)
+        layer = nn.Linear(inputs, len(self.seen) * self.size, bias=False)
         layer.weight.copy_(self(torch.eye(inputs)).T)
         return layer

@@ -1,12 +1,12 @@
-"""A network that sees the last few observations at once."""
+"""A network that sees the last few observations at once, and some earlier ones."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field, PositiveInt
 
-from flipperctl.api import Network, ObservationLayout, network
+from flipperctl.api import MAX_HISTORY, Network, ObservationLayout, network
 
 if TYPE_CHECKING:
     import torch
@@ -21,6 +21,11 @@ class Stacked(Network):
 
     window: int = Field(
         3, ge=2, le=16, description="number of observations seen at once, newest included [-]"
+    )
+    earlier: tuple[Annotated[int, Field(ge=2, le=MAX_HISTORY - 1)], ...] = Field(
+        (),
+        description="how many decisions before the newest observation further ones lie, by which "
+        "a robot that has stood for long is told from one that has just stopped [-]",
     )
     terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
@@ -37,11 +42,11 @@ class Stacked(Network):
 
     @property
     def frames(self) -> int:
-        """Number of stacked observations, which is the window [-]."""
-        return self.window
+        """Number of observations that an input row holds, back to the earliest that is seen [-]."""
+        return max([self.window, *(lag + 1 for lag in self.earlier)])
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps (B, window · (N + 3)), oldest first, to Q (B, n_actions)."""
+        """Return a module that maps (B, frames · (N + 3)), oldest first, to Q (B, n_actions)."""
         from torch import nn
 
         from .modules import (
@@ -54,10 +59,11 @@ class Stacked(Network):
 
         lost = self.dropout
         terrain = perceptron((layout.bins, *self.terrain), dropout=lost)
-        changes = (self.window - 1) * layout.size
+        seen = sorted({*range(self.window), *self.earlier}, reverse=True)
+        changes = (len(seen) - 1) * layout.size
         return nn.Sequential(
-            Normalise(layout, self.window),
-            Motion(self.window, layout.size),
+            Normalise(layout, self.frames),
+            Motion([self.frames - 1 - lag for lag in seen], self.frames, layout.size),
             Fusion(layout, terrain, self.terrain[-1], self.fused, changes, lost),
             Dueling(self.fused, self.head, n_actions, dropout=lost),
         )

@@ -62,8 +62,20 @@ def test_dropout_acts_where_gradients_are_recorded_alone() -> None:
 
 def test_motion_is_the_newest_frame_and_the_changes_up_to_it() -> None:
     rows = torch.tensor([[1.0, 5.0, 2.0, 4.0, 4.0, 0.0]])  # (1, 5), then (2, 4), then (4, 0)
-    assert Motion(3, 2)(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
-    assert Motion(3, 2).folded()(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
+    for found in (Motion([0, 1, 2], 3, 2), Motion([0, 1, 2], 3, 2).folded()):
+        assert found(rows).tolist() == [[4.0, 0.0, 1.0, -1.0, 2.0, -4.0]]
+    for found in (Motion([0, 2], 3, 2), Motion([0, 2], 3, 2).folded()):
+        assert found(rows).tolist() == [[4.0, 0.0, 3.0, -5.0]]
+
+
+def test_earlier_observations_are_seen_and_those_between_are_not() -> None:
+    module = build("stacked", window=2, earlier=(3, 6)).eval()
+    rows = torch.randn(1, 7 * LAYOUT.size)
+    before = module(rows)
+    for frame in range(7):
+        changed = rows.clone()
+        changed[:, frame * LAYOUT.size : (frame + 1) * LAYOUT.size] += 0.1
+        assert torch.equal(module(changed), before) == (6 - frame not in (0, 1, 3, 6))
 
 
 def test_quantiles_differ_and_their_mean_is_the_q_value() -> None:
