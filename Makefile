@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
-#   make train   sets up, trains terrain=stair for a few minutes, evaluates, prints the table
+#   make train   sets up, trains terrain=stair for about a minute, evaluates, prints the table
 #   make test    sets up and runs every check
 #   make check runs the static checks and the quick tests, for use while one works
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error

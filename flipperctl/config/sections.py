@@ -1,6 +1,6 @@
 """The sections of a configuration: every setting, its default, bounds and unit.
 
-"Paper silent" in a description marks a value that the paper does not give.
+"Not given in the paper" in a description marks a value that the paper does not give.
 """
 
 from __future__ import annotations
