@@ -104,6 +104,10 @@ def smaller(command: list[str]) -> list[str]:
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
         launched = any(word.startswith("hydra/launcher=") for word in command)
         bare = ["train.mode=exact"] if launched else []  # each job would start its own workers
+        if "hydra/launcher=ray" in command:
+            bare += [
+                f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=2")
+            ]
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own, *bare]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
