@@ -42,7 +42,7 @@ static:
 
 tests:
 	$(BIN)/python -m tests.machine_code
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 quick-tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick
