@@ -133,10 +133,10 @@ class Mujoco(Engine):
                 "sim=mujoco needs MuJoCo, which is not installed; "
                 "run pip install 'flipperctl[mujoco]'"
             ) from error
-        except AttributeError as error:  # PyOpenGL's, when the library of MUJOCO_GL is missing
+        except (AttributeError, RuntimeError) as error:  # MUJOCO_GL's library is missing or unknown
             raise RequestError(
                 f"sim=mujoco: MuJoCo does not import with MUJOCO_GL={os.environ.get('MUJOCO_GL')}, "
-                "whose library this machine lacks; unset it or set it to egl"
+                "for which this machine has no library; unset it or set it to egl"
             ) from error
         from flipperctl.sim.mujoco.world import MujocoWorld
 

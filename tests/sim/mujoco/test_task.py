@@ -2,6 +2,9 @@
 
 import ctypes.util
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -62,6 +65,21 @@ def test_render_names_what_is_missing_and_whose_fault_it_is(
     monkeypatch.setattr(MujocoWorld, "draw", draw)
     with pytest.raises(PluginFailedError, match="sim 'mujoco': draw raised ValueError: no colours"):
         env.render()
+
+
+def test_an_unknown_drawing_library_is_one_error() -> None:
+    # In a process of its own, since MuJoCo reads the variable when it is imported.
+    asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]
+    done = subprocess.run(
+        [sys.executable, "-m", "flipperctl", *asked],
+        env={**os.environ, "MUJOCO_GL": "wrong"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "error: sim=mujoco: MuJoCo does not import with MUJOCO_GL=wrong" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_eval_repeats_bit_for_bit_and_with_several_processes(tmp_path: Path) -> None:
