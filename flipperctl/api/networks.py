@@ -22,8 +22,8 @@ class Network(Plugin, ABC):
       return, whose mean ``forward`` returns. They are learnt by quantile regression.
     - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule draws new noise
       before each decision of training and before each update. The noise acts in ``train()`` mode
-      only, and a policy is evaluated and exported in ``eval()`` mode. The noise is stored in
-      buffers that are not persistent.
+      only, and a policy is evaluated and exported in ``eval()`` mode. Tensors of noise are buffers
+      that are not persistent.
     """
 
     kind: ClassVar[str] = "network"

@@ -26,7 +26,7 @@ class RewardScene:
     """A scene, and the rewards by which policies are ranked on it."""
 
     config: EvalConfig
-    """``config.eval`` holds the number of episodes, the seed and the number of processes."""
+    """``config.eval`` holds the number of episodes and the seed."""
     rewards: Mapping[str, Rewards]
     """Reward terms by the label of their set."""
 
@@ -39,7 +39,7 @@ def compare_rewards(
 ) -> SceneRanking:
     """Play the scene's draws with each policy; rank the policies by each of its rewards.
 
-    ``policies``: their sources by the labels that the result uses.
+    ``policies``: their sources by the labels that the result uses; ``workers`` play the episodes.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.

@@ -20,7 +20,7 @@ from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 Scene = tuple[EvalConfig, PolicySource]
-"""``config.eval`` holds the number of episodes, the seed and the number of processes."""
+"""``config.eval`` holds the number of episodes and the seed."""
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
 """Opens the progress of some episodes, from a label and their number. The context manager yields a
 function of the number of finished episodes; a search counts as a fraction of its episode."""
@@ -40,7 +40,7 @@ def evaluate(
     progress: Progress = no_progress,
     record: bool = False,
 ) -> EvaluationResult:
-    """Evaluate one policy on each scene.
+    """Evaluate one policy on each scene, with as many processes as the first one asks for.
 
     ``baselines`` play the same episodes for comparison. ``references`` try in turn the episodes
     that the policy did not cross, to find out which can be crossed at all. ``record``: whether the
@@ -129,7 +129,7 @@ def play_scene(
     *,
     record: bool = False,
 ) -> list[EpisodeResult]:
-    """Play the episodes with these indices, or all of the evaluation, and show the progress."""
+    """Let workers play the episodes with these indices, or all, and show the progress."""
     settings = config.eval
     chosen = range(settings.episodes) if indices is None else indices
     results: list[EpisodeResult] = []

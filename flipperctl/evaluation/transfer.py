@@ -134,7 +134,7 @@ def transfer(
 ) -> TransferResult:
     """Play the evaluation's episodes in the default engine and in ``config``'s.
 
-    ``only``: indices of the episodes to play; None plays all.
+    ``workers`` play the episodes, those with the indices ``only``; None means all.
 
     Raises:
         ConfigError: ``config`` is of the default engine.

@@ -15,7 +15,7 @@ from flipperctl.testing.recorded import SCENES, SHORT, Scene
 DECISIONS = 20
 """Largest number of decisions on each scene; an episode may end before [-]."""
 ENOUGH = 0.1
-"""Computing time after which each scene is left after one decision [s]."""
+"""Computing time after which no decision is asked for but the first of each scene [s]."""
 
 
 def actions(controller: Controller) -> None:
