@@ -30,19 +30,20 @@ def fail() -> None:
 
 
 def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
-    workers = WorkerPool(1, initialize, ())
+    workers = WorkerPool(2, initialize, ())
     try:
-        calls = [workers.submit(double, 1), workers.submit(die), workers.submit(double, 2)]
-        assert workers.result(calls[0]) == 2
+        functions = ((double, 1), (double, 5), (die,), (double, 6), (double, 2))  # by turns
+        calls = [workers.submit(function, *arguments) for function, *arguments in functions]
+        assert [workers.result(call) for call in calls[:2]] == [2, 10]
         with pytest.raises(WorkerDiedError, match="worker process 0 died"):
-            workers.result(calls[1])
-        assert workers.result(calls[2]) == 4
+            workers.result(calls[2])
+        assert [workers.result(call) for call in calls[3:]] == [12, 4]
     finally:
         workers.close()
 
 
 def test_a_worker_that_always_dies_ends_the_pool_with_a_reason() -> None:
-    workers = WorkerPool(1, initialize, ())
+    workers = WorkerPool(2, initialize, ())
     try:
         for _ in range(2):
             with pytest.raises(WorkerDiedError):
@@ -120,7 +121,7 @@ def test_a_training_run_continues_when_a_worker_is_killed(
         _pools.append(self)
 
     monkeypatch.setattr(WorkerPool, "__init__", remembered)
-    learner: Trainer = trainer(short_config(**{"train.mode": "fast"}), tmp_path)
+    learner: Trainer = trainer(short_config(**{"train.mode": "fast", "train.workers": 2}), tmp_path)
     killer = Killer()
     learner.listeners.append(killer)
     summary = learner.run()

@@ -122,7 +122,7 @@ def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
 ) -> None:
     settings = {"train.record": True, "train.mode": mode, "train.decisions": 400, **MPC}
     if mode == "fast":  # whose workers label beside the file
-        settings["teacher.episodes"] = str(file)
+        settings |= {"teacher.episodes": str(file), "train.workers": 2}
     stacking = {"network": {"name": "stacked", "window": 2}, "agent.n_step": 2}
     folder = run_whole_and_in_parts(short_config(**settings, **stacking), tmp_path)
     found = recording.read(folder / EPISODES)
