@@ -26,7 +26,8 @@ for words in ("terrain stair --output stair.png", "checkpoint run", "run run"):
         main(["inspect", *words.split()])
     except SystemExit as left:
         assert left.code == 0, words
-print(gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair").reset(seed=1)[0].shape)
+env = gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair")
+print(env.reset(seed=1)[0].shape)
 """
 
 

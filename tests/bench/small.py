@@ -12,7 +12,9 @@ UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
 
 def small_bench(**changes: object) -> Bench:
     """Return small settings on steps, whose runs end by their budget and not by the clock."""
-    config = TrainConfig(terrain="step", network="at_d3qn", seed=3, train={"decisions": 250, "workers": 2})
+    config = TrainConfig(
+        terrain="step", network="at_d3qn", seed=3, train={"decisions": 250, "workers": 2}
+    )
     changes = {"limit": 3600.0, **changes}
     return Bench(config, sizes(small=True, changes=changes))
 
