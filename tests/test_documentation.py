@@ -91,11 +91,17 @@ def example(word: str) -> str:
     return found
 
 
+def fewer(command: list[str]) -> list[str]:
+    """The same sweep of two combinations: two values of its first key, one of each other."""
+    swept = [word for word in command if re.fullmatch(r"\w+=\w+(,\w+)+", word)]
+    kept = {word: ",".join(word.split(",")[: 1 if i else 2]) for i, word in enumerate(swept)}
+    return [kept.get(word, word) for word in command]
+
+
 def smaller(command: list[str]) -> list[str]:
     """The same command with a budget for a test; a later override wins."""
     if command[0] == "train" and "--cfg" not in command:
-        command = [word.replace("seed=1,2,3,4,5", "seed=1,2") for word in command]
-        command = [re.sub(r"(experiment=\w+,\w+),[\w,]+", r"\1", word) for word in command]
+        command = fewer(command)
         if any(word.startswith("experiment=taught,") for word in command):
             command = [*command, "teacher=okada"]  # whose labels cost no search
         resumed = "--resume" in command
@@ -106,7 +112,7 @@ def smaller(command: list[str]) -> list[str]:
         bare = ["train.mode=exact"] if launched else []  # each job would start its own workers
         if "hydra/launcher=ray" in command:
             bare += [
-                f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=2")
+                f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")
             ]
         return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own, *bare]
     if command[0] == "bench":

@@ -20,7 +20,7 @@ QUICK = [f"{key}={value}" for key, value in {**RUN, "train.mode": "exact"}.items
 RAY = [
     "hydra/launcher=ray",
     "hydra.launcher.ray.init.address=local",  # not a cluster that happens to run here
-    "+hydra.launcher.ray.init.num_cpus=2",
+    "+hydra.launcher.ray.init.num_cpus=1",
     "+hydra.launcher.ray.init.include_dashboard=false",
 ]
 SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
