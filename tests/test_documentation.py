@@ -19,6 +19,7 @@ from flipperctl.lookahead import best_known
 from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
+from tests.cli.test_sweeps import JOBLIB, RAY
 
 pytestmark = pytest.mark.slow
 
@@ -32,6 +33,8 @@ SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
+LAUNCHED = [["flipperctl", "train", "-m", *words] for words in (JOBLIB, RAY)]
+"""They run in the tests of the launchers."""
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 SEARCH = {
     "planner": ["controller.budget=2000"],
@@ -108,13 +111,7 @@ def smaller(command: list[str]) -> list[str]:
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
-        launched = any(word.startswith("hydra/launcher=") for word in command)
-        bare = ["train.mode=exact"] if launched else []  # each job would start its own workers
-        if "hydra/launcher=ray" in command:
-            bare += [
-                f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")
-            ]
-        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own, *bare]
+        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
         quick = ["physics", "engines", "startup"] if every else []  # each has a test in tests/bench
@@ -137,7 +134,7 @@ def small_planner(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_planner")
-@pytest.mark.parametrize("command", commands(), ids=" ".join)
+@pytest.mark.parametrize("command", [c for c in commands() if c not in LAUNCHED], ids=" ".join)
 def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> None:
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
@@ -145,6 +142,10 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
         if word in ("--output", "--film"):
             assert (folder / name).exists()
     assert (folder / SHOWN / checkpoint.LAST).is_file()
+
+
+def test_the_launchers_that_have_tests_of_their_own_are_shown() -> None:
+    assert [command for command in LAUNCHED if command not in commands()] == []
 
 
 def test_the_environment_example_runs() -> None:

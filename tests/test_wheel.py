@@ -18,14 +18,20 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "terrain=step", "seed=7", "train.decisions=300", "train.validation_episodes=2"]
 
-INSPECT = """
+COMMANDS = """
 import gymnasium
 from flipperctl.cli.main import main
-for words in ("terrain stair --output stair.png", "checkpoint run", "run run"):
+for command in (
+    "eval --checkpoint run --episodes 2 --output judged",
+    "export onnx --checkpoint run --output step.onnx",
+    "inspect terrain stair --output stair.png",
+    "inspect checkpoint run",
+    "inspect run run",
+):
     try:
-        main(["inspect", *words.split()])
+        main(command.split())
     except SystemExit as left:
-        assert left.code == 0, words
+        assert left.code == 0, command
 env = gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair")
 print(env.reset(seed=1)[0].shape)
 """
@@ -101,14 +107,13 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     flipperctl = environment.script("flipperctl")
 
     run(flipperctl, *TRAIN, "hydra.run.dir=run")
-    judged = run(flipperctl, "eval", "--checkpoint", "run", "--episodes", "2", "--json")
-    assert json.loads(judged)["scenes"][0]["episodes"] == 2
-    run(flipperctl, "export", "onnx", "--checkpoint", "run", "--output", "step.onnx")
+    assert "(18,)" in run(python, "-c", COMMANDS)  # of the observation
+    judged = json.loads((empty / "judged" / "summary.json").read_text())
+    assert judged["scenes"][0]["episodes"] == 2
     assert (empty / "step.onnx").is_file()
+    assert (empty / "stair.png").is_file()
     listed = {p["name"] for p in json.loads(run(flipperctl, "inspect", "plugins", "--json"))}
     assert {"stair", "paper_step", "at_d3qn", "okada", "pitch"} <= listed
-    assert "(18,)" in run(python, "-c", INSPECT)  # of the observation
-    assert (empty / "stair.png").is_file()
     # Hydra discovers the sweeper, which says what it needs; the wheel was installed without extras.
     search = [flipperctl, "train", "-m", "hydra/sweeper=optuna", "seed=1,2"]
     refused = environment.call(*search)

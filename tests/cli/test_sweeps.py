@@ -17,12 +17,9 @@ from tests.cli.call import RUN, Done, call
 pytestmark = pytest.mark.slow
 
 QUICK = [f"{key}={value}" for key, value in {**RUN, "train.mode": "exact"}.items()]
-RAY = [
-    "hydra/launcher=ray",
-    "hydra.launcher.ray.init.address=local",  # not a cluster that happens to run here
-    "+hydra.launcher.ray.init.num_cpus=1",
-    "+hydra.launcher.ray.init.include_dashboard=false",
-]
+JOBLIB = ["seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+RAY = ["seed=1,2", "hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
+SMALL = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]
 SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
 RATE = "agent.learning_rate=tag(log,interval(1e-4,3e-3))"
 
@@ -35,13 +32,13 @@ from flipperctl.errors import NonFiniteError
 
 @terrain("floor")
 class Floor(Terrain):
-    """A floor, or an error; not at the first draw, which the command makes before any job."""
+    """A floor, or an error; not at the first draws, which the command makes before any job."""
     broken: bool = False
     drawn: ClassVar[int] = 0
 
     def generate(self, rng: np.random.Generator) -> Profile:
         Floor.drawn += self.broken
-        if Floor.drawn > 1:
+        if Floor.drawn > 2:
             raise NonFiniteError("the floor is broken")
         return Profile([(0, 0), (0.1, 0)])
 '''
@@ -64,21 +61,19 @@ def runs(folder: Path) -> set[str]:
 
 
 def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
-    options = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-    done = sweep(folder, "terrain=floor", "seed=1,2", *options)
+    done = sweep(folder, "terrain=floor", *JOBLIB)
     assert done.code == 0, done.err
     assert runs(folder) == {"0_seed=1", "1_seed=2"}
 
 
 def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> None:
-    combinations = ["terrain=floor", "terrain.broken=false,true", "seed=3"]
-    done = sweep(folder, *combinations, *RAY)
+    done = sweep(folder, "terrain=floor", "terrain.broken=false,true", *RAY, *SMALL)
     assert done.code == 1
     (error,) = [line for line in done.err.splitlines() if line.startswith("error: ")]
     assert "terrain 'floor': generate raised NonFiniteError: the floor is broken" in error
     assert "Traceback" not in done.err
     assert "Error executing job" not in done.err
-    assert runs(folder) == {"0_terrain.broken=False"}
+    assert runs(folder) == {f"{i}_terrain.broken=False,seed={i + 1}" for i in (0, 1)}
     assert not sys.modules["ray"].is_initialized()
 
 
