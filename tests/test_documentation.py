@@ -33,7 +33,7 @@ SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
-LAUNCHED = [["flipperctl", "train", "-m", *words] for words in (JOBLIB, RAY)]
+LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
 """They run in the tests of the launchers."""
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 SEARCH = {

@@ -17,8 +17,8 @@ from tests.cli.call import RUN, Done, call
 pytestmark = pytest.mark.slow
 
 QUICK = [f"{key}={value}" for key, value in {**RUN, "train.mode": "exact"}.items()]
-JOBLIB = ["seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-RAY = ["seed=1,2", "hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+RAY = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
 SMALL = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]
 SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
 RATE = "agent.learning_rate=tag(log,interval(1e-4,3e-3))"
@@ -32,13 +32,13 @@ from flipperctl.errors import NonFiniteError
 
 @terrain("floor")
 class Floor(Terrain):
-    """A floor, or an error; not at the first draws, which the command makes before any job."""
+    """A floor, or an error; not at the first draw, which the command makes before any job."""
     broken: bool = False
     drawn: ClassVar[int] = 0
 
     def generate(self, rng: np.random.Generator) -> Profile:
         Floor.drawn += self.broken
-        if Floor.drawn > 2:
+        if Floor.drawn > 1:
             raise NonFiniteError("the floor is broken")
         return Profile([(0, 0), (0.1, 0)])
 '''
@@ -61,7 +61,7 @@ def runs(folder: Path) -> set[str]:
 
 
 def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
-    done = sweep(folder, "terrain=floor", *JOBLIB)
+    done = sweep(folder, "terrain=floor", "seed=1,2", *JOBLIB)
     assert done.code == 0, done.err
     assert runs(folder) == {"0_seed=1", "1_seed=2"}
 
@@ -73,7 +73,7 @@ def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> 
     assert "terrain 'floor': generate raised NonFiniteError: the floor is broken" in error
     assert "Traceback" not in done.err
     assert "Error executing job" not in done.err
-    assert runs(folder) == {f"{i}_terrain.broken=False,seed={i + 1}" for i in (0, 1)}
+    assert runs(folder) == {"0_terrain.broken=False"}
     assert not sys.modules["ray"].is_initialized()
 
 
