@@ -18,7 +18,7 @@ from flipperctl.env import flipper_env
 from flipperctl.lookahead import best_known
 from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
-from tests.cli.call import RUN, call
+from tests.cli.call import EXACT, RUN, call
 from tests.cli.test_sweeps import JOBLIB, RAY
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,8 @@ _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
 """They run in the tests of the launchers."""
-QUICK = [f"{key}={value}" for key, value in RUN.items()]
+QUICK = [f"{key}={value}" for key, value in EXACT.items()]
+WORKERS = [f"{key}={value}" for key, value in RUN.items()]
 SEARCH = {
     "planner": ["controller.budget=2000"],
     "mpc": ["controller.beam=4", "controller.horizon=4"],
@@ -83,7 +84,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with contextlib.chdir(folder):
         exec(example("mound.npy"), {})
     learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
-    done = call("train", *learn, *QUICK, "train.workers=1", cwd=folder)
+    done = call("train", *learn, *WORKERS, "train.workers=1", cwd=folder)
     assert done.code == 0, done.err
     return folder
 
@@ -111,7 +112,10 @@ def smaller(command: list[str]) -> list[str]:
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
-        return [*command, *(["train.decisions=310"] if resumed else QUICK), *trials, *own]
+        asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
+        default = command == ["train", "terrain=stair"]
+        quick = ["train.decisions=310"] if resumed else WORKERS if asked or default else QUICK
+        return [*command, *quick, *trials, *own]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
         quick = ["physics", "engines", "startup"] if every else []  # each has a test in tests/bench

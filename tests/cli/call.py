@@ -16,7 +16,9 @@ RUN = {
     "agent.learning_starts": 100,
     "agent.epsilon_decisions": 200,
 }
-"""A training of a second or two."""
+"""A training of a second or two, with workers."""
+EXACT = {**RUN, "train.mode": "exact"}
+"""The same in this process alone, which computes a third less."""
 
 
 @dataclass(frozen=True)

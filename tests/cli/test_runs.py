@@ -16,13 +16,13 @@ from flipperctl.cli.sweeps import UNNAMED, folder_name
 from flipperctl.training import run_folder
 from flipperctl.training.lock import hold
 from flipperctl.training.trainer import Trainer
-from tests.cli.call import RUN, call
+from tests.cli.call import EXACT, call
 from tests.long.forked import differences, result
 
 pytestmark = pytest.mark.slow
 
-EXACT = {**RUN, "train.mode": "exact", "train.decisions": 200, "train.validate_every": 90}
-QUICK = ["terrain=step", *(f"{key}={value}" for key, value in EXACT.items())]
+SHORT = {**EXACT, "train.decisions": 200, "train.validate_every": 90}
+QUICK = ["terrain=step", *(f"{key}={value}" for key, value in SHORT.items())]
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 
 from flipperctl import checkpoint
-from tests.cli.call import RUN, Done, call
+from tests.cli.call import EXACT, Done, call
 
 pytestmark = pytest.mark.slow
 
-QUICK = [f"{key}={value}" for key, value in {**RUN, "train.mode": "exact"}.items()]
+QUICK = [f"{key}={value}" for key, value in {**EXACT, "train.decisions": 150}.items()]
 JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
 RAY = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
 SMALL = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]

@@ -9,7 +9,7 @@ import pytest
 
 from flipperctl.api import Transition
 from flipperctl.env import measures
-from tests.cli.call import RUN, call
+from tests.cli.call import EXACT, call
 
 
 class Highest:
@@ -48,7 +48,7 @@ def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
 
 
 def test_training_writes_it_down(tmp_path: Path) -> None:
-    settings = [f"{key}={value}" for key, value in RUN.items()]
+    settings = [f"{key}={value}" for key, value in EXACT.items()]
     exact = ["train.mode=exact", "hydra.run.dir=run"]
     done = call("train", "terrain=flat", *settings, *exact, cwd=tmp_path)
     assert done.code == 0, done.err

@@ -26,9 +26,10 @@ def cluster() -> Iterator[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         memory = {"object_store_memory": 80 * 2**20}
-        head = {"num_cpus": 1, "include_dashboard": False, **memory}
+        node = {"num_cpus": 1, "include_log_monitor": False, **memory}
+        head = {"include_dashboard": False, "no_monitor": True, **node}
         found = Cluster(initialize_head=True, head_node_args=head)
-        found.add_node(num_cpus=1, **memory)
+        found.add_node(**node)
         found.wait_for_nodes()
         yield found
         ray.shutdown()

@@ -17,6 +17,8 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.runtime import OnnxPolicy
 from tests.short import short_config, trainer
 
+pytestmark = pytest.mark.slow
+
 NEW = [n for n in registered_names("network") if n not in ("at_d3qn", "dueling_mlp", "mlp")]
 
 

@@ -15,8 +15,10 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
 from flipperctl.training.recorded import EPISODES, fill, read_teacher
-from tests.cli.call import RUN, call
+from tests.cli.call import EXACT, call
 from tests.short import short_config, trainer
+
+pytestmark = pytest.mark.slow
 
 OKADA = PolicySource(settings={"name": "okada"})
 MPC = {"teacher.controller": {"name": "mpc", "beam": 2, "horizon": 2}}
@@ -184,7 +186,7 @@ def test_something_recorded_must_be_named() -> None:
 def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
     made = ("--controller", "okada", "terrain=step", "--record", "a.safetensors")
     assert call("eval", *made, "--episodes", "2", cwd=tmp_path).code == 0
-    words = [f"{key}={value}" for key, value in RUN.items()]
+    words = [f"{key}={value}" for key, value in EXACT.items()]
     words += ["terrain=step", "teacher=recorded", "hydra.run.dir=run"]
     done = call("train", *words, "teacher.episodes=a.safetensors", cwd=tmp_path)
     assert done.code == 0, done.err

@@ -19,6 +19,8 @@ from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
 from tests.short import short_config, trainer
 
+pytestmark = pytest.mark.slow
+
 OKADA = {"teacher.controller": {"name": "okada"}}
 LOOKAHEAD = {"teacher.controller": {"name": "mpc", "beam": 1, "horizon": 2}}
 

@@ -18,6 +18,8 @@ from flipperctl.training.events import MetricsCsv, read_rows
 from flipperctl.training.validation import Validator
 from tests.short import short_config, trainer
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
     learner = trainer(

@@ -17,7 +17,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.scene import HEIGHT, WIDTH
 from flipperctl.errors import PluginFailedError, RequestError
 from flipperctl.sim.mujoco.world import MujocoWorld
-from tests.cli.call import RUN, call
+from tests.cli.call import EXACT, call
 
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
 
@@ -94,8 +94,8 @@ def test_eval_repeats_bit_for_bit_and_with_several_processes(tmp_path: Path) -> 
 
 @pytest.mark.slow
 def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) -> None:
-    settings = [f"{key}={value}" for key, value in RUN.items()]
-    run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", "train.mode=exact", *settings]
+    settings = [f"{key}={value}" for key, value in EXACT.items()]
+    run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", *settings]
     done = call("train", *run, cwd=tmp_path)
     assert done.code == 0, done.err
     read = checkpoint.read(tmp_path / "run" / checkpoint.LAST)
