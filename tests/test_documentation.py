@@ -108,6 +108,8 @@ def smaller(command: list[str]) -> list[str]:
         command = fewer(command)
         if any(word.startswith("experiment=taught,") for word in command):
             command = [*command, "teacher=okada"]  # whose labels cost no search
+        if {"experiment=taught", "experiment=generalist"} & set(command):
+            command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
