@@ -13,7 +13,6 @@ from tests.short import short_config, trainer
 pytest_plugins = ["tests.quick"]
 
 os.environ.pop("COLUMNS", None)  # pytest-xdist sets it, and tables would keep to it
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # for torch: the tests themselves are side by side
 plugins.load()  # at import, since tests are parametrised over the registry
 
 

@@ -27,6 +27,7 @@ for command in (
     "inspect terrain stair --output stair.png",
     "inspect checkpoint run",
     "inspect run run",
+    "inspect config terrain=stair",
 ):
     try:
         main(command.split())
@@ -107,7 +108,9 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     flipperctl = environment.script("flipperctl")
 
     run(flipperctl, *TRAIN, "hydra.run.dir=run")
-    assert "(18,)" in run(python, "-c", COMMANDS)  # of the observation
+    shown = run(python, "-c", COMMANDS)
+    assert "name: stair" in shown  # the configuration
+    assert "(18,)" in shown  # the shape of an observation
     judged = json.loads((empty / "judged" / "summary.json").read_text())
     assert judged["scenes"][0]["episodes"] == 2
     assert (empty / "step.onnx").is_file()

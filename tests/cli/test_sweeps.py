@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 QUICK = [f"{key}={value}" for key, value in {**EXACT, "train.decisions": 150}.items()]
 JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
 RAY = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
-SMALL = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]
+ONE_CPU = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]
 SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
 RATE = "agent.learning_rate=tag(log,interval(1e-4,3e-3))"
 
@@ -67,7 +67,7 @@ def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: P
 
 
 def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> None:
-    done = sweep(folder, "terrain=floor", "terrain.broken=false,true", *RAY, *SMALL)
+    done = sweep(folder, "terrain=floor", "terrain.broken=false,true", *RAY, *ONE_CPU)
     assert done.code == 1
     (error,) = [line for line in done.err.splitlines() if line.startswith("error: ")]
     assert "terrain 'floor': generate raised NonFiniteError: the floor is broken" in error

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
-        ["kills", "--count", "2", "--early", "1", "--fast", "0"],
+        ["kills", "--count", "3", "--early", "2", "--fast", "0"],
         ["races", "--count", "3", "--fast", "0"],
     ],
     ids=["kills", "races"],
