@@ -17,7 +17,13 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Profile
 from flipperctl.errors import TerrainError
-from flipperctl.sim.mujoco.surface import LEVEL_GROUND, Strip, surface_borders, surface_strips
+from flipperctl.sim.mujoco.surface import (
+    CLOSE,
+    LEVEL_GROUND,
+    Strip,
+    surface_borders,
+    surface_strips,
+)
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.engine import Mujoco
@@ -39,6 +45,7 @@ _SUNK = 0.02  # depth of a column below the lowest of its boards, so that no tra
 _PATCH = 0.25  # length of a patch of rough ground [m]
 _STRIP = 0.2  # width of a patch of rough ground [m]
 _ROUGH_HALF = 1.0  # rough ground to each side of the middle [m]
+_INCLINE = 1.0  # shortest ground on the right that replaces an obstacle which leads up or down [m]
 _ROUGH_MARGIN = 0.2  # rough ground before the first and past the last edge [m]
 
 
@@ -82,23 +89,23 @@ def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
 def _strips(profile: Profile, sim: Mujoco) -> list[Strip]:
     """Return the strips along x that divide the ground, from right to left."""
     half = sim.ground_width / 2
-    borders = {-half, half}
+    changed: set[float] = set()  # borders at which these settings change the ground
     if sim.one_sided:
-        borders.add(0.0)
+        changed.add(0.0)
     if sim.roughness:
         count = round(2 * _ROUGH_HALF / _STRIP)
-        borders |= {float(y) for y in np.linspace(-_ROUGH_HALF, _ROUGH_HALF, count + 1)}
+        changed |= {float(y) for y in np.linspace(-_ROUGH_HALF, _ROUGH_HALF, count + 1)}
     if profile.surface is None:
         line = profile.extended(LEVEL_GROUND, LEVEL_GROUND)
-        return [Strip(*ends, line) for ends in pairwise(_within(borders, half))]
-    borders |= surface_borders(sim)
-    return surface_strips(profile, profile.surface, _within(borders, half), sim)
+        return [Strip(*ends, line) for ends in pairwise(_within({-half, half} | changed, half))]
+    borders = _within({-half, half} | changed | surface_borders(sim), half)
+    return surface_strips(profile, profile.surface, borders, _within(changed, half), sim)
 
 
 def _within(borders: set[float], half: float) -> list[float]:
     found: list[float] = []
     for y in sorted(y for y in borders if abs(y) <= half):
-        if not found or y - found[-1] > 1e-6:  # sums of widths are rounded
+        if not found or y - found[-1] > CLOSE:
             found.append(y)
     return found
 
@@ -106,13 +113,15 @@ def _within(borders: set[float], half: float) -> list[float]:
 def _lowered(line: FloatArray, fraction: float) -> FloatArray:
     """Return the polyline with the obstacle lowered to the line between its ends.
 
-    A single riser has no length, and stays.
+    That line is at least ``_INCLINE`` long, so that a single step has one too.
     """
     (x0, z0), (x1, z1) = line[1], line[-2]
-    if x1 == x0:
-        return line
-    between = z0 + (z1 - z0) * np.clip((line[:, 0] - x0) / (x1 - x0), 0.0, 1.0)
-    return np.column_stack([line[:, 0], line[:, 1] + fraction * (between - line[:, 1])])
+    if x1 < x0 + _INCLINE and z0 != z1:
+        x1 = x0 + _INCLINE
+        line = np.insert(line, -1, (x1, z1), axis=0)
+    x, z = line.T
+    between = np.interp(x, (x0, x1), (z0, z1)) if z0 != z1 else z0
+    return np.column_stack([x, z + fraction * (between - z)])
 
 
 def _roughened(

@@ -22,6 +22,8 @@ from flipperctl.errors import PluginFailedError, TerrainError
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.engine import Mujoco
 
+CLOSE = 1e-6
+"""Borders closer than this are one, since sums of widths are rounded [m]."""
 LEVEL_GROUND = 20.0
 """Length of the level ground before and past the profile [m]."""
 _RAMP = 0.2
@@ -64,9 +66,11 @@ def surface_borders(sim: Mujoco) -> set[float]:
 
 
 def surface_strips(
-    profile: Profile, surface: Surface, borders: list[float], sim: Mujoco
+    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: Mujoco
 ) -> list[Strip]:
-    """Return the strips between ascending borders; equal neighbours are one.
+    """Return the strips between ascending borders.
+
+    Equal neighbours are one, except at the borders ``kept``.
 
     Raises:
         TerrainError: the surface cannot be read, or is unknown where the robot drives.
@@ -89,7 +93,8 @@ def surface_strips(
     found: list[Strip] = []
     for (low, high), column in zip(pairwise(borders), heights.T, strict=True):
         line = _outline(profile, surface.x, column)
-        if found and np.array_equal(found[-1].line, line):
+        free = all(abs(low - border) > CLOSE for border in kept)
+        if found and free and np.array_equal(found[-1].line, line):
             low, line = found.pop().low, line
         found.append(Strip(low, high, line))
     return found

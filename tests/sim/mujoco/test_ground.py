@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.api import Profile, Robot, Start, registry
+from flipperctl.api import Profile, registry
 from flipperctl.errors import TerrainError
 from flipperctl.sim.mujoco import Mujoco, ground
 from flipperctl.sim.mujoco.ground import Box, boxes
-from flipperctl.sim.mujoco.world import MujocoWorld
 
 TERRAINS = sorted(name for kind, name in registry if kind == "terrain")
 
@@ -75,8 +74,31 @@ def test_one_sided_obstacles_are_missing_on_the_right() -> None:
         found = made(block, one_sided=fraction)
         assert surface(found, 0.25, 0.3) == pytest.approx(0.2)
         assert surface(found, 0.25, -0.3) == pytest.approx(right)
-    riser = Profile([(0, 0), (0, 0.2)])  # there is no line between its ends
-    assert surface(made(riser, one_sided=1.0), 1.0, -0.3) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("height", [0.2, -0.2])
+def test_a_single_step_on_the_left_alone_is_an_incline_on_the_right(height: float) -> None:
+    found = made(Profile([(0, 0), (0, height)]), one_sided=1.0)
+    for x, left, right in ((-0.5, 0.0, 0.0), (0.5, 1.0, 0.5), (0.75, 1.0, 0.75), (1.5, 1.0, 1.0)):
+        assert surface(found, x, 0.3) == pytest.approx(left * height)
+        assert surface(found, x, -0.3) == pytest.approx(right * height)
+    half = made(Profile([(0, 0), (0, height)]), one_sided=0.5)  # a step of half the height
+    assert surface(half, 0.001, -0.3) == pytest.approx(0.5 * height, abs=1e-3)
+    assert surface(half, 0.5, -0.3) == pytest.approx(0.75 * height)
+
+
+@pytest.mark.parametrize("name", [name for name in TERRAINS if name != "flat"])
+def test_every_obstacle_can_stand_on_the_left_alone(name: str) -> None:
+    profile = registry["terrain", name]().generate(np.random.default_rng(2))
+    found = made(profile, one_sided=1.0)
+    (x0, z0), (x1, z1) = profile.points[0], profile.points[-1]
+    x = np.linspace(x0 - 0.5, max(x1, x0 + 1.0) + 0.5, 61) + 1e-3
+    heights = np.array([profile.height(at) for at in x])
+    clear = [np.abs(profile.points[:, 0] - at).min() > 0.011 for at in x]  # as above
+    left, right = (np.array([surface(found, at, y) for at in x]) for y in (0.3, -0.3))
+    assert left[clear] == pytest.approx(heights[clear], abs=1e-6)
+    assert right == pytest.approx(np.interp(x, (x0, max(x1, x0 + 1.0)), (z0, z1)), abs=1e-6)
+    assert np.abs(left - right).max() > 0.05
 
 
 def test_roughness_shifts_patches_over_the_obstacle_alone() -> None:
@@ -92,19 +114,3 @@ def test_too_many_boxes_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ground, "MOST", 5)
     with pytest.raises(TerrainError, match="needs more than 5 boxes"):
         made(Profile([(0, 0), (2.0, 0)]), roughness=0.01)
-
-
-@pytest.mark.parametrize("setting", ["yaw", "offset", "roughness"])
-def test_the_variation_is_drawn_anew_for_each_start_and_repeats(setting: str) -> None:
-    sim = Mujoco(**{setting: 0.1})
-
-    def begin(x: float, engine: Mujoco = sim) -> list[float]:
-        world = engine.place(Profile([(0, 0), (1.0, 0)]), Robot(), Start(x))
-        assert isinstance(world, MujocoWorld)
-        return [world.yaw, *world.data.qpos[:2], *world.model.geom_pos[:, 2]]
-
-    assert begin(-1.0) == begin(-1.0)
-    assert begin(-1.0)[3:] + begin(-1.0)[:1] != begin(-1.01)[3:] + begin(-1.01)[:1] or (
-        begin(-1.0)[2] != begin(-1.01)[2]
-    )
-    assert begin(-1.0) != begin(-1.0, Mujoco(**{setting: 0.1}, variation=1))

@@ -42,7 +42,7 @@ def block(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def place(ground: Profile, **sim: float) -> MujocoWorld:
-    world = Mujoco(**sim).place(ground, Robot(), Start(-1.0))
+    world = Mujoco(**sim).place(ground, Robot(), Start(-1.0), np.random.default_rng(0))
     assert isinstance(world, MujocoWorld)
     return world
 
@@ -90,6 +90,18 @@ def test_a_surface_that_is_the_same_on_both_sides_is_the_extruded_profile() -> N
     assert np.concatenate([[*b.centre, *b.half, b.tilt] for b in made]) == pytest.approx(
         np.concatenate([[*b.centre, *b.half, b.tilt] for b in plain])
     )
+
+
+@pytest.mark.parametrize("setting", ["one_sided", "roughness"])
+def test_ground_that_is_the_same_on_both_sides_is_changed_on_one(setting: str) -> None:
+    # Equal strips are joined, though not where these settings make them different.
+    found = boxes(profile(block), Mujoco(**{setting: 0.1}), np.random.default_rng(0))
+    left, right = (height_at(found, 1.51, y) for y in (0.13, -0.13))
+    if setting == "one_sided":
+        assert (left, right) == pytest.approx((0.2, 0.18))
+    else:
+        assert abs(left - right) > 1e-3
+        assert (left, right) == pytest.approx((0.2, 0.2), abs=0.1)
 
 
 def test_the_robot_drives_over_strips_as_over_the_extruded_profile() -> None:
