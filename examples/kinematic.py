@@ -19,7 +19,13 @@ class Kinematic(api.Engine):
         0.5, ge=0, le=0.9, description="fraction of the speed lost on a vertical slope [-]"
     )
 
-    def place(self, profile: api.Profile, robot: api.Robot, start: api.Start) -> api.World:
+    def place(
+        self,
+        profile: api.Profile,
+        robot: api.Robot,
+        start: api.Start,
+        rng: np.random.Generator,
+    ) -> api.World:
         return Sliding(profile, robot, start, self.slowdown)
 
 

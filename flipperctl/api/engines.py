@@ -7,6 +7,7 @@ knows no engine by name. An engine is a plugin like any other: its fields are se
 
 from __future__ import annotations
 
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -123,15 +124,21 @@ class DrawingWorld(Protocol):
 
 
 class Engine(Plugin, ABC):
-    """Simulates the robot; equal arguments give worlds that are equal bit for bit."""
+    """Simulates the robot; equal arguments, ``rng`` included, give worlds equal bit for bit."""
 
     kind: ClassVar[str] = "sim"
     without_effect: ClassVar[frozenset[str]] = frozenset()
     """Names of the settings that change the speed of a simulation but not its results."""
 
     @abstractmethod
-    def place(self, profile: Profile, robot: Robot, start: Start) -> World:
-        """Return a world with the robot on the ground; its samples are ``SAMPLE_PERIOD`` apart."""
+    def place(
+        self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
+    ) -> World:
+        """Return a world with the robot on the ground; its samples are ``SAMPLE_PERIOD`` apart.
+
+        Whatever else varies between episodes, such as a heading, is drawn from ``rng``. Each world
+        of an episode is placed with an equal generator.
+        """
 
     def versions(self) -> dict[str, str]:
         """Return the versions of the libraries that affect the results, for checkpoints."""
@@ -142,5 +149,23 @@ EngineT = TypeVar("EngineT", bound=Engine)
 
 
 def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
-    """Register an ``Engine``; choose it with ``sim=<name>``."""
-    return register(Engine, name)
+    """Register an ``Engine``; choose it with ``sim=<name>``.
+
+    Raises:
+        ValueError: the name is not valid or is already taken.
+        TypeError: the class is not an ``Engine``, or its ``place`` takes no generator.
+    """
+
+    def decorate(cls: type[EngineT]) -> type[EngineT]:
+        place = inspect.signature(cls.place)
+        try:
+            place.bind("self", "profile", "robot", "start", "rng")
+        except TypeError:
+            raise TypeError(
+                f"@engine({name!r}): {cls.__name__}.place{place} cannot be called as "
+                "place(profile, robot, start, rng); add the parameter rng, the generator from "
+                "which a world draws what varies between episodes"
+            ) from None
+        return register(Engine, name)(cls)
+
+    return decorate

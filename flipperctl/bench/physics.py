@@ -20,6 +20,7 @@ from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
+from flipperctl.env.world import GuardedWorld
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import episode_seed
 from flipperctl.sim.planar import bare, planar
@@ -79,6 +80,8 @@ def _world(env: FlipperEnv) -> PlanarWorld:
         TypeError: the environment's engine is another one.
     """
     world = env.drive.world
+    if isinstance(world, GuardedWorld):
+        world = world.unguarded
     if not isinstance(world, PlanarWorld):
         raise TypeError(f"bench physics needs a planar world; got {type(world).__name__}")
     return world

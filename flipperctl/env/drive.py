@@ -7,7 +7,7 @@ neither observations nor rewards.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,15 +26,15 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.env.ends import Ends
-from flipperctl.guard import fault
+from flipperctl.env.world import place
 from flipperctl.runtime.targets import TargetRule
 
 _TURN, _PERCEIVE, _END = range(3)
 """Events within a decision; those of one sample happen in this order."""
 
 
-def _never() -> None:
-    """Return the end of a world that knows none of its own."""
+class DrivenWorld(World, EndingWorld, Protocol):
+    """What a drive calls: a world that can be asked whether it ended by itself."""
 
 
 class Drive:
@@ -47,19 +47,15 @@ class Drive:
         episode: Episode,
         start: Start,
         period: float,
+        rng: np.random.Generator,
     ) -> None:
-        """Place the robot; decisions take ``period`` [s].
+        """Place the robot; decisions take ``period`` [s], and the engine draws from ``rng``.
 
         Raises:
             PluginFailedError: the engine's code failed.
         """
-        self._engine, self.robot, perception = sections
-        try:
-            self.world: World = self._engine.place(profile, self.robot, start)
-        except BaseException as error:
-            raise fault(error, self._engine, "place") from error
-        # Asked once: to check a protocol takes longer than some of the work of a decision.
-        self._world_ended = self.world.ended if isinstance(self.world, EndingWorld) else _never
+        engine, self.robot, perception = sections
+        self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
         self.ends = Ends(profile, self.robot, episode, start.x, period)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived state, which is ``perception.delay`` older."""
@@ -94,12 +90,9 @@ class Drive:
         self.poses = self._pose()
         for sample, event in self._events:
             while done < sample:
-                try:
-                    poses = world.advance(sample - done, ends.limits)
-                except BaseException as error:
-                    raise fault(error, self._engine, "advance") from error
+                poses = world.advance(sample - done, ends.limits)
                 self.poses = np.concatenate([self.poses, poses])
-                if (outcome := self._world_ended() or ends.instant(world)) is not None:
+                if (outcome := world.ended() or ends.instant(world)) is not None:
                     return outcome
                 done += len(poses)
             if event == _TURN:

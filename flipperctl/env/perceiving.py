@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 
 from flipperctl.api import MAX_HISTORY, Perception, Profile, RobotGeometry, RobotState, Sensor
-from flipperctl.guard import fault
+from flipperctl.env.sensing import GuardedSensor
 
 
 class Perceiver:
@@ -33,30 +33,25 @@ class Perceiver:
         Raises:
             PluginFailedError: the sensor's code failed.
         """
-        self._sensor, self._robot, self._friction = sensor, robot, friction
+        self._robot, self._friction = robot, friction
         self._sensor_rng, self._controller_rng = rngs
         self._layout = sensor.layout
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
         self._recent = deque(maxlen=MAX_HISTORY)
-        try:
-            self._in_use = sensor.over(profile, margin)
-        except BaseException as error:
-            raise fault(error, sensor, "over") from error
+        self._in_use = GuardedSensor(sensor, profile, margin)
 
     def perceive(self, state: RobotState) -> Perception:
         """Sense once; equal generators and states give equal perceptions.
 
         Raises:
-            PluginFailedError: the sensor's code failed.
+            PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
+            NonFiniteError: what it returned is not finite.
         """
         layout = self._layout
         observation = np.empty(layout.size, dtype=np.float32)
-        try:
-            ground, angles = self._in_use.sense(state, self._sensor_rng)
-            observation[: layout.bins] = ground.heights
-            observation[layout.bins :] = angles.front, angles.rear, angles.pitch
-        except BaseException as error:
-            raise fault(error, self._sensor, "sense") from error
+        ground, angles = self._in_use.sense(state, self._sensor_rng)
+        observation[: layout.bins] = ground.heights
+        observation[layout.bins :] = angles.front, angles.rear, angles.pitch
         self._recent.append(observation)
         return Perception(
             observation,
@@ -74,8 +69,10 @@ class Perceiver:
 
 
 def fresh(rng: np.random.Generator) -> np.random.Generator:
-    """Return a generator that draws what this one has drawn since it was made."""
+    """Return a generator that draws and spawns what this one has since it was made."""
     bits = rng.bit_generator
     seed = bits.seed_seq
     assert isinstance(seed, np.random.SeedSequence)  # as of every generator that was spawned
-    return np.random.Generator(type(bits)(seed))
+    # A copy, since a sequence counts what was spawned from it
+    again = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
+    return np.random.Generator(type(bits)(again))

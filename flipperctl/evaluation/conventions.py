@@ -17,6 +17,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, FloatArray, Profile, Robot, RobotState, Start, World
 from flipperctl.config import EnvConfig
 from flipperctl.env.perceiving import Perceiver
+from flipperctl.env.world import place as place_guarded
 from flipperctl.runtime.interface import Interface
 
 _FLAT = Profile([(0.0, 0.0)])
@@ -58,7 +59,7 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
         return Probe(name, meaning, unit, found, expected, tolerance)
 
     def place(profile: Profile, x: float) -> World:
-        return config.sim.place(profile, robot, Start(x))
+        return place_guarded(config.sim, profile, robot, Start(x), np.random.default_rng(0))
 
     world = place(_FLAT, 0.0)
     world.advance(200)

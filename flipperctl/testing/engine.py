@@ -9,6 +9,7 @@ from flipperctl.testing.check import require
 
 SAMPLES = 100
 """Number of samples of a run: one second, in which the robot drives about 0.2 m [-]."""
+LEVEL = Profile([(0.0, 0.0)])
 GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
 START = Start(-0.8)
 """The flippers, which reach 0.716 m ahead, are clear of ``GROUND``."""
@@ -20,7 +21,7 @@ _BEYOND = 0.05
 
 def drives(engine: Engine) -> None:
     """Check that the robot drives at about track speed on level ground and turns its flippers."""
-    world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
+    world = _place(engine, LEVEL)
     begun, poses = world.state(), _run(world)
     moved = float(poses[-1, 0] - begun.position[0])
     expected = Robot().track_speed * SAMPLES / 100
@@ -40,7 +41,7 @@ def end_stops(engine: Engine) -> None:
     limit = Robot().angle_limit
     for sign in (1, -1):
         begun = sign * (limit - _TARGET)
-        world = engine.place(Profile([(0.0, 0.0)]), Robot(), Start(START.x, begun, begun))
+        world = _place(engine, LEVEL, Start(START.x, begun, begun))
         world.command(sign * (limit + _TARGET), sign * (limit + _TARGET))
         angles = world.advance(2 * SAMPLES)[:, 3:]
         require(
@@ -52,7 +53,7 @@ def end_stops(engine: Engine) -> None:
 
 def samples(engine: Engine) -> None:
     """Check that ``advance`` returns finite poses, (S, 5), the last of which equals the state."""
-    world = engine.place(GROUND, Robot(), START)
+    world = _place(engine, GROUND)
     poses = _run(world)
     require(poses.shape == (SAMPLES, 5), f"advance({SAMPLES}) has shape {poses.shape}")
     require(bool(np.isfinite(poses).all()), "a pose is not finite")
@@ -61,27 +62,35 @@ def samples(engine: Engine) -> None:
 
 
 def repeats(engine: Engine) -> None:
-    """Check that equal worlds advance equally, bit for bit."""
-    one, other = (_run(engine.place(GROUND, Robot(), START)) for _ in range(2))
+    """Check that equal worlds advance equally, bit for bit, and no other randomness is used."""
+    before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
+    one, other = (_run(_place(engine, GROUND)) for _ in range(2))
     require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
+    after = np.random.get_state(legacy=False)  # noqa: NPY002
+    require(str(before) == str(after), "draws from numpy's global generator; only rng is allowed")
 
 
 def stops(engine: Engine) -> None:
     """Check that a run ends after the sample at which a limit is reached."""
-    world = engine.place(Profile([(0.0, 0.0)]), Robot(), START)
+    world = _place(engine, LEVEL)
     poses = world.advance(SAMPLES, Limits(x=START.x + 0.05))
     require(0 < len(poses) < SAMPLES, f"runs for {len(poses)} samples past a limit 0.05 m ahead")
 
 
 def returns(engine: Engine) -> None:
     """Check that loading a snapshot restores the state."""
-    world = engine.place(GROUND, Robot(), START)
+    world = _place(engine, GROUND)
     _run(world)
     saved, state = world.save(), _numbers(world.state())
     _run(world)
     world.load(saved)
     found = _numbers(world.state())
     require(bool(np.allclose(found, state)), f"load leads to {found}; saved was {state}")
+
+
+def _place(engine: Engine, ground: Profile, start: Start = START) -> World:
+    """Return a world of the paper's robot, with a new generator of the same seed each time."""
+    return engine.place(ground, Robot(), start, np.random.default_rng(0))
 
 
 def _run(world: World) -> FloatArray:

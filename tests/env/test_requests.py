@@ -213,9 +213,9 @@ def test_a_reward_that_is_not_finite_is_named(value: float, registry: dict) -> N
 def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     env = FlipperEnv("flat")
     env.reset(seed=0)
-    lost = dataclasses.replace(env.drive.world.state(), pitch=math.nan)
-    monkeypatch.setattr(env.drive.world, "state", lambda: lost)
-    with pytest.raises(NonFiniteError, match=r"state is not finite.*'flat'"):
+    lost = dataclasses.replace(env.state, pitch=math.nan)
+    monkeypatch.setattr(env.drive.world.unguarded, "state", lambda: lost)
+    with pytest.raises(NonFiniteError, match=r"sim 'planar': state returned nan as pitch"):
         env.step(HOLD)
 
 

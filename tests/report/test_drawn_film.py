@@ -22,7 +22,7 @@ DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
 
 
 def place(x: float = -0.8) -> Any:
-    return Mujoco().place(Profile([(0, 0), (0, 0.1)]), Robot(), Start(x))
+    return Mujoco().place(Profile([(0, 0), (0, 0.1)]), Robot(), Start(x), np.random.default_rng(0))
 
 
 @pytest.fixture

@@ -64,6 +64,20 @@ def test_an_engine_without_end_stops_breaks_the_contract(tmp_path: Path) -> None
         check()
 
 
+def test_an_engine_without_a_generator_says_what_to_change(tmp_path: Path) -> None:
+    text = KINEMATIC.read_text()
+    earlier = text.replace("        rng: np.random.Generator,\n", "")
+    assert earlier != text
+    (tmp_path / "earlier.py").write_text(earlier)
+    asked = ["eval", "--controller", "level", "sim=kinematic", "--plugins", "earlier.py"]
+    done = call(*asked, cwd=tmp_path)
+    assert done.code == 2
+    assert "@engine('kinematic'): Kinematic.place(" in done.err
+    assert "add the parameter rng" in done.err
+    assert "earlier.py" in done.err
+    assert len(done.err.partition("error: ")[2].strip().splitlines()) <= 2
+
+
 def test_an_engine_that_fails_is_named_with_its_line(tmp_path: Path) -> None:
     text = KINEMATIC.read_text()
     broken = text.replace("        poses = []\n", '        raise KeyError("no poses")\n', 1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
@@ -98,10 +99,16 @@ class Mujoco(Engine):
         0.0,
         ge=0,
         le=1,
-        description="fraction of the obstacle's height that is missing on the right side [-]",
+        description="fraction of the obstacle's height over the line between its ends that is "
+        "missing on the right side; the line is at least 1 m long, so that a single step is an "
+        "incline there [-]",
     )
     variation: int = Field(
-        0, ge=0, le=2**31 - 1, description="seed of yaw, offset and roughness, beside the start [-]"
+        0,
+        ge=0,
+        le=2**31 - 1,
+        description="another number draws another yaw, offset and roughness in each episode of a "
+        "seed [-]",
     )
 
     @model_validator(mode="after")
@@ -117,13 +124,25 @@ class Mujoco(Engine):
             raise ValueError("flipper_offset must be at least main_track_offset")
         return self
 
-    def place(self, profile: Profile, robot: Robot, start: Start) -> World:
+    @model_validator(mode="after")
+    def _starts_on_the_ground(self) -> Mujoco:
+        if self.offset > self.ground_width / 2:
+            raise ValueError(
+                f"offset ({self.offset:g} m) must not exceed half the ground_width "
+                f"({self.ground_width:g} m), or robots start beside the ground"
+            )
+        return self
+
+    def place(
+        self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
+    ) -> World:
         """Return a new world for the episode, so that replays are equal bit for bit.
+
+        Yaw, offset and roughness are drawn from ``rng``.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
             RequestError: the environment names an OpenGL library that is not there.
-            ConfigError: the start lies beside the ground.
             TerrainError: the ground needs too many pieces, or is unknown where the robot drives.
         """
         try:
@@ -140,7 +159,7 @@ class Mujoco(Engine):
             ) from error
         from flipperctl.sim.mujoco.world import MujocoWorld
 
-        return MujocoWorld(profile, robot, self, start)
+        return MujocoWorld(profile, robot, self, start, rng)
 
     def versions(self) -> dict[str, str]:
         """Return the version of MuJoCo, which decides the results."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
@@ -38,8 +39,13 @@ class Planar(Engine):
             raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
         return self
 
-    def place(self, profile: Profile, robot: Robot, start: Start) -> World:
-        """Return a new world for the episode, so that replays are equal bit for bit."""
+    def place(
+        self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
+    ) -> World:
+        """Return a new world for the episode, so that replays are equal bit for bit.
+
+        Nothing in it is random, so that ``rng`` is not used.
+        """
         from flipperctl.sim.planar.world import PlanarWorld
 
         return PlanarWorld(profile, robot, self, *start)

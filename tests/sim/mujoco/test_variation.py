@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start, action_index
@@ -14,7 +15,7 @@ FLAT = Profile([(0.0, 0.0)])
 
 
 def place(x: float = 0.0, profile: Profile = FLAT, **sim: float) -> MujocoWorld:
-    world = Mujoco(**sim).place(profile, Robot(), Start(x))
+    world = Mujoco(**sim).place(profile, Robot(), Start(x), np.random.default_rng(0))
     assert isinstance(world, MujocoWorld)
     return world
 
@@ -98,10 +99,42 @@ def test_an_end_of_the_worlds_own_ends_the_episode() -> None:
     assert abs(env.state.pitch) < 0.1
 
 
-def test_a_start_beside_the_ground_is_refused() -> None:
-    def place_all() -> None:  # about half of these starts lie more than 0.5 m aside
-        for i in range(20):
-            Mujoco(ground_width=1.0, offset=1.0).place(FLAT, Robot(), Start(-1.0 - 0.01 * i))
+def test_starts_beside_the_ground_are_refused_before_any_is_drawn() -> None:
+    with pytest.raises(ConfigError, match=r"sim: offset \(0\.6 m\) must not exceed half"):
+        FlipperEnv("flat", sim={"name": "mujoco", "ground_width": 1.0, "offset": 0.6})
 
-    with pytest.raises(ConfigError, match=r"sim\.ground_width must be larger"):
-        place_all()
+
+def lateral(env: FlipperEnv, seed: int) -> tuple[float, float, list[float]]:
+    """Return yaw, sideways position and heights of the ground at the start of an episode."""
+    env.reset(seed=seed)
+    world = env.drive.world.unguarded
+    return world.yaw, env.state.side, world.model.geom_pos[:, 2].tolist()
+
+
+@pytest.mark.parametrize("setting", ["yaw", "offset", "roughness"])
+def test_the_seed_draws_what_varies_though_ground_and_start_are_the_same(setting: str) -> None:
+    exact = {"start_noise": 0.0}
+    envs = [
+        FlipperEnv("paper_step", sim={"name": "mujoco", setting: 0.05, **more}, episode=exact)
+        for more in ({}, {"variation": 1})
+    ]
+    drawn = [lateral(envs[0], seed) for seed in (1, 2, 3)]
+    assert drawn[0] != drawn[1] != drawn[2] != drawn[0]
+    assert lateral(envs[0], 1) == drawn[0]
+    assert lateral(envs[1], 1) != drawn[0]
+    assert lateral(envs[1], 1) == lateral(envs[1], 1)
+
+
+def test_a_policy_that_looks_ahead_foresees_the_same_yaw() -> None:
+    env = FlipperEnv("step", sim={"name": "mujoco", "yaw": 0.3, "offset": 0.2, "roughness": 0.02})
+    env.reset(seed=5)
+    simulator = env.simulator()
+    for _ in range(2):
+        simulator.restart()
+        for action in (8, 4, 0):
+            simulator.step(action)
+        foreseen = simulator.poses
+    for action in (8, 4, 0):
+        env.step(action)
+    assert np.array_equal(foreseen, env.drive.poses)
+    assert simulator.state.side == env.state.side

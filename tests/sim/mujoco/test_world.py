@@ -21,7 +21,7 @@ STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings all
 
 
 def place(profile: Profile, robot: Robot, x: float, *angles: float, **sim: float) -> MujocoWorld:
-    world = Mujoco(**sim).place(profile, robot, Start(x, *angles))
+    world = Mujoco(**sim).place(profile, robot, Start(x, *angles), np.random.default_rng(0))
     assert isinstance(world, MujocoWorld)
     return world
 
@@ -244,7 +244,7 @@ def test_without_mujoco_the_error_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[mujoco\]'"):
-        Mujoco().place(FLAT, Robot(), Start(0.0))
+        Mujoco().place(FLAT, Robot(), Start(0.0), np.random.default_rng(0))
     asked = ["eval", "--controller", "level", "sim=mujoco", "terrain=step", "--episodes", "1"]
     done = call(*asked, cwd=tmp_path)
     assert done.code == 2

@@ -1,0 +1,192 @@
+"""The world of an engine, guarded: every call into a plugin's simulation goes through here.
+
+In: an engine, a profile, a robot, a start and a generator. Out: a ``flipperctl.api.World`` whose
+failures and wrong values are errors that name the engine, the method, the file and the line.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import (
+    NO_LIMITS,
+    DrawingWorld,
+    EndingWorld,
+    Engine,
+    FloatArray,
+    Limits,
+    Outcome,
+    Profile,
+    Robot,
+    RobotState,
+    Start,
+    World,
+)
+from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.guard import fault, refusal, short_repr
+
+_NEEDED = ("position", "pitch", "command", "advance", "state", "penetration", "save", "load")
+_VECTORS = ("position", "velocity")
+_SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side")
+_STATE = "a RobotState of numbers, with two in each array"
+
+
+def place(
+    engine: Engine, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
+) -> GuardedWorld:
+    """Return the guarded world that ``engine`` places; it draws if the engine's world does.
+
+    Raises:
+        PluginFailedError: the engine's code failed, or returned something else than a world.
+    """
+    try:
+        world = engine.place(profile, robot, start, rng)
+        missing = [name for name in _NEEDED if not hasattr(world, name)]
+        draws = isinstance(world, DrawingWorld)
+    except BaseException as error:
+        raise fault(error, engine, "place") from error
+    if missing:
+        text = f"returned {short_repr(world)}, which has no {', '.join(missing)}"
+        raise refusal(engine, "place", f"{text}; a flipperctl.api.World is allowed")
+    return GuardedDrawingWorld(engine, world) if draws else GuardedWorld(engine, world)
+
+
+class GuardedWorld:
+    """A ``flipperctl.api.World`` that calls the world of an engine.
+
+    Every method raises ``PluginFailedError`` if the engine's code failed or returned a value that
+    the contract does not allow, and ``NonFiniteError`` if a number is not finite.
+    """
+
+    def __init__(self, engine: Engine, world: World) -> None:
+        """Guard ``world``, which ``engine`` placed."""
+        self._engine = engine
+        self.unguarded: Any = world
+        """The engine's own world."""
+        # Asked once: to check a protocol takes longer than some of the work of a decision.
+        self._ends = isinstance(world, EndingWorld)
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """World coordinates (x, z) of the chassis centre [m]."""
+        try:
+            x, z = map(float, self.unguarded.position)
+        except BaseException as error:
+            raise fault(error, self._engine, "position") from error
+        self._require_finite("position", (x, z), ("x", "z"))
+        return x, z
+
+    @property
+    def pitch(self) -> float:
+        """Pitch of the chassis, nose up positive [rad]."""
+        try:
+            pitch = float(self.unguarded.pitch)
+        except BaseException as error:
+            raise fault(error, self._engine, "pitch") from error
+        self._require_finite("pitch", (pitch,), ("pitch",))
+        return pitch
+
+    def command(self, front: float, rear: float) -> None:
+        """Set the target angles of the flippers in frame R [rad]."""
+        self._call("command", front, rear)
+
+    def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
+        """Simulate up to ``samples`` sample periods; return the poses, (S, 5), at least one."""
+        poses = self._call("advance", samples, limits)
+        if not (isinstance(poses, np.ndarray) and poses.dtype.kind in "fiu"):
+            raise self._refusal("advance", short_repr(poses), "an array of numbers")
+        if poses.ndim != 2 or poses.shape[1] != 5 or not 0 < len(poses) <= samples:
+            allowed = f"1 to {samples} rows of 5 numbers"
+            raise self._refusal("advance", f"an array of the shape {poses.shape}", allowed)
+        if not np.isfinite(poses).all():
+            names = ("x", "z", "pitch", "front", "rear")
+            for pose in poses.tolist():
+                self._require_finite("advance", pose, names)
+        return poses
+
+    def state(self) -> RobotState:
+        """Return the current state."""
+        state = self._call("state")
+        try:
+            numbers = [getattr(state, name) for name in _SCALARS]
+            for name in _VECTORS:
+                x, z = getattr(state, name).tolist()
+                numbers += x, z
+            finite = all(map(math.isfinite, numbers))
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
+            raise self._refusal("state", short_repr(state), _STATE) from error
+        if not isinstance(state, RobotState):
+            raise self._refusal("state", short_repr(state), _STATE)
+        if not finite:
+            ends = [f"{name}'s {axis}" for name in _VECTORS for axis in "xz"]
+            self._require_finite("state", numbers, (*_SCALARS, *ends))
+        return state
+
+    def penetration(self) -> float:
+        """Return the largest depth by which the robot overlaps the ground [m]."""
+        depth = self._call("penetration")
+        try:
+            found = float(depth)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self._refusal("penetration", short_repr(depth), "a number") from error
+        self._require_finite("penetration", (found,), ("depth",))
+        return found
+
+    def ended(self) -> Outcome | None:
+        """Return the outcome if the world reached an end of its own, else None."""
+        if not self._ends:
+            return None
+        outcome = self._call("ended")
+        if outcome is not None and not isinstance(outcome, Outcome):
+            raise self._refusal("ended", short_repr(outcome), "an Outcome, or None")
+        return outcome
+
+    def save(self) -> Any:
+        """Return a snapshot of the changing state for ``load``."""
+        return self._call("save")
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+        self._call("load", saved)
+
+    def _call(self, method: str, *given: Any) -> Any:
+        try:
+            return getattr(self.unguarded, method)(*given)
+        except BaseException as error:
+            raise fault(error, self._engine, method) from error
+
+    def _refusal(
+        self,
+        method: str,
+        found: str,
+        allowed: str,
+        raised: type[FlipperctlError] = PluginFailedError,
+    ) -> FlipperctlError:
+        text, owner = f"returned {found}; allowed: {allowed}", type(self.unguarded)
+        return refusal(self._engine, method, text, raised, owner=owner)
+
+    def _require_finite(
+        self, method: str, numbers: tuple[float, ...] | list[float], names: tuple[str, ...]
+    ) -> None:
+        for name, number in zip(names, numbers, strict=True):
+            if not math.isfinite(number):
+                found, allowed = f"{number} as {name}", "a finite number"
+                raise self._refusal(method, found, allowed, NonFiniteError)
+
+
+class GuardedDrawingWorld(GuardedWorld):
+    """A guarded ``flipperctl.api.DrawingWorld``."""
+
+    def draw(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Return a picture of the current state, (H, W, 3)."""
+        picture = self._call("draw", width, height)
+        allowed = f"an array of uint8 of the shape {(height, width, 3)}"
+        if not (isinstance(picture, np.ndarray) and picture.dtype == np.uint8):
+            raise self._refusal("draw", short_repr(picture), allowed)
+        if picture.shape != (height, width, 3):
+            raise self._refusal("draw", f"an array of the shape {picture.shape}", allowed)
+        return picture
