@@ -162,9 +162,9 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
             place.bind("self", "profile", "robot", "start", "rng")
         except TypeError:
             raise TypeError(
-                f"@engine({name!r}): {cls.__name__}.place{place} cannot be called as "
-                "place(profile, robot, start, rng); add the parameter rng, the generator from "
-                "which a world draws what varies between episodes"
+                f"@engine({name!r}): {cls.__name__}.place({', '.join(place.parameters)}) cannot be "
+                "called as place(profile, robot, start, rng); add the parameter rng, the generator "
+                "from which a world draws what varies between episodes"
             ) from None
         return register(Engine, name)(cls)
 

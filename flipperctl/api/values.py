@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from flipperctl.api.surface import Surface
 
@@ -59,6 +60,17 @@ class RobotGeometry(Settings):
     angle_step: float = Field(
         math.pi / 12, gt=0, le=math.pi / 2, description="flipper turn of one action [rad]"
     )
+
+    @model_validator(mode="after")
+    def _round_ends_fit(self) -> Self:
+        for name in ("chassis_length", "flipper_length"):
+            length = getattr(self, name)
+            if length <= 2 * self.track_radius:
+                raise ValueError(
+                    f"{name} ({length:g} m) must exceed twice track_radius "
+                    f"({self.track_radius:g} m), since it includes two round ends"
+                )
+        return self
 
     @property
     def hinge_offset(self) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, cast
 
-from pydantic import BeforeValidator, Field, PlainSerializer, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from flipperctl.api import (
     Engine,
@@ -21,8 +21,10 @@ from flipperctl.api import (
     Shaping,
     Terrain,
 )
-from flipperctl.config.randomise import Randomise, replace_settings
+from flipperctl.config.combinations import check_decisions, check_episode
+from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import container, create
+from flipperctl.config.sampled import check_ranges, replace_settings
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -33,7 +35,7 @@ from flipperctl.config.sections import (
 )
 from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
-from flipperctl.messages import close_match, explain
+from flipperctl.messages import close_match
 
 
 def _terrain(value: object) -> object:
@@ -104,36 +106,23 @@ class EnvConfig(Settings):
     randomise: Randomise = Randomise()
 
     @model_validator(mode="after")
-    def _check_randomise(self) -> EnvConfig:
-        for section, name, _ in (*self.randomise.ranges(), *self.randomise.probabilities()):
-            settings = getattr(self, section)
-            if name not in type(settings).model_fields:
-                raise ConfigError(
-                    f"randomise.{name}: {section}={settings.plugin_name} has no setting {name!r}; "
-                    f"drop it with randomise.{name}=null"
-                )
-        for section, name, ends in self.randomise.ranges():
-            model = type(getattr(self, section))
-            for value in ends:
-                try:
-                    model(**{name: value})
-                except ValidationError as error:
-                    raise ConfigError(explain(error, "randomise", model)) from error
-        for section, name in (("robot", "actuator_delay"), ("perception", "delay")):
-            longest = max(
-                getattr(getattr(self, section), name), *(getattr(self.randomise, name) or (0,))
-            )
-            if longest > self.robot.decision_period:
-                raise ConfigError(
-                    f"{section}.{name}: {longest:g} s is longer than a decision, "
-                    f"{self.robot.decision_period:g} s"
-                )
+    def _check_combinations(self) -> EnvConfig:
+        check_ranges(self._sampled_sections, self.randomise)
+        check_decisions(self.robot, self.perception, self.randomise)
+        check_episode(self.robot, self.episode, self.randomise)
         return self
 
+    @property
+    def _sampled_sections(self) -> dict[str, Settings]:
+        return {"sim": self.sim, "robot": self.robot, "perception": self.perception}
+
     def with_drawn_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
-        """Return the engine, robot and sensor of an episode with the sampled ``values``."""
-        sections = {"sim": self.sim, "robot": self.robot, "perception": self.perception}
-        found = replace_settings(sections, values)
+        """Return the engine, robot and sensor of an episode with the sampled ``values``.
+
+        Raises:
+            ConfigError: the values are not possible together.
+        """
+        found = replace_settings(self._sampled_sections, values)
         return found["sim"], found["robot"], found["perception"]
 
     def environment(self) -> EnvConfig:

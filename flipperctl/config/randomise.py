@@ -1,13 +1,13 @@
 """Randomisation of an episode's physics and sensing: which settings are sampled, in which range.
 
 In: the section ``randomise`` of a configuration and a generator. Out: values that replace
-the settings of the same names for one episode.
+the settings of the same names for one episode; ``sampled`` puts them there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -60,8 +60,9 @@ class Randomise(Settings):
     """The settings that are sampled anew for every episode of a training or an evaluation.
 
     Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
-    and must lie within its bounds; a setting that is on or off has a probability. The start is
-    sampled by ``episode.start_noise`` and ``episode.start_angle_noise``.
+    and must lie within its bounds, and all combinations must be possible; a setting that is on or
+    off has a probability. The start is sampled by ``episode.start_noise`` and
+    ``episode.start_angle_noise``.
     """
 
     friction: Range = Field(None, description="of sim.friction [-]")
@@ -115,27 +116,16 @@ class Randomise(Settings):
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """Sample a value of each randomised setting, in SI units; a switch is 1 or 0."""
-        values = {name: _fitting(name, rng.uniform(*found)) for _, name, found in self.ranges()}
+        values = {name: fitting(name, rng.uniform(*found)) for _, name, found in self.ranges()}
         for _, name, probability in self.probabilities():
             values[name] = float(rng.random() < probability)
         return values
 
 
-def _fitting(name: str, value: float) -> float:
+def fitting(name: str, value: float) -> float:
     """Return the value that the setting can have next to a sampled one."""
     if name == "iterations":
         return round(value)
     if name == "substep":
         return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
     return float(value)
-
-
-def replace_settings(sections: Mapping[str, Any], sampled: Mapping[str, float]) -> dict[str, Any]:
-    """Return the sections with the sampled values in place of their own."""
-    result = dict(sections)
-    for name, value in sampled.items():
-        switch = name in SWITCHES
-        section = SWITCHES[name] if switch else SECTION_OF[name]
-        update = {name: bool(value) if switch else value}
-        result[section] = result[section].model_copy(update=update)
-    return result

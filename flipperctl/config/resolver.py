@@ -61,12 +61,12 @@ def create(kind: str, settings: object, where: str) -> Any:
     except LookupError:
         return get(kind, settings["name"] if isinstance(settings, Mapping) else settings, where)
     try:
-        return _construct(cls, fields)
+        return construct(cls, fields)
     except ValidationError as error:
         raise ConfigError(explain(error, where, cls, fields)) from error
 
 
-def _construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
+def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
     """Return an instance of a plugin.
 
     Raises:
@@ -166,7 +166,7 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
         PluginError: the plugin's own code raised anything else.
     """
     try:
-        return container(_construct(cls, {}), brief=True)
+        return container(construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
             f"{guard.plugin_label(cls)}: its defaults are not valid: "

@@ -15,8 +15,9 @@ from enum import StrEnum
 from typing import Any
 
 from flipperctl.api import Outcome, RobotState
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.evaluation.episode import EpisodeResult
@@ -31,6 +32,8 @@ _ASTRAY = math.radians(30)
 """Heading beyond which a robot that came to a stop has lost its way [rad]."""
 _ASIDE = 1.0
 """Distance beside the middle of the ground beyond which it has [m]."""
+_HIGHEST = 10.0
+"""Largest friction that is tried [-]."""
 _FRICTION = 2.0
 """Factor on the friction with which a lack of traction is told from an obstacle [-]."""
 
@@ -212,18 +215,17 @@ def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
 
 def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
     """Return whether the episode reaches the finish with more friction."""
-    fields = type(config.sim).model_fields
-    if "friction" not in fields:
+    own = getattr(config.sim, "friction", None)
+    if own is None:
         return False
-    changed = config.randomise.friction
-    if changed is not None:
-        low, high = (min(10.0, _FRICTION * mu) for mu in changed)
-        randomise = config.randomise.model_copy(update={"friction": (low, high)})
-        config = config.model_copy(update={"randomise": randomise})
-    else:
-        friction = min(10.0, _FRICTION * config.sim.model_dump()["friction"])
-        sim = config.sim.model_copy(update={"friction": friction})
-        config = config.model_copy(update={"sim": sim})
+    sampled = config.randomise.friction
+    changed = {"sim.friction": min(_HIGHEST, _FRICTION * own)}
+    if sampled is not None:
+        changed = {"randomise.friction": [min(_HIGHEST, _FRICTION * mu) for mu in sampled]}
+    try:
+        config = with_overrides(config, changed)
+    except ConfigError:  # beyond what the engine simulates
+        return False
     env = FlipperEnv(config=config)
     row = play(env, source.build(config.perception), seed)
     return Outcome(row["outcome"]) is Outcome.REACHED

@@ -169,11 +169,41 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
         ({"frictoin": [0.5, 1]}, r"randomise\.frictoin.*did you mean 'friction'"),
         ({"friction": [0.5]}, r"randomise\.friction"),
         ({"occlusion": 1.5}, r"randomise\.occlusion.*1\.5"),
+        ({"track_radius": [0.1, 0.4]}, r"^randomise\.track_radius: chassis_length \(0\.76 m\) "),
+        ({"flipper_length": [0.21, 0.5], "track_radius": [0.08, 0.12]},
+         r"^randomise\.flipper_length, randomise\.track_radius: flipper_length \(0\.21 m\) "),
+        ({"flipper_length": [0.19, 0.5]}, r"^randomise\.flipper_length: .*> 0\.2.*0\.19"),
+        ({"substep": [0.00041, 0.005]}, None),  # a divisor of 0.01 s beside it
+        ({"substep": [0.0003, 0.005]}, r"^randomise\.substep: .*> 0\.0004"),
+        ({"iterations": [0.2, 5]}, r"^randomise\.iterations: .*≥ 1"),
+        ({"delay": [0.1, 0.5], "actuator_delay": [0.0, 0.5]}, None),  # a decision takes 0.6 s
+        ({"track_speed": [0.001, 0.2]}, r"^episode\.stuck_progress: .*a robot of 0\.001 m/s"),
     ],
-)
-def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
+)  # fmt: skip
+def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str | None) -> None:
+    if words is None:
         config(randomise=ranges)
+        return
+    with pytest.raises(ConfigError, match=words) as error:
+        config(randomise=ranges)
+    assert "\n" not in str(error.value)
+
+
+def test_every_sampled_robot_is_possible() -> None:
+    # The ends are possible together with each other, whatever the robot's own values.
+    found = config(
+        **{"randomise.flipper_length": [0.21, 0.5], "randomise.track_radius": [0.05, 0.1]}
+    )
+    for seed in range(50):
+        drawn = found.randomise.sample(np.random.default_rng(seed))
+        _, robot, _ = found.with_drawn_values(drawn)
+        assert robot.flipper_axle > 0
+        assert Robot(**robot.model_dump()) == robot
+
+
+def test_a_sampled_value_is_validated_beside_the_others() -> None:
+    with pytest.raises(ConfigError, match=r"^randomise\.track_radius: chassis_length \(0\.76 m\)"):
+        config().with_drawn_values({"track_radius": 0.45, "flipper_length": 1.5})
 
 
 def test_a_delay_must_fit_into_a_decision() -> None:

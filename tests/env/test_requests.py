@@ -74,6 +74,23 @@ def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
         ({"rewards.pich.lambda_2": 1.0}, "rewards.pich", "'pitch'"),
         ({"rewards": None}, "rewards", "mapping"),
         ({"rewards": "pitch"}, "rewards", "mapping"),
+        (
+            {"robot.chassis_length": 0.25, "robot.track_radius": 0.13},
+            "robot",
+            "chassis_length (0.25",
+        ),
+        (
+            {"robot.flipper_length": 0.3, "robot.track_radius": 0.15},
+            "robot",
+            "flipper_length (0.3 m)",
+        ),
+        ({"robot.track_radius": 0.3}, "robot", "must exceed twice track_radius (0.3 m)"),
+        ({"robot.angle_step": 0.004}, "robot.angle_step", "at least 0.01 s"),
+        ({"robot.actuator_delay": 0.3, "robot.angle_step": 0.1}, "robot.actuator_delay", "0.229"),
+        ({"perception.delay": 0.3, "robot.angle_step": 0.1}, "perception.delay", "0.229"),
+        ({"episode.start_angle": -1.2}, "episode.start_angle", "robot.angle_limit, 1.0472 rad"),
+        # 20 decisions of 0.6 s at 0.2 m/s are 2.4 m.
+        ({"episode.stuck_progress": 2.5}, "episode.stuck_progress", "at most 2.4 m"),
         ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
     ],
     ids=str,

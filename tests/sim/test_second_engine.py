@@ -72,7 +72,7 @@ def test_an_engine_without_a_generator_says_what_to_change(tmp_path: Path) -> No
     asked = ["eval", "--controller", "level", "sim=kinematic", "--plugins", "earlier.py"]
     done = call(*asked, cwd=tmp_path)
     assert done.code == 2
-    assert "@engine('kinematic'): Kinematic.place(" in done.err
+    assert "@engine('kinematic'): Kinematic.place(self, profile, robot, start)" in done.err
     assert "add the parameter rng" in done.err
     assert "earlier.py" in done.err
     assert len(done.err.partition("error: ")[2].strip().splitlines()) <= 2

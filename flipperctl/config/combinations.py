@@ -1,0 +1,57 @@
+"""Checks of settings of several sections that are impossible together.
+
+In: the sections of a configuration. Out: an error that names the setting, its value and what is
+allowed beside the others.
+"""
+
+from __future__ import annotations
+
+from flipperctl.api import SAMPLE_PERIOD, Robot, Sensor
+from flipperctl.config.randomise import Randomise
+from flipperctl.config.sections import Episode
+from flipperctl.errors import ConfigError
+
+
+def check_decisions(robot: Robot, sensor: Sensor, randomise: Randomise) -> None:
+    """Check that a decision takes a sample period or longer, and no delay is longer than it.
+
+    Raises:
+        ConfigError: the decision is too short, or a delay too long.
+    """
+    period = robot.decision_period
+    if period < SAMPLE_PERIOD:
+        raise ConfigError(
+            f"robot.angle_step: a decision, angle_step / flipper_speed, would take {period:.3g} s; "
+            f"at least {SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
+        )
+    delays = (
+        ("robot", "actuator_delay", robot.actuator_delay, randomise.actuator_delay),
+        ("perception", "delay", sensor.delay, randomise.delay),
+    )
+    for section, name, own, sampled in delays:
+        longest, where = (own, section) if sampled is None else (sampled[1], "randomise")
+        if longest > period:
+            raise ConfigError(
+                f"{where}.{name}: {longest:g} s is longer than a decision, {period:g} s"
+            )
+
+
+def check_episode(robot: Robot, episode: Episode, randomise: Randomise) -> None:
+    """Check that the flippers reach their start angle, and that a robot that drives is not stuck.
+
+    Raises:
+        ConfigError: they do not, or every robot would be stuck.
+    """
+    if abs(episode.start_angle) > robot.angle_limit:
+        raise ConfigError(
+            f"episode.start_angle: {episode.start_angle:g} rad is beyond robot.angle_limit, "
+            f"{robot.angle_limit:g} rad"
+        )
+    slowest = robot.track_speed if randomise.track_speed is None else randomise.track_speed[0]
+    farthest = slowest * episode.stuck_window * robot.decision_period
+    if episode.stuck_progress > farthest:
+        raise ConfigError(
+            f"episode.stuck_progress: {episode.stuck_progress:g} m in {episode.stuck_window} "
+            f"decisions is more than a robot of {slowest:g} m/s drives on level ground; at most "
+            f"{farthest:.3g} m is allowed, or every robot is stuck"
+        )
