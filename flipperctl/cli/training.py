@@ -20,6 +20,7 @@ from flipperctl.config import TrainConfig, container, with_overrides
 from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
 from flipperctl.files import make_folder, write_bytes
 from flipperctl.training import run_folder
+from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv, TensorBoard
 from flipperctl.training.lock import hold
 from flipperctl.training.trainer import Trainer
@@ -89,13 +90,14 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
 def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     config, directory = trainer.config, trainer.directory
     write_bytes(directory / run_folder.CONFIG, OmegaConf.to_yaml(container(config)).encode())
-    trainer.listeners += [
-        MetricsCsv(
-            directory / run_folder.METRICS, list(config.rewards), config.randomise.names, resume_at
-        ),
-        TensorBoard(directory / "tensorboard", resume_at),
-        progress(config.train.decisions, trainer.progress.decision),
-    ]
+    metrics, terms = directory / run_folder.METRICS, list(config.rewards)
+    trainer.listeners += open_all(
+        [
+            lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
+            lambda: TensorBoard(directory / "tensorboard", resume_at),
+            lambda: progress(config.train.decisions, trainer.progress.decision),
+        ]
+    )
     try:
         with _interrupts() as stop:
             summary = trainer.run(stop)

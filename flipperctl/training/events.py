@@ -109,9 +109,13 @@ class TensorBoard:
         self._path = folder / name
         self._file = self._path.open("wb")
         self._writer: Any = RecordWriter(self._file)
-        self._event(file_version="brain.Event:2")
-        if resume_at is not None:
-            self._drop_after(resume_at)
+        try:
+            self._event(file_version="brain.Event:2")
+            if resume_at is not None:
+                self._drop_after(resume_at)
+        except BaseException:
+            self._file.close()
+            raise
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""

@@ -31,6 +31,7 @@ from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
 from flipperctl.rollout.values import RolloutRequest, Step
+from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
@@ -87,34 +88,37 @@ class Trainer:
     def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
         """Train until the budget is spent or ``stop``, called between episodes, returns True.
 
-        Returns the summary, which is also written to ``summary.json``.
+        Returns the summary, which is also written to ``summary.json``. The listeners are closed,
+        whatever fails.
         """
+        opened: list[Closable] = [*self.listeners]
+        with closing(opened):
+            self._stopwatch.start()
+            self._add_recorded()
+            self._save_all(self._outstanding)
+            collector = self.episodes.start_collector(self._outstanding)
+            opened.append(collector)
+            return self._run(collector, stop)
+
+    def _run(self, collector: Collector, stop: Callable[[], bool]) -> dict[str, Any]:
+        """Train with the episodes of ``collector``; see ``run``."""
         settings, progress = self.config.train, self.progress
-        self._stopwatch.start()
-        self._add_recorded()
-        self._save_all(self._outstanding)
-        collector = self.episodes.start_collector(self._outstanding)
-        try:
-            while progress.decision < settings.decisions and not stop():
-                before = progress.decision
-                self._train_episode(collector)
-                validate = self._passed(before, settings.validate_every)
-                if validate:
-                    self._validate(collector)
-                if validate or self._passed(before, settings.checkpoint_every):
-                    self._save_all(collector.outstanding())
-            finished = progress.decision >= settings.decisions
-            last = self.validator.last
-            if finished and (last is None or last.decision != progress.decision):
+        while progress.decision < settings.decisions and not stop():
+            before = progress.decision
+            self._train_episode(collector)
+            validate = self._passed(before, settings.validate_every)
+            if validate:
                 self._validate(collector)
-            self._save_all(collector.outstanding())
-            summary = self.summary(finished)
-            write_json(self.directory / "summary.json", summary)
-            return summary
-        finally:
-            collector.close()
-            for listener in self.listeners:
-                listener.close()
+            if validate or self._passed(before, settings.checkpoint_every):
+                self._save_all(collector.outstanding())
+        finished = progress.decision >= settings.decisions
+        last = self.validator.last
+        if finished and (last is None or last.decision != progress.decision):
+            self._validate(collector)
+        self._save_all(collector.outstanding())
+        summary = self.summary(finished)
+        write_json(self.directory / "summary.json", summary)
+        return summary
 
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a run that begins.
