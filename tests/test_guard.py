@@ -12,12 +12,15 @@ from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
 from flipperctl.agent.noise import Noise
 from flipperctl.api import ObservationLayout
-from flipperctl.config import EnvConfig, resolver, with_overrides
+from flipperctl.config import EnvConfig, EvalConfig, resolver, with_overrides
 from flipperctl.env import ground
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
+from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.guard import fault
 from flipperctl.policies.source import PolicySource
+from flipperctl.sim.versions import engine_versions
 from tests.cli.call import RUN, call
 from tests.long.misbehaving import unnamed
 from tests.long.misbehaviour import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
@@ -35,6 +38,7 @@ def use(what: Misbehaviour, file: Path) -> None:
         config = with_overrides(EnvConfig(terrain="flat"), FLAT)
         source = PolicySource(settings=defaults)
     else:
+        config = with_overrides(EnvConfig(terrain="flat"), FLAT)
         source = PolicySource(settings={"name": "level"})
     if what.kind == "terrain":
         config = EnvConfig(terrain="odd")
@@ -53,7 +57,25 @@ def use(what: Misbehaviour, file: Path) -> None:
             greedy(module, np.zeros(layout.size, np.float32))
         Noise(module).draw(np.random.default_rng(0))
         return
+    if what.kind in ("sim", "perception"):
+        config = with_overrides(config, {what.kind: "odd"})
+        resolver.container(config)
+        Conditions.of(EvalConfig(**dict(config)))
+        engine_versions(config.sim)
+        look_ahead(config)
     list(play_episodes(config, source, episodes=1, seed=0))
+
+
+def look_ahead(config: EnvConfig) -> None:
+    """Use a world as a controller that looks ahead, probes and pictures do."""
+    env = FlipperEnv(config=config, render_mode="rgb_array")
+    env.reset(seed=0)
+    simulator = env.simulator()
+    simulator.load(simulator.save())
+    simulator.perceive_exactly()
+    env.render()
+    assert env.drive.world.position[0] == env.state.position[0]
+    assert env.drive.world.pitch == env.state.pitch
 
 
 def cases() -> list[Misbehaviour]:

@@ -24,6 +24,7 @@ from flipperctl.config import TrainConfig, container, parse, resolver
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match
+from flipperctl.sim.versions import engine_versions
 
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
@@ -97,7 +98,7 @@ def describe(
             "torch": torch.__version__,
             "numpy": np.__version__,
             "gymnasium": gymnasium.__version__,
-            **config.sim.versions(),
+            **engine_versions(config.sim),
         },
         plugins=tuple(
             documents.PluginReference(kind=p.kind, name=p.plugin_name, module=type(p).__module__)

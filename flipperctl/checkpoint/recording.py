@@ -34,6 +34,7 @@ from flipperctl.config import EnvConfig, container
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import explain
+from flipperctl.sim.versions import engine_versions
 
 FORMAT: Final = 1
 """Format number of these files."""
@@ -146,7 +147,7 @@ def write(
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
-        versions |= config.sim.versions()
+        versions |= engine_versions(config.sim)
     document = RecordingDocument(
         format=FORMAT,
         kind=EPISODES,

@@ -29,7 +29,7 @@ from flipperctl.api import (
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
 from flipperctl.guard import fault, refusal, short_repr
 
-_NEEDED = ("position", "pitch", "command", "advance", "state", "penetration", "save", "load")
+_METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
 _SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side")
 _STATE = "a RobotState of numbers, with two in each array"
@@ -45,7 +45,7 @@ def place(
     """
     try:
         world = engine.place(profile, robot, start, rng)
-        missing = [name for name in _NEEDED if not hasattr(world, name)]
+        missing = [name for name in _METHODS if not hasattr(world, name)]
         draws = isinstance(world, DrawingWorld)
     except BaseException as error:
         raise fault(error, engine, "place") from error
@@ -74,21 +74,21 @@ class GuardedWorld:
     def position(self) -> tuple[float, float]:
         """World coordinates (x, z) of the chassis centre [m]."""
         try:
-            x, z = map(float, self.unguarded.position)
+            x, z = self.unguarded.position
         except BaseException as error:
             raise fault(error, self._engine, "position") from error
         self._require_finite("position", (x, z), ("x", "z"))
-        return x, z
+        return float(x), float(z)
 
     @property
     def pitch(self) -> float:
         """Pitch of the chassis, nose up positive [rad]."""
         try:
-            pitch = float(self.unguarded.pitch)
+            pitch = self.unguarded.pitch
         except BaseException as error:
             raise fault(error, self._engine, "pitch") from error
         self._require_finite("pitch", (pitch,), ("pitch",))
-        return pitch
+        return float(pitch)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R [rad]."""
@@ -129,12 +129,8 @@ class GuardedWorld:
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
         depth = self._call("penetration")
-        try:
-            found = float(depth)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise self._refusal("penetration", short_repr(depth), "a number") from error
-        self._require_finite("penetration", (found,), ("depth",))
-        return found
+        self._require_finite("penetration", (depth,), ("depth",))
+        return float(depth)
 
     def ended(self) -> Outcome | None:
         """Return the outcome if the world reached an end of its own, else None."""
@@ -170,10 +166,15 @@ class GuardedWorld:
         return refusal(self._engine, method, text, raised, owner=owner)
 
     def _require_finite(
-        self, method: str, numbers: tuple[float, ...] | list[float], names: tuple[str, ...]
+        self, method: str, numbers: tuple[Any, ...] | list[Any], names: tuple[str, ...]
     ) -> None:
         for name, number in zip(names, numbers, strict=True):
-            if not math.isfinite(number):
+            try:
+                finite = math.isfinite(number)
+            except (TypeError, ValueError, OverflowError) as error:
+                found = f"{short_repr(number)} as {name}"
+                raise self._refusal(method, found, "a number") from error
+            if not finite:
                 found, allowed = f"{number} as {name}", "a finite number"
                 raise self._refusal(method, found, allowed, NonFiniteError)
 

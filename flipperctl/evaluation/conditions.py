@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.api import ObservationLayout, Settings
+from flipperctl.api import ObservationLayout, Plugin, Settings
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container, resolver
+from flipperctl.guard import fault, refusal, short_repr
 from flipperctl.messages import unit
 
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
@@ -109,7 +110,17 @@ def _digests(config: EvalConfig) -> list[str | None]:
     """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
     plugins = (config.terrain, config.sim, config.perception)
     nested = [one for plugin in plugins for one in resolver.nested_plugins(plugin)]
-    return [_digest(file) for plugin in nested for file in plugin.files_read()]
+    return [_digest(file) for plugin in nested for file in _files_read(plugin)]
+
+
+def _files_read(plugin: Plugin) -> tuple[Path, ...]:
+    try:
+        found = tuple(plugin.files_read())
+    except BaseException as error:
+        raise fault(error, plugin, "files_read") from error
+    if not all(isinstance(file, Path) for file in found):
+        raise refusal(plugin, "files_read", f"returned {short_repr(found)}; allowed: Paths")
+    return found
 
 
 def _digest(file: Path) -> str | None:

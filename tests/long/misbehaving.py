@@ -63,6 +63,32 @@ COMMANDS = {
         "inspect reward": ["inspect", "reward", "--controller", "odd", "--episodes=1"],
     },
 }  # fmt: skip
+LOOKS = ("--controller", "planner", "controller.budget=60")
+"""The controller that saves and loads the world, in which it looks ahead."""
+COMMANDS |= {
+    "sim": {
+        "eval": ["eval", "--controller", "level", *DRIVEN, "sim=odd"],
+        "eval planner": ["eval", *LOOKS, *DRIVEN, "sim=odd"],
+        "eval --jobs": ["eval", "--controller", "level", *DRIVEN, "--jobs=2", "sim=odd"],
+        "train": ["train", *SHORT, "train.mode=exact", "sim=odd"],
+        "train fast": ["train", *SHORT, "sim=odd"],
+        "inspect engines": ["inspect", "engines", "--controller", "level", *DRIVEN, "sim=odd"],
+        "inspect reward": ["inspect", "reward", "--episodes=1", "terrain=flat", "sim=odd"],
+        "transfer": ["transfer", "--controller", "level", *DRIVEN, "sim=odd"],
+        "transfer --film": ["transfer", "--controller", "level", "terrain=flat", "--only=0",
+                            "--film=drive.gif", "sim=odd"],
+    },
+    "perception": {
+        "eval": ["eval", "--controller", "level", *DRIVEN, "perception=odd"],
+        "eval --jobs": ["eval", "--controller", "level", *DRIVEN, "--jobs=2", "perception=odd"],
+        "train": ["train", *SHORT, "train.mode=exact", "perception=odd"],
+        "train taught": ["train", *SHORT, "train.mode=exact", "perception=odd", "teacher=lookahead",
+                         "teacher.privileged=true"],
+        "train fast": ["train", *SHORT, "perception=odd"],
+        "inspect reward": ["inspect", "reward", "--episodes=1", "terrain=flat", "perception=odd"],
+        "transfer": ["transfer", "--controller", "level", *DRIVEN, "sim=mujoco", "perception=odd"],
+    },
+}  # fmt: skip
 FOR_ALL = {"inspect plugins": ["inspect", "plugins", "odd"]}
 SLOW = ("eval --jobs", "train fast", "export pt2")
 
@@ -86,14 +112,16 @@ def main() -> int:
     parser.add_argument(
         "--slow", type=float, default=0.06, help="fraction of cases with worker processes"
     )
+    parser.add_argument("--kind", default=",".join(COMMANDS), help="kinds of plugins")
     chosen = parser.parse_args()
+    kinds = chosen.kind.split(",")
     _preload()
     tried, reached, violations = Counter(), Counter(), Counter()
     with tempfile.TemporaryDirectory() as folder:
         good = _train_good_network(Path(folder))
         for index in range(chosen.count):
             rng = np.random.default_rng([chosen.seed, index])
-            what, name, command = _case(rng, chosen.slow, good)
+            what, name, command = _case(rng, kinds, chosen.slow, good)
             work = Path(folder) / str(index)
             work.mkdir()
             file, marker = work / "odd_plugin.py", work / "marker"
@@ -145,8 +173,10 @@ def unnamed(what: Misbehaviour, text: str, file: Path) -> list[str]:
     return found
 
 
-def _case(rng: np.random.Generator, slow: float, good: Path) -> tuple[Misbehaviour, str, list[str]]:
-    kind = str(rng.choice(list(COMMANDS)))
+def _case(
+    rng: np.random.Generator, kinds: list[str], slow: float, good: Path
+) -> tuple[Misbehaviour, str, list[str]]:
+    kind = str(rng.choice(kinds))
     what = sample_misbehaviour(rng, kind)
     known = COMMANDS[kind] | (FOR_ALL if what.spot in BEFORE else {})
     is_slow = rng.random() < slow

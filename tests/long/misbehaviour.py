@@ -56,6 +56,54 @@ RETURNED = {
     ),
     ("network", "frames"): ("0", "33", "'2'", "None", "1e300", "2.0", "-1"),
     ("network", "quantiles"): ("None", "torch.zeros(1)", "torch.zeros(len(x), 9)", "'q'"),
+    ("sim", "place"): ("None", "'x'", "3", "object()", "Odd", "(1, 2)", "np.zeros(3)"),
+    ("sim", "position"): (
+        *("None", "'x'", "'ab'", "3.0", "(1.0,)", "(1, 2, 3)", "(None, None)", "('a', 'b')"),
+        *("(float('nan'), 0.0)", "(0.0, float('inf'))", "(1j, 0.0)", "(10**400, 0)", "{}"),
+    ),
+    ("sim", "pitch"): BAD_NUMBERS,
+    ("sim", "advance"): (
+        *("None", "'x'", "3", "[]", "np.empty((0, 5))", "np.zeros(5)", "np.zeros((samples, 4))"),
+        *("np.zeros((samples + 1, 5))", "np.zeros((samples, 5, 1))", "np.array(1.0)"),
+        *("np.zeros((samples, 5), complex)", "np.zeros((samples, 5), object)"),
+        *( "np.array([['a'] * 5])", "[[0.0] * 5] * samples"),
+        *("np.full((samples, 5), np.nan)", "np.full((1, 5), np.inf)", "(p for p in ())"),
+    ),
+    ("sim", "state"): (
+        *("None", "'x'", "3", "(1, 2)", "RobotState", "replace(now, pitch=float('nan'))"),
+        *("replace(now, position=None)", "replace(now, position=[0.0, 0.1])"),
+        *("replace(now, time='x')", "replace(now, pitch=10**400)"),
+        *("replace(now, position=np.zeros(3))", "replace(now, velocity=np.zeros((2, 1)))"),
+        *("replace(now, velocity=np.array([np.inf, 0]))", "replace(now, front=None)"),
+        *("replace(now, roll=float('inf'))", "replace(now, rear=1j)"),
+    ),
+    ("sim", "penetration"): BAD_NUMBERS,
+    ("sim", "ended"): ("'reached'", "3", "True", "object()", "float('nan')", "Outcome", "()"),
+    ("sim", "draw"): (
+        *("None", "'x'", "np.zeros((3, 3), np.uint8)", "np.zeros((width, height, 3), np.uint8)"),
+        *("np.zeros((height, width, 3))", "np.zeros((height, width), np.uint8)", "[]"),
+    ),
+    ("sim", "versions"): ("None", "'x'", "3", "{'a': 1}", "{1: 'a'}", "['a']"),
+    ("sim", "files_read"): ("None", "3", "('x',)", "'x'", "(None,)"),
+    ("perception", "over"): ("None", "'x'", "3", "object()", "Odd", "np.zeros(3)"),
+    ("perception", "sense"): (
+        *("None", "'x'", "3", "()", "(ground,)", "(ground, angles, 1)", "(angles, ground)"),
+        *("(None, None)", "(SensedGround, SensedAngles)", "(replace(ground, points=None), angles)"),
+        "(replace(ground, points=np.zeros(4)), angles)",
+        "(replace(ground, heights=0.0), angles)",
+        *("(replace(ground, points=np.full((4, 2), np.nan)), angles)", "(ground, (0.0, 0.0, 0.0))"),
+        "(replace(ground, heights=np.zeros(1)), angles)",
+        "(replace(ground, heights=[0.0]), angles)",
+        "(replace(ground, heights=np.full(15, np.inf)), angles)",
+        "(ground, replace(angles, rear=1j))",
+        *("(replace(ground, heights=np.array(['a'] * 15)), angles)", "(g for g in ())"),
+        "(replace(ground, filled=np.zeros(3, bool)), angles)",
+        "(replace(ground, filled=3), angles)",
+        *("(ground, replace(angles, front=None))", "(ground, replace(angles, pitch=float('nan')))"),
+        *("(ground, replace(angles, pitch='x'))", "(ground, replace(angles, rear=np.zeros(2)))"),
+    ),
+    ("perception", "exact"): ("None", "'x'", "3", "Odd", "Odd(bins=3)"),
+    ("perception", "files_read"): ("None", "3", "('x',)"),
     ("controller", "build"): ("None", "'mind'", "4", "Controller", "object()"),
     ("controller", "act"): (
         *("None", "'4'", "4.5", "9", "-1", "True", "np.float64(4)", "np.array([4])", "[4]"),
@@ -69,19 +117,30 @@ SPOTS = {
     "reward": ("__call__", "bounds", "potential"),
     "network": ("build", "forward", "frames", "quantiles", "draw_noise"),
     "controller": ("build", "reset", "act"),
+    "sim": (
+        *("place", "position", "pitch", "command", "advance", "state", "penetration", "ended"),
+        *("save", "load", "draw", "versions", "files_read"),
+    ),
+    "perception": ("over", "sense", "exact", "files_read"),
 }
+OFTEN = (
+    *("__call__", "potential", "act", "forward", "draw_noise"),
+    *("position", "pitch", "command", "advance", "state", "ended", "sense"),
+)
+"""Methods that are called so often that they may misbehave later than at the first call."""
 BEFORE = ("import", "factory", "validator", "field validator", "serialiser")
 """Places that every kind of plugin has."""
 
 HEADER = """\
 import asyncio, subprocess, sys, pathlib
+from dataclasses import replace
 from concurrent.futures.process import BrokenProcessPool
 import numpy as np
 import torch
 from pydantic import BaseModel, Field, field_serializer, field_validator, model_validator
 from flipperctl import errors
 from flipperctl.api import *
-from flipperctl.api import Shaping
+from flipperctl.api import NO_LIMITS, SensedAngles, SensedGround, Shaping
 
 class Mine(BaseException): pass
 class MineToo(Exception): pass
@@ -193,6 +252,82 @@ class Odd(Controller):
         {build}
         return Mind()
 """,
+    "sim": """\
+class OddWorld:
+    def __init__(self, x):
+        self.x, self.time = x, 0.0
+    @property
+    def position(self):
+        {position}
+        return self.x, 0.1
+    @property
+    def pitch(self):
+        {pitch}
+        return 0.0
+    def command(self, front, rear):
+        {command}
+    def advance(self, samples, limits=NO_LIMITS):
+        {advance}
+        poses = []
+        while len(poses) < samples and not limits.reached(self.x, 0.1, 0.0):
+            self.x, self.time = self.x + 0.002, self.time + 0.01
+            poses.append([self.x, 0.1, 0.0, 0.0, 0.0])
+        return np.array(poses)
+    def state(self):
+        velocity = np.array([0.2, 0.0])
+        now = RobotState(np.array([self.x, 0.1]), 0.0, 0.0, 0.0, velocity, 0.0, self.time)
+        {state}
+        return now
+    def penetration(self):
+        {penetration}
+        return 0.0
+    def ended(self):
+        {ended}
+        return None
+    def save(self):
+        {save}
+        return self.x, self.time
+    def load(self, saved):
+        {load}
+        self.x, self.time = saved
+    def draw(self, width, height):
+        {draw}
+        return np.zeros((height, width, 3), np.uint8)
+
+@engine("odd")
+class Odd(Engine):
+{common}
+    def place(self, profile, robot, start, rng):
+        {place}
+        return OddWorld(start.x)
+    def versions(self):
+        {versions}
+        return {{"odd": "1"}}
+    def files_read(self):
+        {files_read}
+        return ()
+""",
+    "perception": """\
+class Eye:
+    def sense(self, state, rng):
+        ground = SensedGround(np.array([[0.0, -0.1], [0.5, -0.1]]), np.full(15, -0.1))
+        angles = SensedAngles(state.front, state.rear, state.pitch)
+        {sense}
+        return ground, angles
+
+@sensor("odd")
+class Odd(Sensor):
+{common}
+    def over(self, profile, margin):
+        {over}
+        return Eye()
+    def exact(self):
+        {exact}
+        return self
+    def files_read(self):
+        {files_read}
+        return ()
+""",
 }
 QUANTILES = """\
     def quantiles(self, x):
@@ -250,6 +385,5 @@ def sample_misbehaviour(rng: np.random.Generator, kind: str) -> Misbehaviour:
         statement = f"return {rng.choice(returned)}"
     else:
         statement = str(rng.choice(RAISED))
-    late = spot in ("__call__", "potential", "act", "forward", "draw_noise")
-    call = int(rng.choice([1, 2, 5, 12])) if late else 1
+    call = int(rng.choice([1, 2, 5, 12])) if spot in OFTEN else 1
     return Misbehaviour(kind, spot, statement, call)
