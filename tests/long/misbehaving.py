@@ -32,6 +32,8 @@ SHORT = (
     *("agent.epsilon_start=0", "agent.epsilon_end=0", "episode.run_out=0.2"),
 )
 DRIVEN = ("terrain=flat", "--episodes", "2")
+LOOKS = ("--controller", "planner", "controller.budget=60")
+"""The controller that saves and loads the world, in which it looks ahead."""
 
 COMMANDS = {
     "terrain": {
@@ -62,10 +64,6 @@ COMMANDS = {
         "eval --jobs": ["eval", "--controller", "odd", *DRIVEN, "--jobs=2"],
         "inspect reward": ["inspect", "reward", "--controller", "odd", "--episodes=1"],
     },
-}  # fmt: skip
-LOOKS = ("--controller", "planner", "controller.budget=60")
-"""The controller that saves and loads the world, in which it looks ahead."""
-COMMANDS |= {
     "sim": {
         "eval": ["eval", "--controller", "level", *DRIVEN, "sim=odd"],
         "eval planner": ["eval", *LOOKS, *DRIVEN, "sim=odd"],
