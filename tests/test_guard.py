@@ -106,6 +106,16 @@ def test_a_plugin_that_misbehaves_is_named(what: Misbehaviour, tmp_path: Path) -
     assert unnamed(what, text, file) == [], text
 
 
+@pytest.mark.parametrize("spot", BEFORE)
+@pytest.mark.parametrize("kind", ["sim", "perception", "terrain"])
+def test_a_plugin_that_cannot_be_described_is_named(kind: str, spot: str, tmp_path: Path) -> None:
+    what, file = Misbehaviour(kind, spot, "raise KeyError('seven')", 1), tmp_path / "odd_plugin.py"
+    file.write_text(what.source(tmp_path / "marker"))
+    done = call("inspect", "plugins", "odd", "--plugins", str(file), cwd=tmp_path)
+    assert done.code == 2
+    assert unnamed(what, done.err, file) == [], done.err
+
+
 def test_an_interrupt_stays_one(tmp_path: Path) -> None:
     what = Misbehaviour("terrain", "generate", "raise KeyboardInterrupt", 1)
     file = tmp_path / "odd_plugin.py"

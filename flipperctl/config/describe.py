@@ -48,9 +48,14 @@ class Setting:
 
 
 def fields(cls: type[Settings]) -> list[Field]:
-    """Return the fields of a class of settings."""
+    """Return the fields of a class of settings.
+
+    Raises:
+        ConfigError: the defaults of a plugin are not valid.
+        PluginError: a plugin's own code failed.
+    """
     complete = not any(info.is_required() for info in cls.model_fields.values())
-    defaults = _plain(cls()) if complete else {}
+    defaults = _defaults(cls) if complete else {}
     found = []
     for name, info in cls.model_fields.items():
         default = defaults.get(name) if complete or info.is_required() else info.get_default()
@@ -126,6 +131,10 @@ def _values(annotation: Any) -> Iterator[str]:
     else:
         for inner in get_args(annotation):
             yield from _values(inner)
+
+
+def _defaults(cls: type[Settings]) -> dict[str, Any]:
+    return resolver.defaults(cls) if issubclass(cls, Plugin) else _plain(cls())
 
 
 def _plain(config: Settings) -> dict[str, Any]:

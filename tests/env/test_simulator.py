@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.perceiving import fresh
 
 
 def test_progress_is_reported_by_its_new_and_by_its_old_name() -> None:
@@ -71,3 +72,12 @@ def test_exact_perception_alone_tells_the_drawn_physics() -> None:
     assert (exact.friction, exact.robot.flipper_length) == (0.6, 0.5)
     assert (perceived.friction, perceived.robot) == (None, env.config.robot)
     assert env.config.robot.flipper_length != 0.5
+
+
+def test_a_fresh_generator_draws_and_spawns_the_same_again() -> None:
+    (rng,) = np.random.default_rng(1).spawn(1)
+    drawn, spawned = rng.random(3), [child.random() for child in rng.spawn(2)]
+    for _ in range(2):
+        again = fresh(rng)
+        assert np.array_equal(again.random(3), drawn)
+        assert [child.random() for child in again.spawn(2)] == spawned
