@@ -32,8 +32,8 @@ SHORT = (
     *("agent.epsilon_start=0", "agent.epsilon_end=0", "episode.run_out=0.2"),
 )
 DRIVEN = ("terrain=flat", "--episodes", "2")
-LOOKS = ("--controller", "planner", "controller.budget=60")
-"""The controller that saves and loads the world, in which it looks ahead."""
+LOOKS = ("--controller", "looking")
+"""The controller beside the engine, which saves and loads the world that it looks ahead in."""
 
 COMMANDS = {
     "terrain": {
@@ -66,7 +66,7 @@ COMMANDS = {
     },
     "sim": {
         "eval": ["eval", "--controller", "level", *DRIVEN, "sim=odd"],
-        "eval planner": ["eval", *LOOKS, *DRIVEN, "sim=odd"],
+        "eval looking": ["eval", *LOOKS, *DRIVEN, "sim=odd"],
         "eval --jobs": ["eval", "--controller", "level", *DRIVEN, "--jobs=2", "sim=odd"],
         "train": ["train", *SHORT, "train.mode=exact", "sim=odd"],
         "train fast": ["train", *SHORT, "sim=odd"],

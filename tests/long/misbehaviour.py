@@ -306,6 +306,19 @@ class Odd(Engine):
     def files_read(self):
         {files_read}
         return ()
+
+class Ahead:
+    def reset(self, simulator):
+        begun = simulator.save()
+        simulator.step(4)
+        simulator.load(begun)
+    def act(self, p):
+        return 4
+
+@controller("looking")
+class Looking(Controller):
+    def build(self):
+        return Ahead()
 """,
     "perception": """\
 class Eye:
