@@ -44,7 +44,8 @@ def check_layout() -> None:
     Raises:
         ConfigError: they differ, so that compiled code would write to foreign memory.
     """
-    if (found := _through_offsets(answers := {})) != answers:
+    answers: dict[str, Any] = {}
+    if (found := _through_offsets(answers)) != answers:
         raise ConfigError(
             f"sim.engine: compiled cannot be used with pymunk {pymunk.version}: its contact has "
             f"{found} where pymunk itself has {answers}; set sim.engine=plain, or install another "
