@@ -1,7 +1,6 @@
 """The built wheel, installed in an empty virtual environment and run from an empty folder."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -10,6 +9,7 @@ from email import message_from_bytes
 from pathlib import Path
 
 import pytest
+from numba.core.caching import UserProvidedCacheLocator
 
 from tests.environment import Environment
 
@@ -87,13 +87,17 @@ def requirements(wheel: Path) -> list[str]:
 
 def reuse_machine_code(site: Path) -> None:
     """Copy what numba has compiled of equal sources, which takes it half a minute to do again."""
-    for compiled in (ROOT / "flipperctl").rglob("*.nb[ci]"):
-        where = compiled.parents[1].relative_to(ROOT)
-        (site / where / compiled.parent.name).mkdir(exist_ok=True)
-        shutil.copy2(compiled, site / where / compiled.parent.name)
-        for source in (ROOT / where).glob("*.py"):  # numba compares their sizes and times
-            times = source.stat()
-            os.utime(site / where / source.name, ns=(times.st_atime_ns, times.st_mtime_ns))
+    place = Path("flipperctl") / "__pycache__" / "machine_code"
+    for module in ("lookahead", "sim", "sim/planar"):
+        # Numba names the folders by the places of the sources.
+        ours, theirs = (
+            UserProvidedCacheLocator.get_suitable_cache_subpath(
+                str(root / "flipperctl" / module / "any.py")
+            )
+            for root in (ROOT, site)
+        )
+        for compiled in (ROOT / place).glob(f"*/{ours}"):
+            shutil.copytree(compiled, site / place / compiled.parent.name / theirs)
 
 
 def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path: Path) -> None:

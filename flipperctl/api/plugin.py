@@ -23,6 +23,16 @@ class Plugin(Settings):
         """
         return ()
 
+    def notices(self) -> tuple[str, ...]:
+        """Return sentences about what the plugin read that may not be as the user meant it.
+
+        Each command that uses the plugin prints them once, on stderr. By default there are none.
+
+        Raises:
+            ValueError: it cannot read its files, of which its use then says more.
+        """
+        return ()
+
 
 registry: dict[tuple[str, str], type[Plugin]] = {}
 """(kind, name) → class, filled by the decorators when a plugin's module is imported."""

@@ -22,6 +22,7 @@ from flipperctl.cli.hydra_errors import (
     unknown_key,
     wrong_choice,
 )
+from flipperctl.cli.notices import print_notices
 from flipperctl.cli.overrides import check_words
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
 from flipperctl.errors import ConfigError
@@ -40,7 +41,10 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
     Raises:
         ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
     """
-    return [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
+    found = [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
+    for config in found:
+        print_notices(config)
+    return found
 
 
 def compose_eval(
@@ -53,6 +57,7 @@ def compose_eval(
         plain["conditions"] = conditions.chosen_name(combination)
         config = parse(EvalConfig, plain)
         conditions.check_effect(config, combination)
+        print_notices(config)
         found.append((config, settings))
     return found
 

@@ -59,6 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(arguments: list[str]) -> int:
     debug = os.environ.get(DEBUG) == "1"
+    if notices := sys.modules.get("flipperctl.cli.notices"):  # of an earlier command
+        notices.begin()
     try:
         if arguments == ["--version"]:
             from flipperctl import __version__

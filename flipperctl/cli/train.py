@@ -89,12 +89,13 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
     _check(overrides, compose=check)
+    checked = check and _plain(overrides)
     errors: list[BaseException] = []
     paths = loader.configured_paths()  # a worker on a running cluster has another environment
 
     def task(composed: Any) -> float | None:
         try:
-            return _task(composed, paths)
+            return _task(composed, paths, checked=checked)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
@@ -128,6 +129,11 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             _shut_ray_down()
 
 
+def _plain(overrides: list[str]) -> bool:
+    """Return whether there are no options of Hydra among the words."""
+    return not any(override.startswith("-") for override in overrides)
+
+
 def _check(overrides: list[str], *, compose: bool) -> None:
     """Refuse a wrong request before Hydra makes a directory."""
     from flipperctl.cli.combinations import interval_probes
@@ -135,15 +141,15 @@ def _check(overrides: list[str], *, compose: bool) -> None:
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import check_folders, check_mappings, check_words
 
-    options = any(override.startswith("-") for override in overrides)
-    if not options:  # with options, words may be their values
+    plain = _plain(overrides)
+    if plain:  # with options, words may be their values
         check_words(overrides)
     assigned = [o for o in overrides if "=" in o and not o.startswith("-")]
     with convert_hydra_errors():
         check_folders(assigned)
         check_mappings(assigned)
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
-    if compose and not options:
+    if compose and plain:
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
         with convert_hydra_errors():
             probes = [[], *interval_probes(own)]
@@ -161,18 +167,24 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _task(composed: Any, paths: list[str]) -> float | None:
-    """Run one job of Hydra; a launcher's worker process loads the plugins itself."""
+def _task(composed: Any, paths: list[str], *, checked: bool) -> float | None:
+    """Run one job of Hydra; a launcher's worker process loads the plugins itself.
+
+    ``checked``: the command has composed the configuration before, and printed its notices.
+    """
     from hydra.core.hydra_config import HydraConfig
 
     from flipperctl import plugins as loader
     from flipperctl.cli.compose import parse_training
+    from flipperctl.cli.notices import print_notices
     from flipperctl.cli.search import objective
     from flipperctl.cli.training import start
 
     loader.load(paths)
     config = parse_training(composed)
     _check_device(config)
+    if not checked:
+        print_notices(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
     best = start(config, directory, lambda: _keep_hydra_files(composed, directory))["best"]
     return objective(best, config.train.validation_episodes)

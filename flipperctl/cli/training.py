@@ -14,6 +14,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
+from flipperctl.cli.notices import print_notices
 from flipperctl.cli.progress import progress
 from flipperctl.cli.swing import swing_text
 from flipperctl.config import TrainConfig, container, with_overrides
@@ -65,6 +66,7 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
         saved, config = run_folder.read(directory)
         config = with_overrides(config, changes)
         check(config)
+        print_notices(config)
         run_folder.clear_leftovers(directory)
         trainer = Trainer(config, directory)
         make_folder(directory / checkpoint.BEST.parent)

@@ -57,7 +57,7 @@ class Teacher(Settings):
     )
     temperature: float = Field(
         0.3,
-        gt=0,
+        ge=1e-6,
         le=1000,
         description="difference of the teacher's costs by which an action becomes e times less "
         "probable [s]",
@@ -82,7 +82,7 @@ class Teacher(Settings):
     )
     q_temperature: float = Field(
         0.1,
-        gt=0,
+        ge=1e-6,
         le=1000,
         description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
     )

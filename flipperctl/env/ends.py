@@ -10,6 +10,7 @@ from collections import deque
 
 from flipperctl.api import Limits, Outcome, Profile, Robot, World
 from flipperctl.config import Episode
+from flipperctl.errors import ConfigError
 
 
 class Ends:
@@ -22,14 +23,24 @@ class Ends:
     def __init__(
         self, profile: Profile, robot: Robot, episode: Episode, start: float, period: float
     ) -> None:
-        """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s]."""
+        """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s].
+
+        Raises:
+            ConfigError: the robot is so slow that the time of the drive is not a finite number.
+        """
         self._episode = episode
         self.finish = profile.end + episode.run_out
         # Past the profile the ground is level, so one height decides whether the robot is close.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
         self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
-        nominal = (self.finish - start) / robot.track_speed  # [s]
-        self.t_max = math.ceil(episode.slack * nominal / period)
+        nominal = float(self.finish - start) / robot.track_speed  # [s]
+        longest = episode.slack * nominal / period
+        if not math.isfinite(longest):
+            raise ConfigError(
+                f"robot.track_speed: at {robot.track_speed:g} m/s the way of "
+                f"{self.finish - start:g} m takes no finite number of decisions"
+            )
+        self.t_max = math.ceil(longest)
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_window + 1)
         self._decisions = 0
 

@@ -1,21 +1,19 @@
 """Numba's decorators with a cache on disk wherever a folder is writable.
 
-In a container or a service, neither the package's folder nor the home folder's cache may be
-writable; numba then refuses to decorate. Such functions are cached in the temporary folder, and
-without one every process compiles them again.
+In a container or a service no folder may be writable; every process then compiles anew.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import os
-import stat
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numba
+
+from flipperctl.sim.code_cache import machine_code_folder
 
 _LOG = logging.getLogger(__name__)
 
@@ -24,38 +22,30 @@ def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable
     """Return numba's ``njit`` or ``cfunc``, with a cache if there is a folder for it."""
 
     def decorate(function: Callable[..., Any]) -> Any:
+        folder = machine_code_folder()
+        if folder is None:
+            _LOG.debug("no folder for machine code is writable: each process compiles anew")
+            return decorator(*arguments)(function)
         try:
-            return decorator(*arguments, cache=True)(function)
-        except RuntimeError as error:  # numba found no writable folder
-            folder = private_folder()
-            _LOG.debug("%s; using %s", error, folder or "no cache: each process compiles anew")
-            if folder is None:
-                return decorator(*arguments)(function)
-        vars(numba.config)["CACHE_DIR"] = str(
-            folder
-        )  # also for the functions that are decorated later
-        try:
-            return decorator(*arguments, cache=True)(function)
-        except RuntimeError:  # the folder was deleted, or its file system is full
+            with _cache_in(folder):
+                return decorator(*arguments, cache=True)(function)
+        except RuntimeError as error:  # the folder was deleted, or its file system is full
+            _LOG.debug("%s; no cache: each process compiles anew", error)
             return decorator(*arguments)(function)
 
     return decorate
 
 
-def private_folder() -> Path | None:
-    """Return this user's own folder for numba among the temporary files, or None without one.
+@contextlib.contextmanager
+def _cache_in(folder: Path) -> Iterator[None]:
+    """Let numba keep the machine code of the functions that are decorated in this block there.
 
-    Numba unpickles the files in its cache, so no other user may be able to write there.
+    Functions that other packages decorate later stay where numba puts them.
     """
-    user = os.getuid() if hasattr(os, "getuid") else "user"
+    settings = vars(numba.config)
+    before = settings["CACHE_DIR"]
+    settings["CACHE_DIR"] = str(folder)
     try:
-        folder = Path(tempfile.gettempdir()) / f"flipperctl-numba-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:  # the temporary folder is not writable, or a file is in its place
-        return None
-    if not stat.S_ISDIR(found.st_mode):
-        return None
-    if user != "user" and (found.st_uid != user or found.st_mode & 0o077):
-        return None
-    return folder
+        yield
+    finally:
+        settings["CACHE_DIR"] = before

@@ -165,11 +165,15 @@ class Trainer:
         )
 
     def _learn(self) -> None:
-        """Update the agent if an update is due at this decision."""
+        """Update the agent if an update is due at this decision.
+
+        None is before the first transition, which is complete after ``n_step`` decisions.
+        """
         agent, progress = self.config.agent, self.progress
         together = agent.updates_together
         due = progress.decision % (agent.update_every * together) == 0
-        if progress.decision + self.replay.kept >= agent.learning_starts and due:
+        begun = progress.decision + self.replay.kept >= agent.learning_starts
+        if due and begun and len(self.replay):
             batch = self.replay.sample(together * agent.batch_size, self._sample)
             progress.loss = self.agent.update(
                 batch, progress.decision / self.config.train.decisions

@@ -8,10 +8,12 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
 from .claims import pcd_points, ply_vertices
+from .layers import Choice, layer_of_points
 from .line import Line
 from .text import read_lines
 
@@ -69,7 +71,7 @@ def read_xyz(path: Path) -> FloatArray:
     Raises:
         ValueError: the file is not text, or a line does not begin with three numbers.
     """
-    lines = (_with_decimal_points(line) for line in read_lines(path))
+    lines = (_with_decimal_points(line) for line in read_lines(path) if not line.startswith("//"))
     return np.loadtxt(lines, usecols=(0, 1, 2), ndmin=2)
 
 
@@ -91,12 +93,13 @@ def upright(points: FloatArray, up: str) -> FloatArray:
 
 
 def slice_along(
-    points: FloatArray, line: Line, thickness: float, quantile: float, fewest: int
-) -> FloatArray:
+    points: FloatArray, line: Line, thickness: float, quantile: float, fewest: int, choice: Choice
+) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return the heights at the line's points, (D,) [m]; NaN where the slice is empty.
 
-    Each height is the quantile of those points of the slice that are nearest to its place along
-    the line. The slice reaches half the ``thickness`` [m] to either side of the line.
+    Each height is the quantile of the chosen layer of those points of the slice that are nearest to
+    its place along the line; also returns where there were several layers, (D,). The slice reaches
+    half the ``thickness`` [m] to either side of the line.
 
     Raises:
         ValueError: fewer than ``fewest`` points lie in the slice.
@@ -117,7 +120,8 @@ def slice_along(
     nearest = np.searchsorted((places[:-1] + places[1:]) / 2, along[within])
     order = np.argsort(nearest, kind="stable")
     at, begins = np.unique(nearest[order], return_index=True)
-    heights = np.full(len(places), np.nan)
+    heights, several = np.full(len(places), np.nan), np.zeros(len(places), np.bool_)
     for place, group in zip(at, np.split(points[within, 2][order], begins[1:]), strict=True):
-        heights[place] = np.quantile(group, quantile)
-    return heights
+        layer, several[place] = layer_of_points(group, choice)
+        heights[place] = np.quantile(layer, quantile)
+    return heights, several

@@ -16,6 +16,7 @@ import numpy as np
 from flipperctl.api import FloatArray
 
 from .line import Line
+from .missing import without_missing
 
 Part = tuple[slice, slice]
 """Ranges of rows and of columns of a grid."""
@@ -31,13 +32,19 @@ class HeightMap:
     """Numbers of rows and of columns [-]."""
     to_cell: FloatArray
     """Affine map (2, 3): (row, column) = to_cell · (x, y, 1); integers are cell centres."""
-    heights: Callable[[Part], FloatArray]
-    """Reads the heights of a part of the grid [m], NaN where unknown."""
+    heights: Callable[[Part], tuple[FloatArray, str]]
+    """Reads the heights of a part of the grid [m], NaN where unknown, and a remark on those."""
 
-    def along(self, line: Line) -> FloatArray:
+    @property
+    def extent(self) -> FloatArray:
+        """Extent in x and y, (2,) [m]."""
+        return np.ptp(self._corners(), axis=1)
+
+    def along(self, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at the line's points, (D,) [m]; NaN where unknown.
 
-        Heights between cell centres are interpolated bilinearly.
+        Heights between cell centres are interpolated bilinearly. Also returns a remark on missing
+        values, empty without any.
 
         Raises:
             ValueError: an end of the line lies outside the map, or too many cells surround it.
@@ -65,10 +72,10 @@ class HeightMap:
         inside = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=1)
         found = np.full(len(cells), np.nan)
         if inside.any():
-            found[inside] = self._at(cells[inside], line)
+            found[inside], _ = self._at(cells[inside], line)
         return found.reshape(len(along), len(left))
 
-    def _at(self, cells: FloatArray, line: Line) -> FloatArray:
+    def _at(self, cells: FloatArray, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at places in the grid, (P, 2) of row and column, along a line."""
         last = np.array(self.shape) - 1
         cells = np.clip(cells, 0, last)
@@ -81,7 +88,7 @@ class HeightMap:
                 f"{MAX_CELLS} are allowed: a line along rows or columns needs fewer"
             )
         part = slice(first[0], end_cell[0] + 1), slice(first[1], end_cell[1] + 1)
-        heights = self.heights(part)
+        heights, remark = self.heights(part)
         total = np.zeros(len(cells))
         for row in (0, 1):
             for column in (0, 1):
@@ -89,21 +96,28 @@ class HeightMap:
                 at = np.minimum(low + np.array([row, column]), last) - first
                 # A cell of zero weight may be unknown (NaN).
                 total += np.where(weight > 1e-9, weight * heights[at[:, 0], at[:, 1]], 0.0)
-        return total
+        return total, remark
 
-    def _extent(self) -> str:
+    def _corners(self) -> FloatArray:
+        """Return the places of the outermost cells, (2, 4) of x and y [m]."""
         last = np.array(self.shape) - 1
         corners = np.array([[0, 0], [0, last[1]], [last[0], 0], last])
-        places = np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)  # (2, 4)
-        (x0, y0), (x1, y1) = places.min(axis=1), places.max(axis=1)
+        return np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)
+
+    def _extent(self) -> str:
+        corners = self._corners()
+        (x0, y0), (x1, y1) = corners.min(axis=1), corners.max(axis=1)
         return f"x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
 
 
-def read_npy(path: Path, resolution: float | None, unit: float, rows: int) -> HeightMap:
+def read_npy(
+    path: Path, resolution: float | None, unit: float, rows: int, no_data: float | None
+) -> HeightMap:
     """Return a map whose cell [0, 0] lies at (0, 0), with columns along x and rows along y.
 
     ``resolution`` is the size of a cell [m] and ``unit`` the unit of the heights [m]. With ``rows``
-    of -1 the rows run against y, as in images.
+    of -1 the rows run against y, as in images. ``no_data`` stands for unknown heights, in the
+    file's unit.
 
     Raises:
         ValueError: the file is not a grid of numbers, or the resolution is not stated.
@@ -115,17 +129,21 @@ def read_npy(path: Path, resolution: float | None, unit: float, rows: int) -> He
             f"a grid of numbers (rows, columns) is needed; it is {grid.dtype} {grid.shape}"
         )
     shape = (int(grid.shape[0]), int(grid.shape[1]))
-    return HeightMap(
-        shape,
-        _stated(resolution, rows),
-        lambda part: np.asarray(grid[part], dtype=np.float64) * unit,
-    )
+
+    def heights(part: Part) -> tuple[FloatArray, str]:
+        found, remark = without_missing(np.asarray(grid[part], dtype=np.float64), no_data)
+        return found * unit, remark
+
+    return HeightMap(shape, _stated(resolution, rows), heights)
 
 
-def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -> HeightMap:
+def read_geotiff(
+    path: Path, resolution: float | None, unit: float, rows: int, no_data: float | None
+) -> HeightMap:
     """Return a map of the file's first band, in the file's own frame.
 
-    A file without a frame needs a ``resolution`` [m], as an NPY file does.
+    A file without a frame needs a ``resolution`` [m], as an NPY file does. Beside ``no_data``, the
+    value that the file itself states stands for unknown heights, and its mask.
 
     Raises:
         ValueError: the coordinates are degrees, or the frame is stated twice or not at all.
@@ -133,10 +151,12 @@ def read_geotiff(path: Path, resolution: float | None, unit: float, rows: int) -
     with _opened(path) as file:
         shape, transform, crs = (file.height, file.width), file.transform, file.crs
 
-    def heights(part: Part) -> FloatArray:
+    def heights(part: Part) -> tuple[FloatArray, str]:
         with _opened(path) as file:
-            found = file.read(1, masked=True, window=part)
-        return np.asarray(found.astype(np.float64).filled(np.nan) * unit)
+            read = file.read(1, masked=True, window=part)
+        values = np.asarray(read.astype(np.float64).filled(np.nan))
+        found, remark = without_missing(values, no_data)
+        return found * unit, remark
 
     if transform.is_identity:
         return HeightMap(shape, _stated(resolution, rows), heights)

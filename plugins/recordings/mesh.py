@@ -1,7 +1,7 @@
 """Meshes of triangles, seen from straight above.
 
-In: STL, OBJ and DAE files in any frame with an axis that points up. Out: heights of the topmost
-faces along and beside a line, in the frame with x and y level and z up [m].
+In: STL, OBJ and DAE files in any frame with an axis that points up. Out: heights of the ground
+along and beside a line, in the frame with x and y level and z up [m].
 """
 
 from collections.abc import Iterator
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray
 
 from .cloud import upright
+from .layers import Choice, Crossings, Ground, ground_of_faces
 from .line import Line
 
 BYTES_PER_FACE = 500
 """A file with more bytes for each allowed face is refused before it is read; texts need 300."""
-_SAME = 1e-4
-"""Faces of one place nearer than this are one sheet with two sides [m]."""
+_EDGE = 1e-4
+"""By how much an end of the line may lie outside of the mesh [m]."""
 _INSIDE = 1e-9
 """By how much a place may lie outside of a triangle that it belongs to, as a fraction [-]."""
 _AT_ONCE = 1_000_000
@@ -29,45 +30,73 @@ _AT_ONCE = 1_000_000
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles, of which the topmost at each place is ground."""
+    """Triangles, of which one layer is ground at each place."""
 
     corners: FloatArray
     """(T, 3, 3): triangle, corner, (x, y, z) [m], counterclockwise seen from outside."""
+    choice: Choice
+    """Which layer is ground."""
 
-    def along(self, line: Line) -> FloatArray:
-        """Return the heights at the line's points, (D,) [m]; NaN where the mesh is open.
+    @property
+    def extent(self) -> FloatArray:
+        """Extent in x, y and z, (3,) [m]."""
+        extent: FloatArray = np.ptp(self.corners.reshape(-1, 3), axis=0)
+        return extent
+
+    def along(self, line: Line) -> Ground:
+        """Return the ground at the line's points; its heights are NaN where the mesh is open.
 
         Raises:
-            ValueError: an end of the line lies outside of the mesh.
+            ValueError: an end of the line lies outside of the mesh, or it is inside out.
         """
         low, high = self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
         for end in (line.start, line.end):
-            if not ((end >= low[:2] - _SAME) & (end <= high[:2] + _SAME)).all():
+            if not ((end >= low[:2] - _EDGE) & (end <= high[:2] + _EDGE)).all():
                 raise ValueError(
                     f"{end} lies outside of the mesh, which covers x from {low[0]:.2f} to "
                     f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m"
                 )
-        return self.beside(line, line.distances, np.zeros(1))[:, 0]
+        ground = self._ground(line, line.distances, np.zeros(1))
+        if ground.behind.any() and self._is_inside_out():
+            raise ValueError(
+                "the mesh is inside out: it is closed and its faces look inward; turn its normals "
+                "round, or cut the ceiling off if it is a room"
+            )
+        return ground
 
     def beside(self, line: Line, along: FloatArray, left: FloatArray) -> FloatArray:
         """Return the heights on a grid, (A, L) [m]; NaN where the mesh is open.
 
         ``along``, (A,), are distances from the line's start in its direction and ``left``, (L,),
-        distances to its left, both ascending [m]. A mesh is open where it has no face, or where
-        the topmost face is seen from behind, as the bottom of a body is through a hole in its top.
+        distances to its left, both ascending [m]. A mesh is open where no layer is ground: where it
+        has no face, or only a face seen from behind, as the bottom of a body is through a hole in
+        its top.
         """
-        shape = len(along), len(left)
+        return self._ground(line, along, left).height.reshape(len(along), len(left))
+
+    def _is_inside_out(self) -> bool:
+        """Return whether the mesh is closed, each edge having two faces, and of negative volume."""
+        a, b, c = (self.corners - self.corners.mean(axis=(0, 1))).swapaxes(0, 1)
+        if (a * np.cross(b, c)).sum() >= 0:  # six times its volume, if it is closed
+            return False
+        corners = np.round(self.corners.reshape(-1, 3) / _EDGE).astype(np.int64)
+        _, index = np.unique(corners, axis=0, return_inverse=True)
+        pairs = index.reshape(-1, 3)[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
+        _, faces = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
+        return bool((faces % 2 == 0).all())
+
+    def _ground(self, line: Line, along: FloatArray, left: FloatArray) -> Ground:
+        """Return the ground at the places of a grid, which are numbered row by row."""
         level = self.corners[:, :, :2] - np.asarray(line.start)
         placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
         area = _cross(placed[:, 1] - placed[:, 0], placed[:, 2] - placed[:, 0])  # twice, (T,) [m²]
-        tops = []
-        for sign in (1.0, -1.0):
-            top = np.full(shape, -np.inf)
-            for places, heights in _covered(placed[area * sign > 1e-12], along, left):
-                np.maximum.at(top.reshape(-1), places, heights)
-            tops.append(top)
-        front, back = tops
-        return np.where(np.isfinite(front) & (front >= back - _SAME), front, np.nan)
+        parts = [
+            (places, heights, np.full(len(places), sign > 0))
+            for sign in (1.0, -1.0)
+            for places, heights in _covered(placed[area * sign > 1e-12], along, left)
+        ]
+        place, height, front = (np.concatenate(column) for column in zip(*parts, strict=True))
+        return ground_of_faces(Crossings(place, height, front), len(along) * len(left), self.choice)
 
 
 def _covered(
@@ -101,7 +130,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def read_mesh(path: Path, unit: float, up: str, most: int) -> Mesh:
+def read_mesh(path: Path, unit: float, up: str, most: int, choice: Choice) -> Mesh:
     """Return a file's triangles; ``unit`` [m] and ``up`` are the file's, unless it is a DAE.
 
     Raises:
@@ -128,7 +157,7 @@ def read_mesh(path: Path, unit: float, up: str, most: int) -> Mesh:
     points = np.asarray(found.triangles, dtype=np.float64).reshape(-1, 3) * unit
     if not np.isfinite(points).all():
         raise ValueError("a coordinate of the mesh is not a finite number")
-    return Mesh(upright(points, up).reshape(-1, 3, 3))
+    return Mesh(upright(points, up).reshape(-1, 3, 3), choice)
 
 
 def _dae_frame(path: Path) -> tuple[float, str]:

@@ -5,37 +5,63 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
+from .missing import without_missing
 from .text import read_lines
 
 _DELIMITERS = ";\t,"
 """In order of precedence: a comma may be the decimal sign if another one separates the columns."""
+_COMMENTS = ("#", "//")
+"""Beginnings of lines that are comments."""
 _LARGE = 1 << 20
 """Smallest size of a file that numpy's compiled reader tries to read first [bytes]."""
 
 
-def read_csv(path: Path) -> FloatArray:
+def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, str]:
     """Return columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
     Columns are separated by commas, or by semicolons or tabs with decimal points or commas, as
-    spreadsheets write them.
+    spreadsheets write them. Lines that begin with # or // are comments. A line whose x or z is NaN
+    or a value for missing heights is a gap, which is interpolated linearly up to ``largest_gap``
+    in the file's unit. Also returns a remark on missing values, empty without any.
 
     Raises:
-        ValueError: a column is missing, a value is not a number, x decreases, or there are fewer
-            than two points.
+        ValueError: a column is missing, a value is not a number, x decreases, a gap is too long, or
+            there are fewer than two points.
     """
-    if path.stat().st_size >= _LARGE and (fast := _compiled(path)) is not None:
-        return fast
+    large = path.stat().st_size >= _LARGE
+    points = _compiled(path) if large else None
+    numbers = None if points is None else np.arange(len(points)) + 2
+    if points is None or numbers is None:
+        points, numbers = _rows(path)
+    heights, remark = without_missing(points[:, 1])
+    known = np.isfinite(points[:, 0]) & np.isfinite(heights)
+    if (count := int(known.sum())) < 2:
+        raise ValueError(f"at least two points are needed; it has {count}")
+    _check_gaps(points[:, 0], known, numbers, largest_gap)
+    return points[known], remark
+
+
+def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return x and z of each line, (R, 2), NaN where it says so, and the lines' numbers, (R,)."""
     lines = read_lines(path)
-    first = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    if lines and lines[first].lower().startswith("sep="):  # some spreadsheets write this line first
-        first += 1
-    header = lines[first] if first < len(lines) else ""
+    texts = [
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip().startswith(_COMMENTS)
+    ]
+    if texts and texts[0][1].lower().startswith("sep="):  # some spreadsheets write this line first
+        texts = texts[1:]
+    header = texts[0][1] if texts else ""
     delimiter = next((sign for sign in _DELIMITERS if sign in header), ",")
     try:
-        rows = list(csv.reader(lines[first:], delimiter=delimiter, skipinitialspace=True))
+        parsed = csv.reader(
+            (line for _, line in texts), delimiter=delimiter, skipinitialspace=True, strict=False
+        )
+        rows = list(parsed)
     except csv.Error as error:
         raise ValueError(f"it is no CSV: {error}") from error
     columns = [name.strip().lower() for name in rows[0]] if rows else []
@@ -43,41 +69,67 @@ def read_csv(path: Path) -> FloatArray:
         raise ValueError(f"a header with columns x and z is needed; it has {columns}")
     places = columns.index("x"), columns.index("z")
     points: list[tuple[float, float]] = []
-    for number, row in enumerate(rows[1:], start=first + 2):
+    numbers: list[int] = []
+    last = -math.inf
+    for (number, _), row in zip(texts[1:], rows[1:], strict=False):
         if not any(text.strip() for text in row):
             continue  # spreadsheets write such lines at the end
-        if len(row) > len(columns) and any(text.strip() for text in row[len(columns) :]):
+        x, z = _point(row, number, len(columns), places, delimiter)
+        if x < last:
             raise ValueError(
-                f"line {number}: it has {len(row)} values for {len(columns)} columns; where the "
-                "decimal sign is a comma, semicolons must part the columns"
+                f"line {number}: x goes back from {last:g} to {x:g}; it may only grow or stay"
             )
-        found = tuple(row[at] if at < len(row) else "" for at in places)
-        x, z = (_number(text, delimiter) for text in found)
-        if not (math.isfinite(x) and math.isfinite(z)):
-            raise ValueError(f"line {number}: x and z must be numbers; they are {found}")
-        if points and x < points[-1][0]:
-            raise ValueError(
-                f"line {number}: x goes back from {points[-1][0]:g} to {x:g}; "
-                "it may only grow or stay"
-            )
+        last = last if math.isnan(x) else x
         points.append((x, z))
-    if len(points) < 2:
-        raise ValueError(f"at least two points are needed; it has {len(points)}")
-    return np.array(points)
+        numbers.append(number)
+    return np.array(points).reshape(-1, 2), np.array(numbers, dtype=np.int64)
 
 
-def _number(text: str, delimiter: str) -> float:
-    """Return the number that ``text`` spells, or NaN."""
+def _point(
+    row: list[str], number: int, columns: int, places: tuple[int, int], delimiter: str
+) -> tuple[float, float]:
+    """Return x and z of a line, NaN where it says so."""
+    if len(row) > columns and any(text.strip() for text in row[columns:]):
+        raise ValueError(
+            f"line {number}: it has {len(row)} values for {columns} columns; where the "
+            "decimal sign is a comma, semicolons must part the columns"
+        )
+    found = tuple(row[at] if at < len(row) else "" for at in places)
+    x, z = (_number(text, delimiter) for text in found)
+    if x is None or z is None:
+        raise ValueError(f"line {number}: x and z must be numbers; they are {found}")
+    return x, z
+
+
+def _check_gaps(
+    x: FloatArray, known: NDArray[np.bool_], numbers: NDArray[np.int64], largest: float
+) -> None:
+    """Refuse unknown lines over more than the largest gap between points that are known."""
+    at = np.flatnonzero(known)
+    gaps = np.diff(x[at])
+    wide = (np.diff(at) > 1) & (gaps > largest)
+    if wide.any():
+        first = int(np.argmax(wide))
+        raise ValueError(
+            f"line {numbers[at[first] + 1]}: no height is known from x = {x[at[first]]:g} to "
+            f"{x[at[first + 1]]:g}; the largest gap that is bridged is {largest:g} (largest_gap, "
+            "in the file's unit)"
+        )
+
+
+def _number(text: str, delimiter: str) -> float | None:
+    """Return the number that ``text`` spells, NaN included, or None if it is infinite or none."""
     if delimiter != "," and "." not in text:
         text = text.replace(",", ".")
     try:
-        return math.nan if "_" in text else float(text)
+        number = math.inf if "_" in text else float(text)
     except ValueError:
-        return math.nan
+        return None
+    return None if math.isinf(number) else number
 
 
 def _compiled(path: Path) -> FloatArray | None:
-    """Return the result of ``read_csv`` for a plain table, or None where that must read the file.
+    """Return the points of ``_rows`` for a plain table, or None where that must read the file.
 
     For plain tables this takes a fifth of the time and a tenth of the memory. Faulty files give
     None, so that ``read_csv`` names their first wrong line.

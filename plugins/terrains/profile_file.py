@@ -1,10 +1,8 @@
 """Recorded ground: a profile, a height map, a mesh or a point cloud from a file."""
 
-import logging
 import math
-import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal, Self
@@ -16,8 +14,12 @@ from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
 from ..recordings import cloud, height_map, polyline
 from ..recordings.height_map import HeightMap
+from ..recordings.layers import Choice
 from ..recordings.line import Line
 from ..recordings.mesh import Mesh, read_mesh
+from ..recordings.missing import without_missing
+from ..recordings.plausible import remarks_on_extent, remarks_on_layers, remarks_on_profile
+from ..recordings.quiet import quiet
 from ..recordings.surface import RecordedSurface
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
@@ -30,6 +32,8 @@ MIN_POINTS = 10
 """Smallest number of points in a slice through a cloud [-]."""
 MAX_LENGTH = 10_000.0
 """Largest extent of a profile [m]; a larger one suggests a wrong unit."""
+BESIDE = 0.4
+"""Distance to each side of the line at which unknown ground is worth a remark [m]."""
 
 
 @terrain("profile_file")
@@ -40,6 +44,7 @@ class ProfileFile(Terrain):
     ``.npy``, ``.tif``: a height map; the profile is taken along the line from ``start`` to ``end``.
     ``.stl``, ``.obj``, ``.dae``: a mesh seen from above, along that line.
     ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line.
+    Of several layers of a mesh or a cloud, such as a floor and a ceiling, one is the ground.
     GeoTIFF, meshes, PCD and PLY need the extra ``profiles``.
     """
 
@@ -74,13 +79,31 @@ class ProfileFile(Terrain):
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
         "z",
         description="axis of a cloud's or mesh's frame that points up; start and end are given in "
-        "the other two axes, as x and y of a right-handed frame [-]",
+        "the other two axes, as x and y of a right-handed frame: with y, the file's (1, 2, 3) is "
+        "x = 3, y = 1 and height 2 [-]",
     )
     thickness: float = Field(
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
     )
     quantile: float = Field(
         0.9, ge=0, le=1, description="quantile of the cloud's heights at a place to take [-]"
+    )
+    highest: bool = Field(
+        False,
+        description="of several layers of a mesh or cloud, such as a floor and a ceiling, take the "
+        "highest as ground instead of the lowest [-]",
+    )
+    headroom: float = Field(
+        1.0,
+        gt=0,
+        le=10,
+        description="free height above a layer of a mesh or cloud that the robot needs; where "
+        "there is less, the robot drives on what lies above [m]",
+    )
+    no_data: float | None = Field(
+        None,
+        description="value of unknown heights in a map, in its unit; -9999, -99999, -32767, "
+        "-32768 and 1e20 or more always are, as is what a GeoTIFF states [-]",
     )
     largest_mesh: int = Field(
         2_000_000, ge=1, le=100_000_000, description="largest number of faces of a mesh [-]"
@@ -127,48 +150,106 @@ class ProfileFile(Terrain):
         except RuntimeError as error:  # there is no such user
             raise ValueError(f"path {self.path}: {error}") from error
 
+    def notices(self) -> tuple[str, ...]:
+        """Return what is odd about the recording: its extent, faces, layers and missing values."""
+        _, remarks = self._recorded
+        return tuple(f"{self._file}: {remark}" for remark in (*remarks, *self._beside_remark()))
+
     @cached_property
     def _profile(self) -> Profile:
-        points = self._points()
+        points, _ = self._recorded
         surface = None
         if self._file.suffix.lower() in (*MAPS, *MESHES):
             height = float(points[0, 1])
             surface = RecordedSurface(points[:, 0], partial(self._beside, height))
         return Profile(points - points[0], self._file.stem, surface)
 
-    def _points(self) -> FloatArray:
-        """Read the points, (V, 2) of x and z [m].
+    @cached_property
+    def _recorded(self) -> tuple[FloatArray, tuple[str, ...]]:
+        """Read the points, (V, 2) of x and z [m], and remarks on them.
 
         Raises:
             ValueError: the file is missing, unreadable or does not fit the settings.
         """
+        remarks: list[str] = []
         with self._naming_file() as file:
-            points = self._read(file, file.suffix.lower())
+            points = self._read(file, file.suffix.lower(), remarks)
         extent = np.ptp(points, axis=0)
         if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
                 f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}? terrain.unit states it"
             )
-        return points
+        remarks += remarks_on_profile(points - points[0], self._remedy)
+        return points, tuple(remarks)
 
-    def _read(self, file: Path, suffix: str) -> FloatArray:
+    @property
+    def _remedy(self) -> str:
+        if self._file.suffix.lower() == ".dae":
+            return "check the unit that it states"
+        return f"terrain.unit={self.unit} is set, another unit may be right"
+
+    def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
         if self.start is None or self.end is None:
-            return polyline.read_csv(file) * UNITS[self.unit]
+            unit = UNITS[self.unit]
+            found, remark = polyline.read_csv(file, self.largest_gap / unit)
+            remarks += [remark] if remark else []
+            remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
+            return found * unit
         line = Line(self.start, self.end, self.spacing)
         if suffix in CLOUDS:
-            points = cloud.upright(CLOUDS[suffix](file) * UNITS[self.unit], self.up)
-            found = cloud.slice_along(points, line, self.thickness, self.quantile, MIN_POINTS)
-            return line.profile(found, self.largest_gap)
-        unknown = "the mesh is not closed" if suffix in MESHES else "no height is known"
-        return line.profile(self._ground(file).along(line), self.largest_gap, unknown)
+            return line.profile(self._along_cloud(file, line, remarks), self.largest_gap)
+        ground = self._ground(file)
+        unknown = "no height is known"
+        remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
+        remarks += remarks_on_extent(ground.extent, "it", remedy)
+        if isinstance(ground, HeightMap):
+            heights, remark = ground.along(line)
+            remarks += [remark] if remark else []
+        else:
+            unknown = "the mesh is not closed"
+            layers = ground.along(line)
+            heights = layers.height
+            remarks += remarks_on_layers(layers.covered, layers.doubtful, self._choice)
+        return line.profile(heights, self.largest_gap, unknown)
+
+    def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
+        read = CLOUDS[file.suffix.lower()](file)
+        columns = [without_missing(column) for column in read.T]
+        remarks += [remark for _, remark in columns if remark]
+        points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
+        if len(points):
+            remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
+        heights, several = cloud.slice_along(
+            points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
+        )
+        remarks += remarks_on_layers(several, np.zeros_like(several), self._choice)
+        return heights
+
+    @property
+    def _choice(self) -> Choice:
+        return Choice(self.headroom, self.highest)
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which may be read anywhere."""
         suffix, unit = file.suffix.lower(), UNITS[self.unit]
         if suffix in MESHES:
-            return read_mesh(file, unit, self.up, self.largest_mesh)
-        return MAPS[suffix](file, self.resolution, unit, 1 if self.rows == "+y" else -1)
+            return read_mesh(file, unit, self.up, self.largest_mesh, self._choice)
+        rows = 1 if self.rows == "+y" else -1
+        return MAPS[suffix](file, self.resolution, unit, rows, self.no_data)
+
+    def _beside_remark(self) -> Iterator[str]:
+        """Yield a remark if a map is unknown where the robot's sides drive."""
+        if self._file.suffix.lower() not in MAPS:
+            return
+        with suppress(ValueError):  # such as too many cells
+            heights = self._beside(0.0, np.linspace(-BESIDE, BESIDE, 9))
+            if count := int(np.isnan(heights).any(axis=1).sum()):
+                yield (
+                    f"within {BESIDE:g} m of the line heights are unknown at {count} of "
+                    f"{len(heights)} places; the side plane drives on the line alone, engines in "
+                    "3-D may refuse it"
+                )
 
     def _beside(self, height: float, y: FloatArray) -> FloatArray:
         """Return the heights above ``height`` at all points of the line and at ``y``, (D, Y) [m].
@@ -191,7 +272,7 @@ class ProfileFile(Terrain):
         try:
             with file.open("rb"):  # raises the system's own message if the file cannot be read
                 pass
-            with _quiet():
+            with quiet():
                 yield file
         except ImportError as error:
             raise ValueError(
@@ -203,19 +284,3 @@ class ProfileFile(Terrain):
         except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Make readers report faults as errors: raise their warnings and silence their logs.
-
-    A logger with a handler of its own does not write to stderr.
-    """
-    for name in ("rasterio", "trimesh"):
-        logger = logging.getLogger(name)
-        if not logger.handlers:
-            logger.addHandler(logging.NullHandler())
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warnings.simplefilter("ignore", PendingDeprecationWarning)  # addressed to libraries
-        yield

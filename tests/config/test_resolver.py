@@ -2,7 +2,7 @@
 
 import pytest
 
-from flipperctl.config import EnvConfig, container, parse, resolver, with_overrides
+from flipperctl.config import EnvConfig, Teacher, container, parse, resolver, with_overrides
 from flipperctl.errors import ConfigError
 
 
@@ -62,3 +62,9 @@ def test_an_engine_that_is_not_found_may_need_a_reinstall(kind: str) -> None:
     with pytest.raises(ConfigError) as error:
         resolver.create("terrain", "mine", "terrain")
     assert "reinstalled" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["temperature", "q_temperature"])
+def test_a_teacher_s_temperature_that_overflows_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{name}: .* greater than or equal to 0.000001"):
+        parse(Teacher, {name: 1e-323})

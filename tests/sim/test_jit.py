@@ -1,15 +1,30 @@
-"""Numba's cache where nothing can be written."""
+"""The place of numba's machine code: it changes with all that was compiled, and is writable."""
 
+import ast
+import importlib
 import logging
+import os
+import subprocess
+import sys
 import tempfile
+import textwrap
+import time
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
-from numba.core import caching
+from numba.core.dispatcher import Dispatcher
 
-from flipperctl.sim import jit
+from flipperctl.sim import code_cache, jit
+
+MODULES = [
+    "flipperctl.lookahead.dynamics",
+    "flipperctl.sim.planar.bins",
+    "flipperctl.sim.planar.compiled",
+    "flipperctl.sim.planar.rays",
+    "flipperctl.sim.thinning",
+]
 
 
 def add(a: int, b: int) -> int:
@@ -18,24 +33,32 @@ def add(a: int, b: int) -> int:
 
 @pytest.fixture
 def sealed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """Leave numba without a writable folder other than the temporary one."""
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [caching.UserProvidedCacheLocator])
+    """Leave no writable folder other than the temporary one; return that."""
+    file = tmp_path / "file"
+    file.touch()
+    monkeypatch.setattr(code_cache, "PACKAGE", file)  # beside which no folder can be made
+    monkeypatch.setattr(code_cache, "_libraries", list)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(file))
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
+    code_cache.machine_code_folder.cache_clear()
+    yield tmp_path
+    code_cache.machine_code_folder.cache_clear()
 
 
-def test_the_cache_falls_back_to_the_temporary_folder(
-    sealed: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    with pytest.raises(RuntimeError, match="no locator available"):
-        numba.njit(cache=True)(add)
-    with caplog.at_level(logging.DEBUG, "flipperctl"):
-        functions = [jit.cached(numba.njit)(add) for _ in range(2)]
+def test_the_cache_falls_back_to_the_temporary_folder(sealed: Path) -> None:
+    functions = [jit.cached(numba.njit)(add) for _ in range(2)]
     assert functions[0](1, 2) == 3
-    assert list(sealed.glob("flipperctl-numba-*/*/*.nbi"))
-    assert len(caplog.records) == 1
-    assert str(sealed) in caplog.text
+    assert list(sealed.glob("flipperctl-numba-*/machine_code/*/*/*.nbi"))
+    assert numba.config.CACHE_DIR == ""  # other packages' functions stay where numba puts them
+
+
+def test_a_read_only_installation_uses_numba_s_folder_of_the_user(
+    sealed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(sealed / "cache"))
+    assert jit.cached(numba.njit)(add)(1, 2) == 3
+    assert list(sealed.glob("cache/numba/flipperctl/machine_code/*/*/*.nbi"))
 
 
 def test_without_any_folder_there_is_no_cache(
@@ -44,19 +67,115 @@ def test_without_any_folder_there_is_no_cache(
     monkeypatch.setattr(tempfile, "tempdir", str(sealed / "missing"))
     with caplog.at_level(logging.DEBUG, "flipperctl"):
         assert jit.cached(numba.njit)(add)(1, 2) == 3
-    assert "no cache" in caplog.text
+    assert "compiles anew" in caplog.text
 
 
 def test_a_folder_that_others_can_write_is_not_trusted(sealed: Path) -> None:
-    folder = jit.private_folder()
+    folder = code_cache.private_folder()
     assert folder is not None
     folder.chmod(0o777)
-    assert jit.private_folder() is None
+    assert code_cache.private_folder() is None
 
 
-def test_a_link_is_not_followed(sealed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder: Any = jit.private_folder()
+def test_a_link_is_not_followed(sealed: Path) -> None:
+    folder: Any = code_cache.private_folder()
     folder.rmdir()
     (sealed / "elsewhere").mkdir(mode=0o700)
     folder.symlink_to(sealed / "elsewhere")
-    assert jit.private_folder() is None
+    assert code_cache.private_folder() is None
+
+
+STAND_IN = """
+from pathlib import Path
+import numba
+from flipperctl.sim import code_cache, jit
+
+code_cache.PACKAGE = Path(__file__).parent
+code_cache.SOURCES = (".",)
+from parts import LENGTH, twice
+
+@jit.cached(numba.njit)
+def area(width):
+    return twice(width) * LENGTH
+
+print(area(3), sum(area.stats.cache_hits.values()))
+"""
+PARTS = """
+from flipperctl.sim import jit
+import numba
+LENGTH = {length}
+
+@jit.cached(numba.njit)
+def twice(x):
+    return {times} * x
+"""
+
+
+@pytest.mark.slow
+def test_a_change_in_another_file_or_a_constant_is_compiled(tmp_path: Path) -> None:
+    (tmp_path / "main.py").write_text(STAND_IN)
+
+    def run(length: int, times: int) -> str:
+        text = textwrap.dedent(PARTS).format(length=length, times=times)
+        (tmp_path / "parts.py").write_text(text)
+        command = [sys.executable, "-B", str(tmp_path / "main.py")]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert run(5, 2) == "30 0"
+    assert run(5, 2) == "30 1"  # from the cache
+    assert run(5, 4) == "60 0"
+    assert run(7, 4) == "84 0"
+
+
+def test_the_digest_covers_sources_libraries_and_their_names(tmp_path: Path) -> None:
+    (tmp_path / "code" / "inner").mkdir(parents=True)
+    source, library = tmp_path / "code" / "inner" / "a.py", tmp_path / "lib.so"
+    digests = set()
+    for content in ("A = 1", "A = 2"):
+        for structs in (b"old", b"new"):
+            source.write_text(content)
+            library.write_bytes(structs)
+            digests.add(code_cache.code_digest([tmp_path / "code"], [library]))
+    source.rename(source.with_name("b.py"))
+    digests.add(code_cache.code_digest([tmp_path / "code"], [library]))
+    assert len(digests) == 5
+    assert [path.suffix for path in code_cache._libraries()].count(".py") == 1
+    assert len(code_cache._libraries()) == 2
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_all_that_is_compiled_lies_in_the_digest_s_folders(name: str) -> None:
+    module = importlib.import_module(name)
+    used = set()
+    for value in vars(module).values():
+        function = getattr(value, "py_func", None) or getattr(value, "_pyfunc", None)
+        if isinstance(value, Dispatcher) or type(value).__name__ == "CFunc":
+            used |= set(function.__code__.co_names)
+    assert used
+    tree = ast.parse(Path(module.__file__).read_text())
+    for statement in (node for node in tree.body if isinstance(node, ast.ImportFrom)):
+        names = {alias.asname or alias.name for alias in statement.names}
+        if names & used and statement.module.startswith("flipperctl"):
+            assert statement.module.split(".")[1] in code_cache.SOURCES
+
+
+def test_every_module_of_compiled_code_is_known() -> None:
+    root = code_cache.PACKAGE
+    found = [p for p in root.rglob("*.py") if "from flipperctl.sim.jit import" in p.read_text()]
+    dotted = [".".join(path.relative_to(root.parent).with_suffix("").parts) for path in found]
+    assert sorted(dotted) == MODULES
+
+
+def test_folders_of_earlier_digests_are_bounded(tmp_path: Path) -> None:
+    used = tmp_path / "used"
+    now = time.time()
+    for age, name in enumerate(["used", "a", "b", "c", "d", "e", "f", "g"]):
+        (tmp_path / name / "code").mkdir(parents=True)
+        os.utime(tmp_path / name, (now, now - age * 20_000.0))
+    code_cache._remove_unused(used)
+    # Four are kept; of the others e, f and g, the first is 100,000 s old, above a day.
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "c", "d", "used"]
+    for name in ("e", "f"):
+        (tmp_path / name).mkdir()  # in use since
+    code_cache._remove_unused(used)
+    assert len(list(tmp_path.iterdir())) == 7

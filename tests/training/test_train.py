@@ -32,6 +32,15 @@ def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
     assert best["decision"] > 300
 
 
+def test_updates_wait_for_the_first_complete_transition(tmp_path: Path) -> None:
+    # The first transition of 10 steps is complete after 10 decisions, of which each has an update.
+    eager = {"agent.learning_starts": 1, "agent.update_every": 1, "agent.updates_together": 1}
+    config = short_config(**eager, **{"agent.n_step": 10, "train.decisions": 30})
+    learner = trainer(config, tmp_path)
+    learner.run()
+    assert learner.progress.updates == 21
+
+
 def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
     tmp_path: Path, short_run: Path
 ) -> None:

@@ -27,32 +27,23 @@ from flipperctl.sim.planar.energy import (
     potential_energy,
     slowdown,
 )
+from flipperctl.sim.planar.layout import (
+    CONTACT,
+    CONTACTS,
+    COUNT,
+    DRIVE,
+    NORMAL,
+    PRESS,
+    SURFACE,
+    address,
+    check_layout,
+)
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, Bodies
-
-_DOUBLE = 8  # bytes
-
-
-def _double(struct: str, *path: str) -> int:
-    """Return the offset of a number in one of Chipmunk's structs, in doubles."""
-    return int(ffi.offsetof(struct, *path)) // _DOUBLE
-
-
-_NORMAL = _double("cpArbiter", "n", "x")
-_SURFACE = _double("cpArbiter", "surface_vr", "x")
-_CONTACTS = _double("cpArbiter", "contacts")
-_COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
-_PRESS = _double("struct cpContact", "jnAcc")
-_DRIVE = _double("struct cpContact", "jtAcc")
-_CONTACT = int(ffi.sizeof("struct cpContact")) // _DOUBLE
-
-
-def _address(pointer: Any) -> int:
-    return int(ffi.cast("uintptr_t", pointer))
 
 
 def _c_function(name: str, signature: Any) -> Any:
     """Return a function of pymunk's C library for calls from compiled code."""
-    llvmlite.binding.add_symbol(name, _address(ffi.addressof(lib, name)))
+    llvmlite.binding.add_symbol(name, address(ffi.addressof(lib, name)))
     return types.ExternalFunction(name, signature)
 
 
@@ -75,10 +66,10 @@ _pointer: Any = intrinsic(_to_pointer)
 
 @njit
 def _contacts(arbiter: Any) -> Any:
-    """Return the numbers of an arbiter's contacts, ``_CONTACT`` each."""
-    count = carray(arbiter, (_COUNT + 1,), dtype=np.int32)[_COUNT]
-    address = carray(arbiter, (_CONTACTS + 1,), dtype=np.uintp)[_CONTACTS]
-    return carray(_pointer(address), (count * _CONTACT,), dtype=np.float64)
+    """Return the numbers of an arbiter's contacts, ``CONTACT`` each."""
+    count = carray(arbiter, (COUNT + 1,), dtype=np.int32)[COUNT]
+    place = carray(arbiter, (CONTACTS + 1,), dtype=np.uintp)[CONTACTS]
+    return carray(_pointer(place), (count * CONTACT,), dtype=np.float64)
 
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
@@ -87,17 +78,17 @@ def _belt(arbiter: Any, space: Any, belt: Any) -> None:
 
     ``belt``: speed [m/s], largest remembered impulse [N s] and work of the sample [J].
     """
-    numbers = carray(arbiter, (_NORMAL + 2,), dtype=np.float64)
+    numbers = carray(arbiter, (NORMAL + 2,), dtype=np.float64)
     speed, largest, _ = carray(belt, (3,), dtype=np.float64)
     # If the ground is the first shape, normal and surface velocity both change sign.
-    numbers[_SURFACE] = -speed * numbers[_NORMAL + 1]
-    numbers[_SURFACE + 1] = speed * numbers[_NORMAL]
+    numbers[SURFACE] = -speed * numbers[NORMAL + 1]
+    numbers[SURFACE + 1] = speed * numbers[NORMAL]
     contacts = _contacts(arbiter)
-    for first in range(0, len(contacts), _CONTACT):
-        press = contacts[first + _PRESS]
+    for first in range(0, len(contacts), CONTACT):
+        press = contacts[first + PRESS]
         if press > largest:
-            contacts[first + _PRESS] = largest
-            contacts[first + _DRIVE] *= largest / press
+            contacts[first + PRESS] = largest
+            contacts[first + DRIVE] *= largest / press
 
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
@@ -105,8 +96,8 @@ def _work(arbiter: Any, space: Any, belt: Any) -> None:
     """Add a contact's largest work of the belt, after it is solved; ``belt`` as for ``_belt``."""
     numbers = carray(belt, (3,), dtype=np.float64)
     contacts = _contacts(arbiter)
-    for first in range(0, len(contacts), _CONTACT):
-        numbers[2] += numbers[0] * abs(contacts[first + _DRIVE])
+    for first in range(0, len(contacts), CONTACT):
+        numbers[2] += numbers[0] * abs(contacts[first + DRIVE])
 
 
 _is_over = cached(njit)(is_over)
@@ -208,6 +199,7 @@ class CompiledLoop:
         substep: float,
         substeps: int,
     ) -> None:
+        check_layout()
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
         numbers = ffi.new("double[3]", [*belt, 0.0])
         handler.userData = numbers
@@ -216,12 +208,12 @@ class CompiledLoop:
         velocity = lib.VELOCITY | lib.ANGULAR_VELOCITY
         read = _Batch(lib.POSITION | lib.ANGLE | velocity, 3 * STATE)
         write = _Batch(velocity, 9)
-        chassis, front, rear = (_address(body._body) for body in bodies)
+        chassis, front, rear = (address(body._body) for body in bodies)
         access = _Access(chassis, front, rear, *read.parts, *write.parts)
         self._memory = space, bodies, numbers, read, write  # must live as long as the loop
         self._belt = np.frombuffer(ffi.buffer(numbers))
         self._arguments = (
-            *(_address(space._space), substep, substeps, access),
+            *(address(space._space), substep, substeps, access),
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
             *budget,
@@ -247,7 +239,7 @@ class _Batch:
         request = ffi.new("pmBatchedData *", {"fields": fields, "floatArray": array})
         self._memory = numbers, array, request
         count = np.frombuffer(ffi.buffer(ffi.addressof(array, "num")), np.int32)
-        self.parts = _address(request), count, np.frombuffer(ffi.buffer(numbers))
+        self.parts = address(request), count, np.frombuffer(ffi.buffer(numbers))
         """Address of the request, count of numbers (1,), numbers."""
 
 
@@ -259,4 +251,4 @@ def _steps(space: int, substep: float, count: int) -> None:
 
 def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
     """Step a space ``count`` times and do nothing else, the upper bound of the speed of ``run``."""
-    _steps(_address(space._space), substep, count)
+    _steps(address(space._space), substep, count)

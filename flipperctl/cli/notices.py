@@ -1,0 +1,50 @@
+"""What plugins remark on the data that they read, once for each command, on stderr.
+
+In: a validated configuration. Out: a line for each remark.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+from flipperctl import guard
+from flipperctl.api import Plugin
+from flipperctl.config import EnvConfig, resolver
+
+_printed: set[str] = set()
+
+
+def begin() -> None:
+    """Forget what was printed, at the beginning of a command."""
+    _printed.clear()
+
+
+def print_notices(config: EnvConfig) -> None:
+    """Print what the configuration's plugins remark, unless this command has printed it.
+
+    Raises:
+        PluginFailedError: a plugin's code failed.
+    """
+    for plugin in _plugins(config):
+        for notice in _notices(plugin):
+            text = f"warning: {guard.plugin_label(plugin)}: {notice}"
+            if text not in _printed:
+                _printed.add(text)
+                print(text, file=sys.stderr)
+
+
+def _plugins(config: EnvConfig) -> Iterator[Plugin]:
+    for value in (getattr(config, name) for name in type(config).model_fields):
+        for item in value.values() if isinstance(value, dict) else (value,):
+            if isinstance(item, Plugin):
+                yield from resolver.nested_plugins(item)
+
+
+def _notices(plugin: Plugin) -> tuple[str, ...]:
+    try:
+        return plugin.notices()
+    except ValueError:
+        return ()  # its use raises the error that says why
+    except BaseException as error:
+        raise guard.fault(error, plugin, "notices") from error

@@ -1,0 +1,28 @@
+"""Values that stand for unknown heights in files.
+
+In: numbers as a file holds them. Out: the same with NaN in place of those values.
+"""
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+
+TYPICAL = (-9999.0, -99999.0, -32767.0, -32768.0)
+"""Values that programs for maps write where no height is known [the file's unit]."""
+_HUGE = 1e20
+"""Absolute value from which on a number is no height, such as 1e20 and 3.4e38 [the file's unit]."""
+
+
+def without_missing(values: FloatArray, stated: float | None = None) -> tuple[FloatArray, str]:
+    """Return the values with NaN for those that are missing, and a remark on unstated ones.
+
+    A ``stated`` value is missing as well as the typical ones; without these, the remark is empty.
+    """
+    if stated is not None:
+        values = np.where(values == np.float64(stated), np.nan, values)
+    found = np.isin(values, TYPICAL) | (np.abs(values) >= _HUGE)  # NaN is neither
+    if not found.any():
+        return values, ""
+    first = values[found].ravel()[0]
+    remark = f"{int(found.sum())} values such as {first:g} are taken for unknown heights"
+    return np.where(found, np.nan, values), remark

@@ -1,0 +1,74 @@
+"""Remarks on ground that a wrong unit or frame would explain.
+
+In: extents and a profile [m]. Out: sentences for the user.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray
+
+from .layers import Choice
+
+LARGE = 1000.0
+"""Extent above which the unit may be wrong [m]."""
+_SMALL = 0.1
+"""Length of a line below which the unit may be wrong, or the coordinates degrees [m]."""
+_HIGH = 1.0
+"""Height of a vertical face above which the unit may be wrong [m]."""
+_STEEP = 5.0
+"""Slope from which on sampled ground is a vertical face: 79° [-]."""
+
+
+def remarks_on_extent(extent: FloatArray, what: str, remedy: str) -> Iterator[str]:
+    """Yield a remark on an extent (x, y, z) or (x, z) that is large [m]."""
+    if (extent > LARGE).any():
+        sides = " by ".join(f"{side:g}" for side in extent)
+        yield f"{what} covers {sides} m, more than 1 km; {remedy}"
+
+
+def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
+    """Yield remarks on the points of a profile, (V, 2) of x and z [m]."""
+    length = float(np.ptp(points[:, 0]))
+    if 0 < length < _SMALL:
+        yield (
+            f"the line is {length:.3g} m long; {remedy}, and coordinates in degrees need a "
+            "projection to metres"
+        )
+    height, x = highest_face(points)
+    if height > _HIGH:
+        yield f"a face at x = {x:.2f} m is {height:.4g} m high, more than 1 m; {remedy}"
+
+
+def remarks_on_layers(
+    covered: NDArray[np.bool_], doubtful: NDArray[np.bool_], choice: Choice
+) -> Iterator[str]:
+    """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
+    if covered.any():
+        taken, other = ("highest", "false takes the lowest")
+        if not choice.highest:
+            taken, other = ("lowest", "true takes the highest")
+        yield (
+            f"something lies {choice.headroom:g} m or more above the ground at "
+            f"{int(covered.sum())} of {len(covered)} places along the line, as a ceiling or a "
+            f"bridge does; the {taken} layer is taken (terrain.highest={other})"
+        )
+    if doubtful.any() and not choice.highest:
+        yield (
+            f"at {int(doubtful.sum())} of {len(doubtful)} places along the line a face may lie in "
+            "a body that is not closed; it is not taken for ground"
+        )
+
+
+def highest_face(points: FloatArray) -> tuple[float, float]:
+    """Return the height of the highest vertical face and its place [m]."""
+    dx, dz = np.diff(points, axis=0).T
+    steep = np.abs(dz) > _STEEP * dx
+    rises = np.where(steep, dz, 0.0)
+    sign = np.sign(rises)
+    run = np.cumsum(np.append(True, sign[1:] != sign[:-1])) - 1
+    heights = np.abs(np.bincount(run, weights=rises))
+    highest = int(heights.argmax())
+    return float(heights[highest]), float(points[int(np.argmax(run == highest)), 0])

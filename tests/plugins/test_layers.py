@@ -1,0 +1,199 @@
+"""Ground below ceilings and bridges, and what a recording's user is told once per command."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from flipperctl_plugins.recordings.layers import (
+    Choice,
+    Crossings,
+    ground_of_faces,
+    layer_of_points,
+)
+from trimesh import Trimesh
+from trimesh.util import concatenate
+
+from flipperctl.config import resolver
+from flipperctl.errors import TerrainError
+from tests.cli.call import call
+from tests.plugins.test_mesh import solid, write
+from tests.plugins.test_profile_file import LINE, assert_block, profile, scanned, write_cloud
+
+BLOCK = [((0, 0, 6), (4, 3, 7)), ((1.5, 0, 6.9), (2.5, 3, 7.3))]
+CEILING = ((0, 0, 9.5), (4, 3, 9.6))
+FILE_LINE = ["terrain.start=[1,2]", "terrain.end=[3,2]"]
+
+
+@pytest.mark.parametrize(
+    ("faces", "lowest", "highest"),
+    [
+        # (height, 1 looks up and -1 looks down), below each other; a headroom of 1 m
+        ([(0, 1)], 0, 0),
+        ([(-1, -1), (0, 1)], 0, 0),
+        ([(-1, -1), (0, 1), (3, -1), (3.1, 1)], 0, 3.1),  # a ceiling
+        ([(-1, -1), (0, 1), (0.5, -1), (0.6, 1)], 0.6, 0.6),  # a table that is too low
+        ([(0, 1), (3, 1)], 0, 3),  # two sheets
+        ([(0, 1), (3, -1)], 0, None),  # a floor and a ceiling that looks down
+        ([(-1, -1), (-0.1, -1), (0, 1), (2, 1)], 2, 2),  # a wall that stands in the ground
+        ([(-0.1, -1), (0, 1), (2, 1)], 2, 2),  # a wall on a sheet: doubtful, thus the wall's top
+        ([(-0.1, -1), (0, 1), (2, 1), (3, -1)], 2, None),  # the same below a sheet
+        ([(-1, -1)], None, None),  # a bottom through a hole
+        ([(0, 1), (0, 1), (3, -1), (3, 1)], 0, 3),  # an edge of two faces, a sheet of two sides
+        ([], None, None),
+    ],
+)
+def test_the_ground_is_a_layer_with_room_above_it(
+    faces: list[tuple[float, int]], lowest: float | None, highest: float | None
+) -> None:
+    rng = np.random.default_rng(0)
+    for expected, choice in ((lowest, Choice(1.0, False)), (highest, Choice(1.0, True))):
+        # The same faces above the first and the last of three places, in any order.
+        place = np.repeat([0, 2], len(faces)).astype(np.int64)
+        height = np.array([z for z, _ in faces] * 2, dtype=float)
+        front = np.array([sign > 0 for _, sign in faces] * 2, dtype=bool)
+        order = rng.permutation(len(place))
+        crossings = Crossings(place[order], height[order], front[order])
+        found = ground_of_faces(crossings, 3, choice).height
+        wanted = np.nan if expected is None else expected
+        assert found == pytest.approx(np.array([wanted, np.nan, wanted]), nan_ok=True)
+
+
+def test_stray_points_are_no_layer() -> None:
+    floor = np.linspace(0.0, 0.02, 30)
+    heights = np.concatenate([floor, [-5.0], 2.5 + floor])
+    found, several = layer_of_points(heights, Choice(1.0, False))
+    assert several
+    assert found == pytest.approx(floor)
+    assert layer_of_points(heights, Choice(1.0, True))[0] == pytest.approx(2.5 + floor)
+    assert not layer_of_points(np.append(floor, 2.5), Choice(1.0, False))[1]
+
+
+def test_the_robot_drives_below_a_ceiling_in_the_plane_and_in_3d(tmp_path: Path) -> None:
+    write(tmp_path / "room.obj", solid(*BLOCK, CEILING))
+    assert_block(profile(tmp_path / "room.obj", **LINE), 0.02)
+    above = profile(tmp_path / "room.obj", highest=True, **LINE)
+    assert np.ptp(above.points[:, 1]) < 1e-6
+    settings = {"name": "profile_file", "path": str(tmp_path / "room.obj"), **LINE}
+    terrain = resolver.create("terrain", settings, "terrain")
+    surface = terrain.generate(np.random.default_rng(0)).surface
+    beside = surface.heights(np.array([-0.3, 0.0, 0.3]))
+    assert beside[[0, 50, 100]] == pytest.approx(np.array([[0.0], [0.3], [0.0]]) * np.ones(3))
+
+
+def test_a_cloud_of_a_room_is_its_floor(tmp_path: Path) -> None:
+    floor = scanned()
+    ceiling = floor[:-2] * (1, 1, 0) + (0, 0, 9.5)
+    write_cloud(tmp_path / "room.xyz", np.vstack([floor, ceiling]))
+    assert_block(profile(tmp_path / "room.xyz", **LINE), 0.02)
+    above = profile(tmp_path / "room.xyz", highest=True, **LINE)
+    assert np.ptp(above.points[:, 1]) < 1e-6
+
+
+def test_a_room_that_is_closed_and_seen_from_inside_is_refused(tmp_path: Path) -> None:
+    room = solid(((0, 0, 0), (4, 3, 2.5)))
+    room.faces = room.faces[:, ::-1]
+    write(tmp_path / "room.stl", room)
+    with pytest.raises(TerrainError, match="inside out: it is closed and its faces look inward"):
+        profile(tmp_path / "room.stl", **LINE)
+
+
+def sheet(low: float, high: float, z: float) -> Trimesh:
+    corners = [(low, 0, z), (high, 0, z), (high, 3, z), (low, 3, z)]
+    return Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+
+
+EVAL = ("eval", "--controller", "level", "--episodes", "2", "--jobs", "2", "episode.run_out=0.2")
+
+
+def warnings_of(
+    *overrides: str, cwd: Path, command: tuple[str, ...] = ("inspect", "terrain", "profile_file")
+) -> list[str]:
+    """Return the warnings of a command, of which each appears once."""
+    done = call(*command, "--json", *overrides, cwd=cwd)
+    assert done.code == 0, done.err
+    json.loads(done.out)
+    lines = [line for line in done.err.splitlines() if line.startswith("warning: ")]
+    assert len(set(lines)) == len(lines)
+    return lines
+
+
+def test_layers_and_a_large_extent_are_said_once(tmp_path: Path) -> None:
+    write(tmp_path / "sheets.obj", concatenate([sheet(0, 4, 0), sheet(0, 4, 2.5)]))
+    words = [*FILE_LINE, "terrain.path=sheets.obj", "terrain=profile_file"]
+    (found,) = warnings_of(*words, cwd=tmp_path, command=EVAL)  # by two processes
+    assert "sheets.obj: something lies 1 m or more above the ground at 101 of 101" in found
+    assert "the lowest layer is taken (terrain.highest=true takes the highest)" in found
+    write(tmp_path / "mm.obj", sheet(0, 4000, 0))
+    (found,) = warnings_of(*FILE_LINE, "terrain.path=mm.obj", cwd=tmp_path)
+    assert "mm.obj: it covers 4000 by 3 by 0 m, more than 1 km; terrain.unit=m is set" in found
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ("0,0\n1,0\n1,1.4\n1.5,1.4\n1.5,0\n", "a face at x = 1.00 m is 1.4 m high, more than 1 m"),
+        ("10.00000,100\n10.00001,100.02\n", "the line is 1e-05 m long; terrain.unit=m is set, "),
+        ("0,0\n0.5,0\n0.6,-9999\n0.65,0\n1,0\n", "1 values such as -9999 are taken for unknown"),
+    ],
+)
+def test_a_wrong_unit_and_missing_values_of_a_csv_are_said(
+    rows: str, text: str, tmp_path: Path
+) -> None:
+    (tmp_path / "ground.csv").write_text(f"x,z\n{rows}")
+    (found,) = warnings_of("terrain.path=ground.csv", cwd=tmp_path)
+    assert text in found
+
+
+def test_plain_ground_is_not_remarked_on(tmp_path: Path) -> None:
+    write(tmp_path / "block.obj", solid(*BLOCK))
+    assert warnings_of(*FILE_LINE, "terrain.path=block.obj", cwd=tmp_path) == []
+    assert warnings_of(cwd=tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "fields"), [(-9999, {}), (-32768, {}), (3.4028235e38, {}), (77.0, {"no_data": 77.0})]
+)
+def test_missing_values_of_a_map_are_unknown_ground(
+    value: float, fields: dict[str, Any], tmp_path: Path
+) -> None:
+    heights = np.zeros((61, 81), np.float32)  # 3 m × 4 m in cells of 5 cm
+    heights[44:47, 38:42] = value  # from 0.2 to 0.3 m left of the line, for 0.15 m
+    np.save(tmp_path / "map.npy", heights)
+    settings = {"name": "profile_file", "path": str(tmp_path / "map.npy"), "resolution": 0.05}
+    terrain = resolver.create("terrain", {**settings, **LINE, **fields, "largest_gap": 0.0}, "")
+    surface = terrain.generate(np.random.default_rng(0)).surface
+    assert np.isnan(surface.heights(np.array([0.25]))).any()
+    (notice,) = terrain.notices()
+    assert "within 0.4 m of the line heights are unknown at" in notice
+    heights[38:42, 38:42] = value  # on the line
+    np.save(tmp_path / "map.npy", heights)
+    with pytest.raises(TerrainError, match="no height is known from 0"):
+        profile(tmp_path / "map.npy", resolution=0.05, **LINE, **fields)
+    wide = profile(tmp_path / "map.npy", resolution=0.05, largest_gap=0.4, **LINE, **fields)
+    assert np.ptp(wide.points[:, 1]) == 0
+
+
+def test_comments_and_gaps_of_a_csv_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "kerb.csv"
+    file.write_text("# a kerb\n// by hand\nx,z\n0,0\n# here\n0.5,0\n0.6,nan\nnan,nan\n0.7,0.1\n")
+    assert profile(file).points == pytest.approx(np.array([(0, 0), (0.5, 0), (0.7, 0.1)]))
+    with pytest.raises(TerrainError, match=r"line 7: no height is known from x = 0\.5 to 0\.7"):
+        profile(file, largest_gap=0.1)
+
+
+def test_comments_of_an_xyz_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "scan.xyz"
+    write_cloud(file, scanned()[:-1])
+    file.write_text("// x y z\n# more\n" + file.read_text())
+    assert_block(profile(file, **LINE), 0.02)
+
+
+def test_up_maps_the_axes_as_its_description_says(tmp_path: Path) -> None:
+    # With y up, the file's (1, 2, 3) is x = 3, y = 1 and height 2: a slope of 0.5 along the file's
+    # z, beside which the file's x runs to the left.
+    corners = [(0, 0, 0), (2, 0, 0), (2, 2, 4), (0, 2, 4)]
+    write(tmp_path / "slope.obj", Trimesh(corners, [(0, 2, 1), (0, 3, 2)], process=False))
+    found = profile(tmp_path / "slope.obj", up="y", start=(0.5, 1.0), end=(3.5, 1.0))
+    assert found.points[-1] == pytest.approx((3.0, 1.5))
