@@ -19,8 +19,8 @@ from flipperctl.cli.options import (
     Overrides,
     PluginPaths,
     Seed,
-    eval_overrides,
     require_one_policy,
+    with_flags,
 )
 from flipperctl.errors import RequestError
 
@@ -111,8 +111,7 @@ def run(
     from flipperctl.files import check_writable, make_folder
 
     loader.load(plugins or ())
-    settings = eval_overrides(episodes=episodes, seed=seed, jobs=jobs)
-    arguments = [*(overrides or []), *settings]
+    arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
     against = _sources(baseline, "--baseline", found[0][1].baselines())
     references = _sources(passable, "--passable")

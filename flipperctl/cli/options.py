@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 
 PluginPaths = Annotated[
     list[Path] | None,
@@ -41,18 +41,29 @@ def require_one_policy(checkpoint: Path | None, controller: str | None) -> None:
         raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
-def eval_overrides(**flags: str | None) -> list[str]:
-    """Return the overrides of the section ``eval`` that the given flags stand for."""
-    return [f"eval.{name}={value}" for name, value in flags.items() if value is not None]
-
-
-def reject_options(arguments: list[str], known: list[str]) -> None:
-    """Refuse unknown options among the overrides.
+def with_flags(
+    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
+) -> list[str]:
+    """Return the overrides, and those of ``section`` that the given flags stand for.
 
     Raises:
-        RequestError: an argument begins with - and is not in ``known``.
+        RequestError: an override sets what a flag sets.
     """
-    for argument in arguments:
-        name = argument.split("=")[0]
-        if argument.startswith("-") and name not in known:
-            raise RequestError(f"no such option: {name}{close_match(name, known)}")
+    found = list(overrides or [])
+    keys = {override.lstrip("+~").partition("=")[0]: override for override in found}
+    for name, value in flags.items():
+        key = f"{section}.{name}"
+        if value is None:
+            continue
+        if key in keys:
+            raise RequestError(
+                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
+            )
+        found.append(f"{key}={value}")
+    return found
+
+
+def with_default(overrides: list[str], key: str, value: object) -> list[str]:
+    """Return the overrides, and ``key=value`` if none of them sets the key."""
+    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
+    return overrides if key in given else [*overrides, f"{key}={value}"]
