@@ -162,7 +162,11 @@ def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> lis
     from flipperctl.policies.source import PolicySource
 
     chosen = default if names is None else [] if names == "none" else names.split(",")
-    return [PolicySource.of_plugin(name, option) for name in chosen if name]
+    if "none" in chosen:
+        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
+    if not all(chosen):
+        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
+    return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
 
 
 def _check_film(path: Path, scenes: int) -> None:

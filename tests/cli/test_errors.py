@@ -105,6 +105,11 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["eval"], ["--checkpoint", "--controller"]),
         (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
         (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
+        (
+            ["eval", "--controller", "okada", "--baseline", "none,okada"],
+            ["--baseline: none stands alone", "none,okada"],
+        ),
+        (["eval", "--controller", "okada", "--passable", "okada,"], ["--passable", "'okada,'"]),
         (["eval", "--controller", "okada", "--episodes", "0"], ["eval.episodes", "≥ 1"]),
         (["eval", "--controller", "okada", "--episodes", "x"], ["eval.episodes", "'x'"]),
         (["eval", "--checkpoint", "nowhere"], ["nowhere", "no such run"]),
