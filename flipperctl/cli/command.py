@@ -22,7 +22,7 @@ class Command(TyperCommand):
     primary: ClassVar[str] = "eval"
     """What the subcommand's overrides configure: an evaluation or a training."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words behind the subcommand.
 
         Raises:
@@ -32,7 +32,7 @@ class Command(TyperCommand):
             self._check(ctx, args)
         return super().parse_args(ctx, args)
 
-    def _check(self, ctx: typer.Context, args: list[str]) -> None:
+    def _check(self, ctx: Any, args: list[str]) -> None:
         parser = self.make_parser(ctx)
         parser.ignore_unknown_options = True
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]

@@ -101,7 +101,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller)
+    require_one_policy(checkpoint, controller, overrides)
     from flipperctl import plugins as loader
     from flipperctl.checkpoint.recording import require_one_layout
     from flipperctl.cli.progress import episodes_progress

@@ -31,14 +31,23 @@ Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
-def require_one_policy(checkpoint: Path | None, controller: str | None) -> None:
-    """Check that exactly one of the two is given.
+def require_one_policy(
+    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that exactly one of the two is given; a word without ``=`` was perhaps meant as one.
 
     Raises:
         RequestError: none or both are.
     """
-    if (checkpoint is None) == (controller is None):
-        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    if (checkpoint is None) != (controller is None):
+        return
+    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
+    if checkpoint is None and words:
+        raise RequestError(
+            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
+            f"policy, or --controller {words[0]}, if it is a controller"
+        )
+    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
 def with_flags(

@@ -94,6 +94,8 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     config_store.register_sweepers()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
+    if not several:
+        _check_single(overrides)
     _check(overrides, compose=check)
     errors: list[BaseException] = []
     paths = loader.configured_paths()  # a worker on a running cluster has another environment
@@ -132,6 +134,22 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
         sys.argv = previous_argv
         if several:
             _shut_ray_down()
+
+
+def _check_single(overrides: list[str]) -> None:
+    """Refuse lists of values, which make several runs."""
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import parse_overrides
+    from flipperctl.errors import ConfigError
+
+    with convert_hydra_errors():
+        parsed = parse_overrides(o for o in overrides if "=" in o and not o.startswith("-"))
+    for override in parsed:
+        if override.is_sweep_override():
+            raise ConfigError(
+                f"{override.input_line}: several values make several runs; add -m for them, or "
+                "brackets if the setting is a list, as in key=[1,2]"
+            )
 
 
 def _check(overrides: list[str], *, compose: bool) -> None:

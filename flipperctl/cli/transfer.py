@@ -76,7 +76,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller)
+    require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
