@@ -96,7 +96,11 @@ def unknown_key(
 ) -> ConfigError:
     """Return the error for an override of an unknown key, or ``error`` in one line."""
     choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
-    node: Any = OmegaConf.to_container(compose(primary, choices), resolve=True)
+    try:
+        composed = compose(primary, choices)
+    except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
+        choices, composed = [], compose(primary)
+    node: Any = OmegaConf.to_container(composed, resolve=True)
     others = [o for o in overrides if o not in choices]
     refused = _first_refused(primary, choices, others)
     if refused is None or not _names_no_key(*refused):

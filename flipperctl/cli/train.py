@@ -146,9 +146,10 @@ def _check_single(overrides: list[str]) -> None:
         parsed = parse_overrides(o for o in overrides if "=" in o and not o.startswith("-"))
     for override in parsed:
         if override.is_sweep_override():
+            key, _, value = str(override.input_line).partition("=")
             raise ConfigError(
                 f"{override.input_line}: several values make several runs; add -m for them, or "
-                "brackets if the setting is a list, as in key=[1,2]"
+                f"brackets if the setting is a list: {key}=[{value}]"
             )
 
 

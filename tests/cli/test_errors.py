@@ -45,6 +45,7 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["train", "seed=1,2"], ["seed=1,2: several values", "add -m"]),
         (["train", "gamma=0.9"], ["gamma: there is no such key; did you mean agent.gamma?"]),
         (["eval", "--controller", "level", "friction=1"], ["did you mean ", "sim.friction"]),
+        (["train", "controller=okada"], ["controller: there is no such key", "teacher"]),
         (["eval", "runs/x"], ["--checkpoint runs/x", "--controller runs/x"]),
         (["train", "hydra.run.dir="], ["hydra.run.dir", "the value is ''"]),
         (["train", "hydra.run.dir=null"], ["hydra.run.dir", "the value is None"]),
