@@ -74,7 +74,7 @@ class ExportError(FlipperctlError):
 
 
 class WriteError(FlipperctlError):
-    """Writing failed half way, as on a full disk; the previous file is untouched."""
+    """Writing failed half way, as on a full disk; an earlier file, if any, is kept."""
 
 
 class InterruptedRunError(FlipperctlError):

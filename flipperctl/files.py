@@ -21,7 +21,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
     Raises:
         OutputError: the path cannot be written.
-        WriteError: writing failed half way; the previous file is untouched.
+        WriteError: writing failed half way; an earlier file, if there is one, is kept.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -32,7 +32,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True) if path.parent.is_dir() else None
-        raise failure(path, error) from error
+        raise failure(path, error, keeps_old=path.exists()) from error
 
 
 def write_json(path: Path, document: Any) -> None:
@@ -84,9 +84,13 @@ def check_writable(path: Path) -> None:
         raise OutputError(f"{path} cannot be written: permission denied")
 
 
-def failure(path: Path, error: OSError) -> FlipperctlError:
-    """Return the exception to raise for an error of the operating system at ``path``."""
+def failure(path: Path, error: OSError, *, keeps_old: bool = False) -> FlipperctlError:
+    """Return the exception to raise for an error of the operating system at ``path``.
+
+    ``keeps_old``: an earlier file is there, and is as it was.
+    """
     reason = os.strerror(error.errno) if error.errno else str(error)
     if error.errno in _RAN_OUT:
-        return WriteError(f"{path}: writing failed half way ({reason}); the old file is kept")
+        kept = "; the old file is kept" if keeps_old else ""
+        return WriteError(f"{path}: writing failed half way ({reason}){kept}")
     return OutputError(f"{path} cannot be written: {reason}")

@@ -11,13 +11,30 @@ if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs onl
     from pydantic import BaseModel, ValidationError
 
 _LONGEST = 600  # characters of a validator's message
+_ALIKE = 0.7
+"""Smallest likeness of a misspelling: planner for none has 0.55, stair for stiar 0.8."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+
+
+def closest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that ``word`` is probably a misspelling or abbreviation of."""
+    words = list(known)
+    if found := difflib.get_close_matches(word.lower(), words, n=1, cutoff=_ALIKE):
+        return found[0]
+    begins = [w for w in words if _begins(w, word.lower())]  # eval, evaluate
+    return begins[0] if len(begins) == 1 else None
 
 
 def close_match(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the closest known word; empty without one."""
-    found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f"; did you mean {found[0]!r}?" if found else ""
+    found = closest(word, known)
+    return f"; did you mean {found!r}?" if found else ""
+
+
+def _begins(first: str, second: str) -> bool:
+    """Return whether the shorter of two words, of at least three letters, begins the longer."""
+    short, long = sorted((first, second), key=len)
+    return len(short) >= 3 and long.startswith(short)
 
 
 def reinstall_hint(kind: str) -> str:

@@ -103,7 +103,17 @@ def fewer(command: list[str]) -> list[str]:
 
 
 def smaller(command: list[str]) -> list[str]:
-    """The same command with a budget for a test; a later override wins."""
+    """The same command with a budget for a test in place of the one shown."""
+    found: dict[str, str] = {}
+    for index, word in enumerate(with_budget(command)):
+        key = word.partition("=")[0] if "=" in word else str(index)
+        found.pop(key, None)
+        found[key] = word
+    return list(found.values())
+
+
+def with_budget(command: list[str]) -> list[str]:
+    """The same command with a budget for a test behind it."""
     if command[0] == "train" and "--cfg" not in command:
         command = fewer(command)
         if any(word.startswith("experiment=taught,") for word in command):

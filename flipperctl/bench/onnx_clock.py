@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import importlib
 import json
+import shlex
 import sys
 import time
 
-import numpy as np
-
-from flipperctl.errors import FlipperctlError, MissingExtraError
+from flipperctl import entry
+from flipperctl.errors import MissingExtraError, RequestError
 
 HEAVY = ("torch", "pymunk", "hydra", "gymnasium", "matplotlib")
 _WARM_UP = 100
@@ -28,11 +28,13 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
         MissingExtraError: ONNX Runtime is not installed.
     """
     try:
-        runtime = importlib.import_module("flipperctl.runtime")
+        runtime = importlib.import_module("flipperctl.runtime.policy")
     except ImportError as error:
         raise MissingExtraError(
             f"decisions of an exported policy: {error}; install flipperctl[robot]"
         ) from error
+    import numpy as np
+
     policy = runtime.OnnxPolicy(path)
     rng = np.random.default_rng(seed)
     observations = rng.uniform(-0.5, 0.5, (256, policy.interface.size)).astype(np.float32)
@@ -47,9 +49,19 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
     return {"median": float(median), "p99": float(p99), "imported": imported}
 
 
-if __name__ == "__main__":
+def _main(words: list[str]) -> int:
     try:
-        print(json.dumps(main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))))
-    except FlipperctlError as error:
-        print(error, file=sys.stderr)
-        sys.exit(error.exit_code)
+        path, calls, seed = words
+        numbers = int(calls), int(seed)
+    except ValueError as error:
+        raise RequestError(
+            f"a policy, a number of calls and a seed are allowed, as in stair.onnx 1000 0; "
+            f"got {shlex.join(words) or 'nothing'}"
+        ) from error
+    print(json.dumps(main(path, *numbers)))
+    return 0
+
+
+if __name__ == "__main__":
+    entry.stop_at_once()
+    entry.run(lambda: _main(sys.argv[1:]))

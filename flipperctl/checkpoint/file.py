@@ -115,7 +115,7 @@ def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -
 
     Raises:
         OutputError: the path cannot be written.
-        WriteError: writing failed half way; the old file is kept.
+        WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     write_bytes(path, sealed.serialize(document.text(), tensors))
 

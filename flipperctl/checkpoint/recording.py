@@ -140,7 +140,7 @@ def write(
     Raises:
         ConfigError: the environments have several observation layouts.
         OutputError: the path cannot be written.
-        WriteError: writing failed half way; the old file is kept.
+        WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     require_one_layout(path, [config for config, _ in parts])
     environments = [_outline(config) for config, _ in parts]

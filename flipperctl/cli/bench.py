@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli.command import TrainingCommand
+from flipperctl.cli.options import AsJson, PluginPaths, with_flags
 from flipperctl.errors import ConfigError, RequestError
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ in_a_row, calls, decisions, commands, modules.
 
 def add_to(app: typer.Typer) -> None:
     """Register the subcommand."""
-    app.command("bench", help=HELP)(bench)
+    app.command("bench", help=HELP, cls=TrainingCommand)(bench)
 
 
 def bench(
@@ -85,8 +86,7 @@ def bench(
     from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
-    if repeats is not None:
-        overrides.append(f"{SECTION}repeats={repeats}")
+    overrides = with_flags(overrides, SECTION.rstrip("."), repeats=repeats)
     config, settings = compose_bench(overrides, small=small)
     folder = make_folder(output) if output else None
     document: dict[str, Any] = {
@@ -146,9 +146,10 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
     from flipperctl.bench.settings import sizes
     from flipperctl.cli import compose, config_store
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import override_values
+    from flipperctl.cli.overrides import check_once, override_values
     from flipperctl.config import resolver
 
+    check_once(overrides)
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
     with convert_hydra_errors():
         changes = override_values(own)

@@ -40,16 +40,18 @@ def combinations(overrides: Sequence[str]) -> Iterator[list[str]]:
 
 
 def interval_probes(overrides: Sequence[str]) -> list[list[str]]:
-    """Return, for each interval, overrides with its ends and with a value between them.
+    """Return the overrides with each interval at its ends, and at a value between them.
 
     The value between them reveals an interval of real numbers for an integer setting.
     """
     found = []
-    for override in parse_overrides(overrides):
+    for index, override in enumerate(parse_overrides(overrides)):
         interval = override.value()
         if isinstance(interval, IntervalSweep):
             start, end = cast("tuple[float, float]", (interval.start, interval.end))
             whole = isinstance(start, int) and isinstance(end, int)
             between = start if whole else start + 0.3819 * (end - start)
-            found += [[f"{override.get_key_element()}={x}"] for x in (start, end, between)]
+            before, after = overrides[:index], overrides[index + 1 :]
+            key = override.get_key_element()
+            found += [[*before, f"{key}={x}", *after] for x in (start, end, between)]
     return found

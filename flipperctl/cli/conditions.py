@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 
 from flipperctl.cli.overrides import parse_overrides
-from flipperctl.config import EvalConfig
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 
 NOMINAL, TRAINED = "nominal", "trained"
+_CHOSEN = ("sim", "perception", "episode", "randomise")
+"""The sections that ``conditions=`` chooses."""
+_SHOWN = 3
+"""Number of settings of a training that a line names."""
 
 
 def chosen_name(overrides: Sequence[str]) -> str:
@@ -57,6 +62,37 @@ def explain_missing_training(exported: bool) -> str:
     folder = files("flipperctl.configs.conditions")
     known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+
+
+def training_line(trained: TrainConfig, config: EvalConfig, overrides: Sequence[str]) -> str:
+    """Return which settings of its training a policy is evaluated without; empty if none.
+
+    Those are conditions that nobody chose: settings among ``overrides`` are left out, and so is all
+    where ``conditions=`` names other conditions than the default ones.
+    """
+    if config.conditions != NOMINAL:
+        return ""
+    chosen = {override.lstrip("+~").partition("=")[0] for override in overrides}
+    own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
+    before, here = Conditions.of(own).settings, Conditions.of(config).settings
+    changed = [
+        f"{section}.{name}={_short(before[section][name])} ({_short(here[section].get(name))})"
+        for section in _CHOSEN
+        if section not in chosen
+        for name in before[section]
+        if before[section][name] != here[section].get(name) and f"{section}.{name}" not in chosen
+    ]
+    if not changed:
+        return ""
+    more = f" and {len(changed) - _SHOWN} more settings" if len(changed) > _SHOWN else ""
+    return (
+        f"trained with {', '.join(changed[:_SHOWN])}{more}, evaluated with the values in brackets; "
+        f"conditions={TRAINED} keeps those of the training"
+    )
+
+
+def _short(value: object) -> str:
+    return json.dumps(value, separators=(",", ":")).strip('"')
 
 
 def condition_lines(scenes: Iterable[tuple[str, int, Conditions]]) -> Iterator[str]:

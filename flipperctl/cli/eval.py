@@ -19,8 +19,8 @@ from flipperctl.cli.options import (
     Overrides,
     PluginPaths,
     Seed,
-    eval_overrides,
     require_one_policy,
+    with_flags,
 )
 from flipperctl.errors import RequestError
 
@@ -101,7 +101,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller)
+    require_one_policy(checkpoint, controller, overrides)
     from flipperctl import plugins as loader
     from flipperctl.checkpoint.recording import require_one_layout
     from flipperctl.cli.progress import episodes_progress
@@ -111,8 +111,7 @@ def run(
     from flipperctl.files import check_writable, make_folder
 
     loader.load(plugins or ())
-    settings = eval_overrides(episodes=episodes, seed=seed, jobs=jobs)
-    arguments = [*(overrides or []), *settings]
+    arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
     against = _sources(baseline, "--baseline", found[0][1].baselines())
     references = _sources(passable, "--passable")
@@ -163,7 +162,11 @@ def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> lis
     from flipperctl.policies.source import PolicySource
 
     chosen = default if names is None else [] if names == "none" else names.split(",")
-    return [PolicySource.of_plugin(name, option) for name in chosen if name]
+    if "none" in chosen:
+        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
+    if not all(chosen):
+        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
+    return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
 
 
 def _check_film(path: Path, scenes: int) -> None:

@@ -6,6 +6,7 @@ of an exception is never parsed: the override at fault is the first that Hydra r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -44,6 +45,11 @@ def convert_hydra_errors() -> Iterator[None]:
         raise
     except OverrideParseException as error:
         key, _, value = str(error.override).partition("=")
+        if re.search(r"\s[+~]*[\w./@]+=", value):
+            raise ConfigError(
+                f"{error.override!r}: one word holds several overrides; leave the quotes around "
+                f"them out: {error.override}"
+            ) from error
         raise ConfigError(
             f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
             f"stands, quote it: {quote_override(key, value)}"
@@ -90,7 +96,11 @@ def unknown_key(
 ) -> ConfigError:
     """Return the error for an override of an unknown key, or ``error`` in one line."""
     choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
-    node: Any = OmegaConf.to_container(compose(primary, choices), resolve=True)
+    try:
+        composed = compose(primary, choices)
+    except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
+        choices, composed = [], compose(primary)
+    node: Any = OmegaConf.to_container(composed, resolve=True)
     others = [o for o in overrides if o not in choices]
     refused = _first_refused(primary, choices, others)
     if refused is None or not _names_no_key(*refused):
@@ -109,10 +119,20 @@ def unknown_key(
             break
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
     known = sorted(name for name in node if name != "name")
+    inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
+    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
     return ConfigError(
-        f"{key}: there is no such key{close_match(leaf, known)}; "
+        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
         f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
     )
+
+
+def _paths(node: dict[Any, Any], before: str = "") -> Iterator[str]:
+    """Yield the path of every key in nested mappings."""
+    for name, value in node.items():
+        yield f"{before}{name}"
+        if isinstance(value, dict):
+            yield from _paths(value, f"{before}{name}.")
 
 
 def _first_refused(

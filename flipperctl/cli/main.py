@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -11,11 +10,11 @@ from importlib import import_module
 import typer
 from typer.exceptions import TyperException
 
-from flipperctl.cli import output
+from flipperctl import entry
+from flipperctl.cli.command import App
 from flipperctl.cli.streams import log_to_stderr, plain_streams
-from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.errors import RequestError
 
-DEBUG = "FLIPPERCTL_DEBUG"
 COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
@@ -23,7 +22,7 @@ COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 # flag, which costs every subcommand's help 65 ms.
 _ABSENT = {"help": False, "install_completion": False, "show_completion": False}
 
-app = typer.Typer(
+app = App(
     name="flipperctl",
     help="Train, evaluate, export and explain flipper policies of tracked rescue robots.",
     no_args_is_help=True,
@@ -46,70 +45,27 @@ for _name in COMMANDS:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code (0, 1, 2 or 130)."""
     plain_streams()
-    if os.environ.get(DEBUG) == "1":
+    if os.environ.get(entry.DEBUG) == "1":
         log_to_stderr()
-    code = _run(list(sys.argv[1:] if arguments is None else arguments))
-    error = output.flush()
-    if error is not None and code == 0:
-        code = FlipperctlError.exit_code
-        if reason := output.failure_reason(error):
-            code = _report_output_failure(reason)
-    sys.exit(code)
+    entry.run(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
 
 
 def _run(arguments: list[str]) -> int:
-    debug = os.environ.get(DEBUG) == "1"
     if notices := sys.modules.get("flipperctl.cli.notices"):  # of an earlier command
         notices.begin()
-    try:
-        if arguments == ["--version"]:
-            from flipperctl import __version__
+    if arguments == ["--version"]:
+        from flipperctl import __version__
 
-            print(f"flipperctl {__version__}")
-            return 0
+        print(f"flipperctl {__version__}")
+        return 0
+    try:
         command = typer.main.get_command(app)
         code = command.main(args=arguments, prog_name="flipperctl", standalone_mode=False)
-        return code if isinstance(code, int) else 0
-    except FlipperctlError as error:
-        if debug:
-            raise
-        _print_error(str(error))
-        return error.exit_code
     except TyperException as error:
-        if debug:
-            raise
-        if words := error.format_message().rstrip(
-            "."
-        ):  # empty without arguments, where the help is shown
-            _print_error(f"{words}; see flipperctl --help")
+        # The text is empty without arguments, where the help is shown.
+        if words := error.format_message().rstrip("."):
+            raise RequestError(f"{words}; see flipperctl --help") from error
         return RequestError.exit_code
-    except (typer.Abort, KeyboardInterrupt):
-        _print_error("interrupted")
-        return InterruptedRunError.exit_code
-    except BrokenPipeError:
-        return FlipperctlError.exit_code  # the reader closed the pipe
-    except SystemExit:
-        raise  # Hydra's own options exit so; a plugin's is already a PluginError
-    except BaseException as error:
-        if isinstance(error, Exception) and (reason := output.failure_reason(error)):
-            return _report_output_failure(reason)
-        if debug:
-            raise
-        _print_error(
-            f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)"
-        )
-        return 1
-
-
-def _report_output_failure(reason: str) -> int:
-    _print_error(f"standard output cannot be written: {reason}")
-    return FlipperctlError.exit_code
-
-
-def _print_error(text: str) -> None:
-    with contextlib.suppress(OSError):  # standard error cannot be written either
-        print(f"error: {text}", file=sys.stderr)
-
-
-if __name__ == "__main__":
-    main()
+    except typer.Abort as error:
+        raise KeyboardInterrupt from error
+    return code if isinstance(code, int) else 0

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 
 PluginPaths = Annotated[
     list[Path] | None,
@@ -31,28 +31,48 @@ Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
-def require_one_policy(checkpoint: Path | None, controller: str | None) -> None:
-    """Check that exactly one of the two is given.
+def require_one_policy(
+    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that exactly one of the two is given; a word without ``=`` was perhaps meant as one.
 
     Raises:
         RequestError: none or both are.
     """
-    if (checkpoint is None) == (controller is None):
-        raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+    if (checkpoint is None) != (controller is None):
+        return
+    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
+    if checkpoint is None and words:
+        raise RequestError(
+            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
+            f"policy, or --controller {words[0]}, if it is a controller"
+        )
+    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
-def eval_overrides(**flags: str | None) -> list[str]:
-    """Return the overrides of the section ``eval`` that the given flags stand for."""
-    return [f"eval.{name}={value}" for name, value in flags.items() if value is not None]
-
-
-def reject_options(arguments: list[str], known: list[str]) -> None:
-    """Refuse unknown options among the overrides.
+def with_flags(
+    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
+) -> list[str]:
+    """Return the overrides, and those of ``section`` that the given flags stand for.
 
     Raises:
-        RequestError: an argument begins with - and is not in ``known``.
+        RequestError: an override sets what a flag sets.
     """
-    for argument in arguments:
-        name = argument.split("=")[0]
-        if argument.startswith("-") and name not in known:
-            raise RequestError(f"no such option: {name}{close_match(name, known)}")
+    found = list(overrides or [])
+    keys = {override.lstrip("+~").partition("=")[0]: override for override in found}
+    for name, value in flags.items():
+        key = f"{section}.{name}"
+        if value is None:
+            continue
+        if key in keys:
+            raise RequestError(
+                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
+            )
+        found.append(f"{key}={value}")
+    return found
+
+
+def with_default(overrides: list[str], key: str, value: object) -> list[str]:
+    """Return the overrides, and ``key=value`` if none of them sets the key."""
+    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
+    return overrides if key in given else [*overrides, f"{key}={value}"]

@@ -30,8 +30,11 @@ def override_values(overrides: Iterable[str]) -> dict[str, Any]:
 
     Raises:
         OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: an override is not a plain ``key=value``, such as a list of values.
+        ConfigError: an override is not a plain ``key=value``, such as a list of values, or a key
+            is given twice.
     """
+    overrides = list(overrides)
+    check_once(overrides)
     found = {}
     for override in parse_overrides(overrides):
         plain = not (override.is_delete() or override.is_add() or override.is_force_add())
@@ -39,6 +42,20 @@ def override_values(overrides: Iterable[str]) -> dict[str, Any]:
             raise ConfigError(f"{override.input_line}: one value is allowed here, as in key=value")
         found[override.key_or_group] = override.value()
     return found
+
+
+def check_once(overrides: Iterable[str]) -> None:
+    """Refuse a key with two values, of which Hydra would take the last.
+
+    Raises:
+        ConfigError: a key is given twice.
+    """
+    given: dict[str, str] = {}
+    for override in overrides:
+        key = override.lstrip("+~").partition("=")[0]
+        if key in given:
+            raise ConfigError(f"{key} is given twice: {given[key]} and {override}; one is allowed")
+        given[key] = override
 
 
 def check_folders(overrides: Iterable[str]) -> None:
@@ -78,7 +95,8 @@ def check_words(overrides: Sequence[str]) -> None:
     """Refuse a word that is not an override, because of the shell or a typing mistake.
 
     Raises:
-        ConfigError: a word has no key, or no ``=``, for instance after a space in a value.
+        ConfigError: a word has no key, or no ``=``, for instance after a space in a value; or a
+            key is given twice.
     """
     before = ""
     for word in overrides:
@@ -96,6 +114,7 @@ def check_words(overrides: Sequence[str]) -> None:
                 f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
             )
         before = word
+    check_once(overrides)
 
 
 def quote_override(key: str, value: str) -> str:

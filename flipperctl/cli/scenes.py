@@ -6,12 +6,14 @@ for each scene.
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.cli import compose, config_store
+from flipperctl.cli.conditions import training_line
 from flipperctl.cli.policy_file import find_policy
-from flipperctl.config import resolver
+from flipperctl.config import TrainConfig, resolver
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.exported import exported_config, is_exported
 from flipperctl.policies.source import PolicySource
@@ -38,6 +40,10 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:
         source.build(config.perception)  # a wrong layout is found before the first episode
+    if isinstance(trained, TrainConfig):
+        lines = [training_line(trained, config, overrides) for config in configs]
+        for line in filter(None, dict.fromkeys(lines)):
+            print(f"{checkpoint}: {line}", file=sys.stderr)
     return [(config, source) for config in configs]
 
 

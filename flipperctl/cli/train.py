@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import Overrides, PluginPaths, reject_options
+from flipperctl.cli.command import TrainingCommand
+from flipperctl.cli.options import Overrides, PluginPaths
 
 if TYPE_CHECKING:
     from flipperctl.config import TrainConfig
@@ -35,10 +36,16 @@ OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every
 """
 
 
+class TrainCommand(TrainingCommand):
+    """The subcommand, which hands Hydra's options on."""
+
+    foreign_options = HYDRA_OPTIONS
+
+
 def add_to(app: typer.Typer) -> None:
     """Register the subcommand."""
     settings = {"ignore_unknown_options": True}  # Hydra's own options arrive as overrides
-    app.command("train", help=HELP, context_settings=settings)(train)
+    app.command("train", help=HELP, cls=TrainCommand, context_settings=settings)(train)
 
 
 def train(
@@ -60,7 +67,6 @@ def train(
     from flipperctl import plugins as loader
 
     arguments = list(overrides or [])
-    reject_options(arguments, [*HYDRA_OPTIONS, "--resume", "--plugins"])
     loader.load(plugins or ())
     if resume is not None:
         _resume(resume, arguments)
@@ -88,6 +94,8 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     config_store.register_sweepers()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
+    if not several:
+        _check_single(overrides)
     _check(overrides, compose=check)
     checked = check and _plain(overrides)
     errors: list[BaseException] = []
@@ -134,17 +142,35 @@ def _plain(overrides: list[str]) -> bool:
     return not any(override.startswith("-") for override in overrides)
 
 
+def _check_single(overrides: list[str]) -> None:
+    """Refuse lists of values, which make several runs."""
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import parse_overrides
+    from flipperctl.errors import ConfigError
+
+    with convert_hydra_errors():
+        parsed = parse_overrides(o for o in overrides if "=" in o and not o.startswith("-"))
+    for override in parsed:
+        if override.is_sweep_override():
+            key, _, value = str(override.input_line).partition("=")
+            raise ConfigError(
+                f"{override.input_line}: several values make several runs; add -m for them, or "
+                f"brackets if the setting is a list: {key}=[{value}]"
+            )
+
+
 def _check(overrides: list[str], *, compose: bool) -> None:
     """Refuse a wrong request before Hydra makes a directory."""
     from flipperctl.cli.combinations import interval_probes
     from flipperctl.cli.compose import compose_train
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import check_folders, check_mappings, check_words
+    from flipperctl.cli.overrides import check_folders, check_mappings, check_once, check_words
 
     plain = _plain(overrides)
     if plain:  # with options, words may be their values
         check_words(overrides)
     assigned = [o for o in overrides if "=" in o and not o.startswith("-")]
+    check_once(assigned)
     with convert_hydra_errors():
         check_folders(assigned)
         check_mappings(assigned)
@@ -152,9 +178,9 @@ def _check(overrides: list[str], *, compose: bool) -> None:
     if compose and plain:
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
         with convert_hydra_errors():
-            probes = [[], *interval_probes(own)]
+            probes = [own, *interval_probes(own)]
         for probe in probes:
-            for config in compose_train([*own, *probe]):
+            for config in compose_train(probe):
                 _check_device(config)
                 _check_terrain(config)
                 _check_network(config, _recorded_decisions(config))

@@ -81,8 +81,9 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
         spent = trainer.progress.decision >= config.train.decisions
         if spent and run_folder.is_finished(directory, trainer.progress.decision):
             print(
-                f"nothing left to do: {directory} has used its budget of "
-                f"{config.train.decisions} decisions; give a larger train.decisions=… to continue",
+                f"nothing left to do: {directory} has trained "
+                f"{trainer.progress.decision} decisions, and train.decisions is "
+                f"{config.train.decisions}; give a larger train.decisions=… to continue",
                 file=sys.stderr,
             )
             return

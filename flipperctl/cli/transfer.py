@@ -19,8 +19,8 @@ from flipperctl.cli.options import (
     Overrides,
     PluginPaths,
     Seed,
-    eval_overrides,
     require_one_policy,
+    with_flags,
 )
 from flipperctl.errors import RequestError
 
@@ -76,7 +76,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller)
+    require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
@@ -88,8 +88,8 @@ def run(
     from flipperctl.files import make_folder, write_json
 
     loader.load(plugins or ())
-    settings = eval_overrides(episodes=episodes, seed=seed, jobs=jobs)
-    asked = scenes([*with_engine(overrides or []), *settings], checkpoint, controller)
+    arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:
         in_default_engine(config)  # a wrong engine is found before the first episode
     folder = make_folder(output) if output else None

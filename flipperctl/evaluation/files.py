@@ -21,7 +21,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
 
     Raises:
         OutputError: a file cannot be written.
-        WriteError: writing failed half way; an earlier file is untouched.
+        WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     write_csv(folder / "episodes.csv", list(episode_rows(result)))
     write_json(folder / "summary.json", result.container())
@@ -49,7 +49,7 @@ def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResul
     Raises:
         ConfigError: the scenes have several observation layouts.
         OutputError: the file cannot be written.
-        WriteError: writing failed half way; an earlier file is untouched.
+        WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     parts = [
         (config, [e.recorded for e in scene.episodes if e.recorded is not None])

@@ -70,7 +70,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 
     Raises:
         OutputError: a file cannot be written.
-        WriteError: writing failed half way; an earlier file is untouched.
+        WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     write_csv(folder / "table.csv", list(_csv_rows(result)))
     write_bytes(folder / "table.tex", latex(result).encode())

@@ -4,8 +4,27 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 ``onnxruntime`` and flipperctl without its other dependencies.
 """
 
-from flipperctl.runtime.interface import Interface, Quantity
-from flipperctl.runtime.policy import OnnxPolicy
-from flipperctl.runtime.targets import TargetRule
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flipperctl.runtime.interface import Interface, Quantity
+    from flipperctl.runtime.policy import OnnxPolicy
+    from flipperctl.runtime.targets import TargetRule
 
 __all__ = ["Interface", "OnnxPolicy", "Quantity", "TargetRule"]
+
+_MODULES = {
+    "Interface": "interface",
+    "OnnxPolicy": "policy",
+    "Quantity": "interface",
+    "TargetRule": "targets",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a name when it is asked for, so that the program here can handle Ctrl-C before."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from typing import TYPE_CHECKING
 
-import numpy as np
+from flipperctl import entry
+from flipperctl.errors import RequestError
 
-from flipperctl.errors import FlipperctlError
-from flipperctl.runtime.interface import Interface
-from flipperctl.runtime.policy import OnnxPolicy
+if TYPE_CHECKING:
+    from flipperctl.runtime.interface import Interface
+
+HELP = """Usage: python -m flipperctl.runtime FILE
+
+Check an exported policy, an .onnx file, and print its interface: the observation with units,
+frames and limits, the actions, the decision period, the robot and the training.
+It needs numpy and onnxruntime alone.
+
+Examples
+
+  python -m flipperctl.runtime stair.onnx
+
+  python -m flipperctl.runtime --help"""
 
 
 def describe(interface: Interface) -> str:
     """Return a table of the observation, the actions and the robot."""
+    import numpy as np
+
     rows = [
         (str(index), q.name, q.unit, q.frame, f"±{limit:.3f}", q.meaning)
         for index, (q, limit) in enumerate(
@@ -37,14 +53,23 @@ def describe(interface: Interface) -> str:
 
 def main() -> None:
     """Print the interface of the file named on the command line."""
-    if len(sys.argv) != 2:
-        print("error: usage: python -m flipperctl.runtime FILE", file=sys.stderr)
-        sys.exit(2)
-    try:
-        print(describe(OnnxPolicy(sys.argv[1]).interface))
-    except FlipperctlError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+    entry.stop_at_once()
+    entry.run(lambda: _main(sys.argv[1:]))
+
+
+def _main(words: list[str]) -> int:
+    if {"-h", "--help"} & set(words):
+        print(HELP)
+        return 0
+    if len(words) != 1 or words[0].startswith("-"):
+        raise RequestError(
+            f"one exported policy is allowed, as in python -m flipperctl.runtime stair.onnx; "
+            f"got {shlex.join(words) or 'nothing'}; --help explains"
+        )
+    from flipperctl.runtime.policy import OnnxPolicy
+
+    print(describe(OnnxPolicy(words[0]).interface))
+    return 0
 
 
 if __name__ == "__main__":

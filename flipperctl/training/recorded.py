@@ -123,7 +123,7 @@ class TrainingRecorder:
 
         Raises:
             OutputError: the file cannot be written.
-            WriteError: writing failed half way; the old file is kept.
+            WriteError: writing failed half way; an earlier file, if any, is kept.
         """
         if self._on:
             driver = f"training on {self._config.terrain.plugin_name}"

@@ -97,6 +97,9 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     again = call("train", "--resume", "r", cwd=tmp_path)
     assert again.code == 0
     assert "nothing left to do" in again.err
+    less = call("train", "--resume", "r", "train.decisions=1", cwd=tmp_path)
+    assert less.code == 0
+    assert f"r has trained {stopped + 50} decisions, and train.decisions is 1;" in less.err
 
 
 def test_eval_json_is_one_document_on_stdout(run: Path, tmp_path: Path) -> None:

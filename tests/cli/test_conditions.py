@@ -135,3 +135,20 @@ def test_a_command_that_looks_at_one_configuration_refuses_several(
     done = call("inspect", *command, "conditions=nominal,varied", cwd=tmp_path)
     assert done.code == 2
     assert "give 2 configurations; this command looks at one" in done.err
+
+
+def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(
+    short_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes(["terrain=step"], short_run, None)
+    assert capsys.readouterr().err == ""  # it was trained under nominal conditions
+    scenes(["terrain=step,flat"], GENERALIST, None)
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1  # once for both scenes
+    assert "generalist: trained with episode.start_noise=0.1 (0.05)" in line
+    assert "conditions=trained" in line
+    for chosen in ("conditions=trained", "conditions=wide"):
+        scenes(["terrain=step", chosen], GENERALIST, None)
+        assert capsys.readouterr().err == ""
+    scenes(["terrain=step", "episode.start_noise=0.1"], GENERALIST, None)
+    assert "episode.start_noise" not in capsys.readouterr().err

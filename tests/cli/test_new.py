@@ -13,7 +13,7 @@ from tests.cli.call import RUN, Done, call
 from tests.cli.test_errors import refused
 
 ROOT = Path(__file__).parents[2]
-KINDS = ("terrain", "reward", "network", "controller")
+KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor")
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 
@@ -56,7 +56,8 @@ def test_what_is_new_passes_the_conformance_suite(
     (check,) = [line for line in drafts[kind].out.splitlines() if "inspect plugins" in line]
     done = call(*shlex.split(check)[1:], cwd=folder)
     assert done.code == 0, done.err
-    assert f"{kind} my_{kind}" in done.out
+    shown = {"engine": "sim", "sensor": "perception"}.get(kind, kind)
+    assert f"{shown} my_{kind}" in done.out
 
 
 @pytest.mark.parametrize(
@@ -65,6 +66,8 @@ def test_what_is_new_passes_the_conformance_suite(
         ("reward", ["inspect", "reward", "+reward@rewards.mine=my_reward", "terrain=step"]),
         ("network", ["inspect", "config", "network=my_network"]),
         ("controller", ["eval", "--controller", "my_controller", "terrain=step"]),
+        ("engine", ["eval", "--controller", "okada", "sim=my_engine", "terrain=step"]),
+        ("sensor", ["eval", "--controller", "okada", "perception=my_sensor", "terrain=step"]),
     ],
 )
 def test_what_is_new_is_usable_at_once(kind: str, arguments: list[str], folder: Path) -> None:
@@ -113,6 +116,8 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
         (["terrain", "My Own"], ["'My Own'", "lower-case letters"]),
         (["terrain", "class"], ["'class'", "word of Python"]),
         (["terrain", "stair"], ["'stair'", "already", "stair.py:"]),
+        (["engine", "planar"], ["engine plugin 'planar'", "already", "engine.py:"]),
+        (["sensor", "planar"], ["sensor plugin 'planar'", "already", "sensing.py:"]),
         (["terrain", "mine", "--output", "file"], ["file", "cannot be written"]),
         (["terrain", "mine", "--package", "--output", "file"], ["file", "cannot be written"]),
     ],

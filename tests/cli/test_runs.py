@@ -46,10 +46,9 @@ def test_a_run_that_is_being_trained_is_left_alone(
     run = Path(shutil.copytree(whole, tmp_path / "run"))
     with hold(run):
         before = files(run)
-        budget = ["train.decisions=400"]
         arguments = {
-            "start": ["hydra.run.dir=run", *QUICK, *budget],
-            "resume": ["--resume", "run", *budget],
+            "start": ["hydra.run.dir=run", *QUICK],
+            "resume": ["--resume", "run", "train.decisions=400"],
         }[command]
         done = call("train", *arguments, cwd=tmp_path)
         assert (done.code, len(done.err.splitlines())) == (2, 1), done.err

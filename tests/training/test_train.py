@@ -218,3 +218,5 @@ def test_a_failing_write_keeps_the_checkpoint_before(
         checkpoint.write(target, saved.document, {})
     assert target.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["last.safetensors"]
+    with pytest.raises(WriteError, match=r"No space left on device\)$"):
+        checkpoint.write(tmp_path / "new.safetensors", saved.document, {})  # there is no old one

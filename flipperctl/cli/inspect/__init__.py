@@ -4,13 +4,15 @@ from importlib import import_module
 
 import typer
 
+from flipperctl.cli.command import App
+
 VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "engines", "conventions")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 
 def add_to(app: typer.Typer) -> None:
     """Register the group with its subcommands."""
-    group = typer.Typer(
+    group = App(
         name="inspect",
         help="Look at plugins, terrains, rewards, checkpoints, runs, configurations and engines.",
         no_args_is_help=True,

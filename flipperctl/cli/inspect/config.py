@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from flipperctl.cli.command import TrainingCommand
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ With [bold]--describe[/], list every setting of it instead: value, default, boun
 
 def add_to(app: typer.Typer) -> None:
     """Register the subcommand."""
-    app.command("config", help=HELP)(show)
+    app.command("config", help=HELP, cls=TrainingCommand)(show)
 
 
 def show(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ def show(
     controller: Annotated[
         str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes per scene.")] = 10,
+    episodes: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes per scene [10].")
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
@@ -62,13 +64,13 @@ def show(
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
-    arguments = [*with_engine(overrides or []), f"eval.episodes={episodes}"]
+    arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
     found = []
-    asked = scenes(arguments, checkpoint, chosen)
+    asked = scenes(with_engine(arguments), checkpoint, chosen)
     for config, _ in asked:
         in_default_engine(config)  # a wrong engine is found before the first episode
     for config, source in asked:
-        with episodes_progress(config.terrain.plugin_name, episodes) as report:
+        with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
             found.append(compare_engines(config, source, report))
     if as_json:
         print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -55,7 +55,9 @@ def show(
         str | None,
         typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes to play.")] = 20,
+    episodes: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes to play [20].")
+    ] = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
@@ -64,11 +66,12 @@ def show(
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
 
+    arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if compare is not None:
         if checkpoint is not None or controller is not None:
             raise RequestError("--compare names all policies; leave --checkpoint, --controller out")
         loader.load(plugins or ())
-        _compare(compare, list(overrides or []), episodes, as_json)
+        _compare(compare, arguments, as_json)
         return
     from flipperctl.cli.compose import only_one
     from flipperctl.cli.progress import episodes_progress
@@ -77,24 +80,25 @@ def show(
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
-    config, source = only_one(scenes(list(overrides or []), checkpoint, chosen))
+    config, source = only_one(scenes(arguments, checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
-    with episodes_progress(label, episodes) as report:
-        found = audit(config, source, episodes=episodes, report=report)
+    count = config.eval.episodes
+    with episodes_progress(label, count) as report:
+        found = audit(config, source, episodes=count, report=report)
     if as_json:
         print(json.dumps(found.container(), indent=2))
     else:
         _print(found)
 
 
-def _compare(names: str, overrides: list[str], episodes: int, as_json: bool) -> None:
+def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.reward_scenes import policies, reward_scenes
     from flipperctl.evaluation.compare_rewards import compare_rewards
     from flipperctl.evaluation.workers import EpisodeWorkers
 
     sources, others = policies(names, overrides)
-    scenes = reward_scenes([*others, f"eval.episodes={episodes}"])
+    scenes = reward_scenes(others)
     for scene in scenes:
         for source in sources.values():
             source.build(scene.config.perception)  # a wrong layout is found before the first draw

@@ -44,7 +44,13 @@ def show(
     from flipperctl.cli import compose, config_store
     from flipperctl.config import resolver
     from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.errors import RequestError
 
+    for override in overrides or []:
+        if override.startswith("eval."):
+            raise RequestError(
+                f"{override}: has no effect here; --seed and --draws choose profiles"
+            )
     loader.load(plugins or ())
     resolver.get("terrain", name, "terrain")
     config_store.register_defaults()

@@ -9,12 +9,12 @@ import typer
 
 from flipperctl.cli.options import PluginPaths
 
-KINDS = ("terrain", "reward", "network", "controller")
+KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor")
 
 HELP = """Write a plugin as a starting point: one file, or with --package an installable project.
 
-KIND is terrain, reward, network or controller. The plugin works as written and passes
-the conformance suite; nothing is ever overwritten.
+KIND is terrain, reward, network, controller, engine or sensor. The plugin works as written and
+passes the conformance suite; nothing is ever overwritten.
 
 [bold]Examples[/]
 
@@ -23,6 +23,8 @@ the conformance suite; nothing is ever overwritten.
   flipperctl new reward calm --output plugins
 
   flipperctl new controller brave --package
+
+  flipperctl new engine glider
 """
 
 

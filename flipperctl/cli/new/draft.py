@@ -16,6 +16,8 @@ from flipperctl.config.resolver import source
 from flipperctl.errors import OutputError, PluginError
 from flipperctl.files import failure, make_folder
 
+_REGISTERED = {"engine": "sim", "sensor": "perception"}
+"""The registry's kind, which is the key that chooses the plugin, where it is another word."""
 _USAGE = {
     "terrain": (
         "flipperctl inspect terrain {name}{plugins} --output {name}.png",
@@ -28,6 +30,14 @@ _USAGE = {
     ),
     "network": ("flipperctl train network={name}{plugins}",),
     "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
+    "engine": (
+        "flipperctl inspect engines sim={name} terrain=step{plugins}",
+        "flipperctl eval --controller okada sim={name} terrain=step{plugins}",
+    ),
+    "sensor": (
+        "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
+        "flipperctl train perception={name}{plugins}",
+    ),
 }
 
 
@@ -47,7 +57,7 @@ class Draft:
             raise PluginError(
                 f"plugin name {self.name!r}: {api.NAME_RULE}, and no word of Python itself"
             )
-        taken = api.registry.get((self.kind, self.name))
+        taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
         if taken is not None:
             raise PluginError(
                 f"there is a {self.kind} plugin {self.name!r} already: {source(taken)}"

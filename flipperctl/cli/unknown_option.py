@@ -1,0 +1,53 @@
+"""Explain an option that a subcommand does not have: a setting, a close match, or neither."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+
+from flipperctl.messages import closest
+
+_RUN_FOLDER = {"output": "hydra.run.dir", "out": "hydra.run.dir", "output_dir": "hydra.run.dir"}
+"""What a training calls the folder that other commands call --output."""
+
+
+def explain(name: str, value: str, known: Sequence[str], primary: str | None) -> str:
+    """Return the error for the option ``name``, which was typed with ``value``.
+
+    ``known`` are the subcommand's options; ``primary`` is what its overrides configure, if any.
+    """
+    key = name.lstrip("-").replace("-", "_")
+    found = list(_settings(key, primary)) if primary else []
+    if found:
+        shown = " or ".join(
+            shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found
+        )
+        return f"no such option: {name}; settings are written as {shown}"
+    options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
+    close = closest(name.lstrip("-"), options)
+    return f"no such option: {name}" + (f"; did you mean {options[close]!r}?" if close else "")
+
+
+def _settings(key: str, primary: str) -> Iterator[str]:
+    """Yield the paths that the word ``key`` may mean: a whole path, or the end of a few."""
+    from flipperctl import plugins
+    from flipperctl.cli import config_store
+    from flipperctl.cli.compose import compose_train
+    from flipperctl.config import EvalConfig
+    from flipperctl.config.describe import settings
+
+    if primary == "train" and key in _RUN_FOLDER:
+        yield _RUN_FOLDER[key]
+        return
+    plugins.load()
+    config_store.register_defaults()
+    (default,) = compose_train([])
+    sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
+    paths = [s.path for s in settings(default) if s.path.partition(".")[0] in sections]
+    section, dot, _ = key.partition(".")
+    if key in (*config_store.CHOICES, *paths) or (dot and section in sections):
+        yield key
+        return
+    ends = [path for path in paths if path.rpartition(".")[2] == key]
+    if len(ends) <= 3:
+        yield from ends

@@ -1,0 +1,130 @@
+"""Ctrl-C at any moment and a reader that goes away: no traceback, and the usual exit codes."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from flipperctl import entry
+from flipperctl.errors import ConfigError
+from tests.runtime.linear import write
+
+pytestmark = pytest.mark.slow
+
+PROGRAMS = {
+    "command": "from flipperctl.__main__ import main; main()",
+    "runtime": "from flipperctl.runtime.__main__ import main; main()",
+    "clock": "import runpy; runpy.run_module('flipperctl.bench.onnx_clock', run_name='__main__')",
+}
+
+
+def start(program: str, words: list[str], cwd: Path) -> subprocess.Popen[str]:
+    """Start a program as its console script does, and wait until the interpreter is ready."""
+    head = "import re, sys; sys.stderr.write('ready\\n'); sys.stderr.flush(); "
+    process = subprocess.Popen(
+        [sys.executable, "-c", head + PROGRAMS[program], *words],
+        cwd=cwd, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stderr is not None
+    assert process.stderr.readline() == "ready\n"
+    return process
+
+
+TRAIN = ["train", "train.decisions=100000", "train.workers=2"]
+EVAL = ["eval", "--controller", "okada", "terrain=stair", "--episodes", "1000"]
+
+
+@pytest.mark.parametrize("moment", [0.02, 0.05, 0.1, 0.2, 0.5, 1.5])
+@pytest.mark.parametrize("words", [["--help"], EVAL, TRAIN], ids=lambda words: words[0])
+def test_ctrl_c_at_any_moment_is_one_line(moment: float, words: list[str], tmp_path: Path) -> None:
+    if words == ["--help"] and moment > 0.2:
+        pytest.skip("it has ended")
+    process = start("command", words, tmp_path)
+    time.sleep(moment)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+    assert "Exception ignored" not in err
+    if words == ["--help"] and process.returncode == 0:
+        return  # it was quicker
+    assert process.returncode in (130, -signal.SIGINT), err
+    assert len(err.splitlines()) <= 2 + words.count("train"), err
+
+
+@pytest.mark.parametrize("moment", [0.02, 0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("program", ["runtime", "clock"])
+def test_ctrl_c_in_another_program_is_one_line(program: str, moment: float, tmp_path: Path) -> None:
+    words = [str(write(tmp_path / "p.onnx")), *(["1000000", "0"] if program == "clock" else [])]
+    process = start(program, words, tmp_path)
+    time.sleep(moment)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+    if program == "clock" or process.returncode != 0:
+        assert process.returncode in (130, -signal.SIGINT), err
+
+
+def test_an_error_that_a_library_made_of_ctrl_c_is_ctrl_c(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def library() -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise ImportError("this package is broken") from interrupt
+
+    def request() -> int:
+        try:
+            return library()
+        except ImportError as error:
+            raise ConfigError("not understood") from error
+
+    for program in (library, request):
+        with pytest.raises(SystemExit) as left:
+            entry.run(program)
+        assert left.value.code == 130
+        assert capsys.readouterr().err == "error: interrupted\n"
+
+
+def test_who_ignores_ctrl_c_goes_on_doing_so(tmp_path: Path) -> None:
+    nohup = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+    code = nohup + "from flipperctl.__main__ import main; main()"
+    process = subprocess.Popen([sys.executable, "-c", code, "inspect", "plugins"],
+                               cwd=tmp_path, stdout=subprocess.PIPE, text=True)  # fmt: skip
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "okada" in out
+
+
+READ = {
+    "plugins": ("command", ["inspect", "plugins"]),
+    "json": ("command", ["inspect", "plugins", "--json"]),
+    "help": ("command", ["--help"]),
+    "config": ("command", ["inspect", "config"]),
+    "cfg": ("command", ["train", "--cfg", "job"]),
+    "eval": ("command", [*EVAL[:-1], "1"]),
+    "eval json": ("command", [*EVAL[:-1], "1", "--json"]),
+    "conventions": ("command", ["inspect", "terrain", "stair"]),
+    "runtime": ("runtime", []),
+    "clock": ("clock", ["1000", "0"]),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_reader_that_goes_away_sees_no_traceback(name: str, tmp_path: Path) -> None:
+    program, words = READ[name]
+    if program != "command":
+        words = [str(write(tmp_path / "p.onnx")), *words]
+    process = start(program, words, tmp_path)
+    assert process.stdout is not None
+    process.stdout.close()  # before it writes, so that every write fails
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    assert "Traceback" not in err
+    assert "Exception ignored" not in err
+    assert "Broken pipe" not in err

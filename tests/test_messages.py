@@ -1,0 +1,54 @@
+"""Close matches: typical slips find the word that was meant, other words find nothing."""
+
+import pytest
+
+from flipperctl.api import registry
+from flipperctl.cli.main import COMMANDS
+from flipperctl.messages import close_match, closest
+
+PLUGINS = sorted(name for _, name in registry)
+SETTINGS = ["gamma", "learning_rate", "batch_size", "epsilon_decisions", "friction", "substep"]
+OPTIONS = ["checkpoint", "controller", "baseline", "episodes", "seed", "jobs", "output", "multirun"]
+WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        *(("stiar", "stair"), ("Stair", "stair"), ("stairs", "stair"), ("okado", "okada")),
+        *(
+            ("pich", "pitch"),
+            ("levl", "level"),
+            ("at_d3q", "at_d3qn"),
+            ("paper-step", "paper_step"),
+        ),
+        *(("gama", "gamma"), ("learning-rate", "learning_rate"), ("batchsize", "batch_size")),
+        *(
+            ("friktion", "friction"),
+            ("sub_step", "substep"),
+            ("epsilon_decision", "epsilon_decisions"),
+        ),
+        *(("controler", "controller"), ("chekpoint", "checkpoint"), ("episode", "episodes")),
+        *(("multi-run", "multirun"), ("trian", "train"), ("evaluate", "eval")),
+        *(("exprot", "export"), ("inspekt", "inspect"), ("out", "output"), ("sed", "seed")),
+    ],
+)
+def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
+    assert closest(typed, WORDS) == meant
+    assert close_match(typed, WORDS) == f"; did you mean {meant!r}?"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        *("none", "info", "resume", "foo", "x", "qwerty", "lr", "help", "config", "yes", "123"),
+        *("asdf", "model", "name", "nope", "hello", "verbose", "epochs", "tensorboard", ""),
+    ],
+)
+def test_another_word_finds_nothing(typed: str) -> None:
+    assert closest(typed, WORDS) is None
+    assert close_match(typed, WORDS) == ""
+
+
+def test_the_beginning_of_two_words_finds_neither() -> None:
+    assert closest("terr", ["terrain_one_long", "terrain_two_long"]) is None
