@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -45,11 +44,10 @@ class Actor:
         teacher = settings.teacher.controller
         self._teacher = None if teacher is None else PluginPolicy(teacher)
 
-    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
-        """Play one greedy episode for each seed; return their rows in the order of the seeds."""
+    def evaluate(self, weights: Weights, seed: int) -> Row:
+        """Play the greedy episode of a seed; return its row."""
         self._load(weights)
-        policy = TrainedPolicy(self._module.eval(), self._frames)
-        return [play(self._env, policy, seed) for seed in seeds]
+        return play(self._env, TrainedPolicy(self._module.eval(), self._frames), seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
@@ -100,9 +98,9 @@ class StartedActor:
         except FlipperctlError as error:
             self._actor = error
 
-    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+    def evaluate(self, weights: Weights, seed: int) -> Row:
         """Do as ``Actor.evaluate``, or raise the error of the start."""
-        return self._ready().evaluate(weights, seeds)
+        return self._ready().evaluate(weights, seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Do as ``Actor.play``, or raise the error of the start."""

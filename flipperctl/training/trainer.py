@@ -74,7 +74,7 @@ class Trainer:
         self._sample = generators["sample"]
         self.progress = Progress(ground.first_difficulty(config.terrain))
         self.episodes = EpisodeSource(
-            config, self.agent, self.progress, generators["explore"], self._report_lost
+            config, self.agent, self.progress, generators["explore"], self._report
         )
         self.validator = Validator(config, self.agent, env)
         self._saver = RunSaver(
@@ -85,28 +85,17 @@ class Trainer:
         self._recorder = TrainingRecorder(config, directory)
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Train until the budget is spent or ``stop``, called between episodes, returns True.
+        """Train until the budget is spent or ``stop`` returns True.
 
-        Returns the summary, which is also written to ``summary.json``.
+        ``stop`` is called between episodes, in validations, and while waiting for workers. Returns
+        the summary, which is also written to ``summary.json``.
         """
-        settings, progress = self.config.train, self.progress
         self._stopwatch.start()
         self._add_recorded()
         self._save_all(self._outstanding)
-        collector = self.episodes.start_collector(self._outstanding)
+        collector = self.episodes.start_collector(self._outstanding, stop)
         try:
-            while progress.decision < settings.decisions and not stop():
-                before = progress.decision
-                self._train_episode(collector)
-                validate = self._passed(before, settings.validate_every)
-                if validate:
-                    self._validate(collector)
-                if validate or self._passed(before, settings.checkpoint_every):
-                    self._save_all(collector.outstanding())
-            finished = progress.decision >= settings.decisions
-            last = self.validator.last
-            if finished and (last is None or last.decision != progress.decision):
-                self._validate(collector)
+            finished = self._train(collector, stop)
             self._save_all(collector.outstanding())
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
@@ -115,6 +104,35 @@ class Trainer:
             collector.close()
             for listener in self.listeners:
                 listener.close()
+
+    def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
+        """Train and validate; return whether the budget is spent, or False if stopped before.
+
+        A run that was stopped in a validation begins with it when it is resumed.
+        """
+        settings, progress = self.config.train, self.progress
+        while True:
+            if self._validation_due():
+                if not self._validate(collector):
+                    return False
+                self._save_all(collector.outstanding())
+            if progress.decision >= settings.decisions:
+                return True
+            if stop():
+                return False
+            before = progress.decision
+            self._train_episode(collector)
+            passed = progress.decision // settings.checkpoint_every
+            if passed > before // settings.checkpoint_every and not self._validation_due():
+                self._save_all(collector.outstanding())
+
+    def _validation_due(self) -> bool:
+        """Return whether the last validation lies before the newest multiple of the period."""
+        decision, settings, last = self.progress.decision, self.config.train, self.validator.last
+        validated_at = 0 if last is None else last.decision
+        if decision >= settings.decisions:
+            return last is None or validated_at != decision
+        return decision // settings.validate_every > validated_at // settings.validate_every
 
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a run that begins.
@@ -127,12 +145,11 @@ class Trainer:
         if begins and (found := read_teacher(self.config)) is not None:
             fill(self.replay, found, self.config)
 
-    def _passed(self, before: int, period: int) -> bool:
-        """Return whether a multiple of ``period`` was passed since the decision ``before``."""
-        return self.progress.decision // period > before // period
-
     def _train_episode(self, collector: Collector) -> None:
-        """Act and step in the collector, store and learn, until the episode or the budget ends."""
+        """Act and step in the collector, store and learn, until the episode or the budget ends.
+
+        Does nothing if the run is to stop before an episode arrives.
+        """
         ending: Row | None = None
         for step in collector.episode():
             ending = step.ending
@@ -142,7 +159,7 @@ class Trainer:
             self._learn()
             if self.progress.decision >= self.config.train.decisions:
                 break
-        if ending is None:  # the budget ended first
+        if ending is None:  # the budget ended first, or the run is to stop
             self.replay.drop_pending()
             self._recorder.drop()
         else:
@@ -181,14 +198,17 @@ class Trainer:
         for listener in self.listeners:
             listener.episode({**row, "lag": self.episodes.lag, **ending})
 
-    def _validate(self, collector: Collector) -> None:
+    def _validate(self, collector: Collector) -> bool:
+        """Validate the policy; return False if the run is to stop before the result is known."""
         found = self.validator.validate(collector, self.progress.decision)
+        if found is None:
+            return False
         means = found.model_dump(exclude={"decision"})
         for listener in self.listeners:
             listener.validation({**self._common_columns(), **means})
+        return True
 
-    def _report_lost(self, request: RolloutRequest) -> None:
-        text = f"a worker died and is replaced; its episode {request.episode} is dropped"
+    def _report(self, text: str) -> None:
         for listener in self.listeners:
             listener.note(text)
 
