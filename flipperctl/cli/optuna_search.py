@@ -75,8 +75,9 @@ def prepare(
     launcher: Launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
-    jobs = SweepLauncher(launcher, named=uses_default_naming(config))
-    return OptunaSearch(settings, jobs, Path(config.hydra.sweep.dir))
+    folder = Path(config.hydra.sweep.dir)
+    jobs = SweepLauncher(launcher, folder, named=uses_default_naming(config))
+    return OptunaSearch(settings, jobs, folder)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,8 +92,15 @@ class StartedActor:
     The start of a worker process cannot return an error to the main process; a call can.
     """
 
-    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it."""
+    def __init__(
+        self, config: dict[str, Any], plugin_paths: list[str], folder: str | None = None
+    ) -> None:
+        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it.
+
+        ``folder``: working directory of the learner, to which relative paths in ``config`` refer.
+        """
+        if folder is not None and Path(folder).is_dir():
+            os.chdir(folder)
         self._actor: Actor | FlipperctlError
         try:
             self._actor = Actor(config, plugin_paths)

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 from threading import Thread
 from typing import Any
 
@@ -63,7 +64,7 @@ class RayWorkers:
         self._starting: dict[Any, Any] = {}
         """Actor by the reference that is ready as soon as it has started."""
         for _ in range(settings.workers):
-            self._expect(actor.remote(config, plugin_paths))
+            self._expect(actor.remote(config, plugin_paths, str(Path.cwd())))
         self._changed_at, self._reported = time.monotonic(), 0
         self._waited = 0.0
         """Time of waiting since the last rollout [s]."""

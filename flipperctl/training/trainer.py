@@ -11,6 +11,7 @@ resumed from there with a larger budget therefore differs from one that began wi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -90,20 +91,19 @@ class Trainer:
         ``stop`` is called between episodes, in validations, and while waiting for workers. Returns
         the summary, which is also written to ``summary.json``.
         """
-        self._stopwatch.start()
-        self._add_recorded()
-        self._save_all(self._outstanding)
-        collector = self.episodes.start_collector(self._outstanding, stop)
-        try:
+        with ExitStack() as stack:
+            for listener in self.listeners:
+                stack.callback(listener.close)
+            self._stopwatch.start()
+            self._add_recorded()
+            self._save_all(self._outstanding)
+            collector = self.episodes.start_collector(self._outstanding, stop)
+            stack.callback(collector.close)
             finished = self._train(collector, stop)
             self._save_all(collector.outstanding())
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
             return summary
-        finally:
-            collector.close()
-            for listener in self.listeners:
-                listener.close()
 
     def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
         """Train and validate; return whether the budget is spent, or False if stopped before.
