@@ -21,7 +21,7 @@ from flipperctl.config import TrainConfig, parse
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import remove_partial
 from flipperctl.training import timing
-from flipperctl.training.recorded import EPISODES
+from flipperctl.training.recorder import EPISODES, PARTS
 
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
 TENSORBOARD, HYDRA = Path("tensorboard"), Path(".hydra")
@@ -112,6 +112,8 @@ def clear_leftovers(directory: Path) -> None:
     """Remove the partial files of a process that was killed while it wrote a file of the run."""
     for name in _WRITTEN:
         remove_partial(directory / name)
+    for part in (directory / PARTS).glob(".*.part"):
+        part.unlink()
 
 
 def discard(directory: Path) -> None:

@@ -35,7 +35,8 @@ from flipperctl.rollout.values import RolloutRequest, Step
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
-from flipperctl.training.recorded import TrainingRecorder, fill, read_teacher
+from flipperctl.training.recorded import fill, read_teacher
+from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
@@ -95,12 +96,15 @@ class Trainer:
             for listener in self.listeners:
                 stack.callback(listener.close)
             self._stopwatch.start()
-            self._add_recorded()
+            if not self.progress.decision:
+                self._recorder.restore(0)
+                self._add_recorded()
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop)
             stack.callback(collector.close)
             finished = self._train(collector, stop)
             self._save_all(collector.outstanding())
+            self._recorder.finish()
             summary = self.summary(finished)
             write_json(self.directory / "summary.json", summary)
             return summary
@@ -141,8 +145,7 @@ class Trainer:
             CheckpointError: their file is missing or damaged.
             ConfigError: they do not fit the training.
         """
-        begins = not self.replay.added and not self.progress.decision
-        if begins and (found := read_teacher(self.config)) is not None:
+        if not self.replay.added and (found := read_teacher(self.config)) is not None:
             fill(self.replay, found, self.config)
 
     def _train_episode(self, collector: Collector) -> None:
@@ -226,7 +229,7 @@ class Trainer:
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
 
-        The recorded episodes are written first, so that they are all those of the checkpoint.
+        New recorded episodes are written first, so that the checkpoint counts none that is missing.
         """
         self._recorder.save()
         self._saver.save(outstanding)
