@@ -4,28 +4,34 @@ from __future__ import annotations
 
 import csv
 import errno
+import glob
 import io
 import json
 import os
+import secrets
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import FlipperctlError, OutputError, WriteError
 
+_PART = ".part"
 _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace the content of ``path`` by ``data``, whole or not at all.
 
+    Of several processes that write at once, one that ends last wins. A process that is killed may
+    leave its partial file, whose name no other process uses; see ``remove_partial``.
+
     Raises:
         OutputError: the path cannot be written.
         WriteError: writing failed half way; an earlier file, if there is one, is kept.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_PART}")
     try:
-        with part.open("wb") as file:
+        with part.open("xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -33,6 +39,13 @@ def write_bytes(path: Path, data: bytes) -> None:
     except OSError as error:
         part.unlink(missing_ok=True) if path.parent.is_dir() else None
         raise failure(path, error, keeps_old=path.exists()) from error
+
+
+def remove_partial(path: Path) -> None:
+    """Remove the partial files of killed processes; no other process may be writing ``path``."""
+    for part in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
+        part.unlink(missing_ok=True)
+    path.with_name(f".{path.name}{_PART}").unlink(missing_ok=True)  # of an earlier version
 
 
 def write_json(path: Path, document: Any) -> None:

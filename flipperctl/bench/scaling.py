@@ -106,7 +106,7 @@ class WorkersCollector:
         while done < decisions or workers.outstanding():
             while done < decisions and len(workers.outstanding()) < workers.capacity:
                 workers.send(self._request())
-            _, played = workers.take()
+            _, played = workers.take(lambda: False) or (None, None)
             done += 0 if played is None else len(played.actions)
         return done
 
@@ -123,7 +123,8 @@ def process_collector(config: TrainConfig, workers: int) -> Collector:
 
 def ray_collector(config: TrainConfig, workers: int) -> Collector:
     """Return a collector with ``collector=ray`` on a local cluster for all contestants."""
-    from flipperctl.rollout.ray_workers import RayWorkers, start_local
+    from flipperctl.rollout.ray_cluster import start_local
+    from flipperctl.rollout.ray_workers import RayWorkers
 
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)

@@ -9,8 +9,10 @@ needs Optuna 2, whose storage fails with SQLAlchemy 2, and repeats every trial a
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +28,8 @@ from flipperctl.cli.comparison import compare, job_result
 from flipperctl.cli.search import SearchSettings, search_space
 from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
 from flipperctl.cli.training import quote_path
+from flipperctl.cli.trial_owner import claim, signs_of_life
+from flipperctl.cli.trials import FAILED, fail_abandoned, finished, running, stop, suggest
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -40,10 +44,10 @@ from flipperctl.training.lock import hold
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import FrozenTrial, Trial
+    from optuna.trial import Trial
 
-_FAILED = "failed"  # marks a trial whose training failed; Optuna's FAIL also marks interrupted ones
-
+_POLL = 1.0
+"""Time between two looks at the trials of other searches [s]."""
 _MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
 """Name and value of a study's attribute: the θ̂_R in its objective; earlier versions wrote none."""
 
@@ -75,16 +79,18 @@ def prepare(
     launcher: Launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
-    jobs = SweepLauncher(launcher, named=uses_default_naming(config))
-    return OptunaSearch(settings, jobs, Path(config.hydra.sweep.dir))
+    folder = Path(config.hydra.sweep.dir)
+    jobs = SweepLauncher(launcher, folder, named=uses_default_naming(config))
+    return OptunaSearch(settings, jobs, folder)
 
 
 @dataclass(frozen=True)
 class OptunaSearch:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
 
-    The proposals depend only on the seed and the finished trials, so a resumed search has the same
-    results as an uninterrupted one.
+    The proposals of one search depend only on the seed and the finished trials, so a resumed search
+    has the same results as an uninterrupted one. Several searches may share a study, each in a
+    folder of its own.
     """
 
     settings: SearchSettings
@@ -111,28 +117,86 @@ class OptunaSearch:
     def _search(
         self, study: Study, space: dict[str, BaseDistribution], fixed: Sequence[str]
     ) -> None:
-        for trial in study.get_trials(deepcopy=False):
-            if not trial.state.is_finished():  # of a process that was killed
-                _stop(study, trial.number)
-        if known := len(_finished(study)):
+        if known := len(finished(study)):
             _print_message(f"the study {study.study_name!r} has {known} finished trials already")
-        while (count := len(_finished(study))) < self.settings.n_trials:
-            study.sampler = self._sampler(count)
-            size = min(self.settings.n_jobs, self.settings.n_trials - count)
-            trials = [study.ask(space) for _ in range(size)]
-            jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
-            returns = self.jobs.launch(jobs, initial_job_idx=trials[0].number)
-            self._record_results(study, trials, returns)
+        awaited = 0
+        while (count := len(finished(study))) < self.settings.n_trials:
+            fail_abandoned(study)
+            others = len(running(study))
+            size = min(self.settings.n_jobs, self.settings.n_trials - count - others)
+            if size <= 0:
+                if others != awaited:
+                    _print_message(f"waiting for {others} trials of another search")
+                awaited = others
+                time.sleep(_POLL)
+                continue
+            asked = [self._ask(study, space) for _ in range(size)]
+            trials = [trial for trial in asked if trial is not None]
+            if trials:
+                self._train(study, trials, fixed)
+
+    def _ask(self, study: Study, space: dict[str, BaseDistribution]) -> Trial | None:
+        """Return a new trial of this process; None if others have begun the last ones meanwhile.
+
+        The seed of its proposal is its place among the trials that count or run, so that an
+        interrupted trial is sampled again, and no two searches propose the same.
+        """
+        trial = study.ask()
+        claim(trial)
+        place = sum(t.number < trial.number for t in [*finished(study), *running(study)])
+        if place >= self.settings.n_trials:
+            stop(study, trial.number)
+            return None
+        study.sampler = self._sampler(place)
+        for name, distribution in space.items():
+            suggest(trial, name, distribution)
+        return trial
+
+    def _train(self, study: Study, trials: Sequence[Trial], fixed: Sequence[str]) -> None:
+        jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
+        try:
+            with signs_of_life(trials):
+                returns = self._launch(jobs, [trial.number for trial in trials])
+        except BaseException:
+            for trial in trials:
+                stop(study, trial.number)
+            raise
+        self._record_results(study, trials, returns)
+
+    def _launch(self, jobs: Sequence[Sequence[str]], numbers: Sequence[int]) -> list[JobReturn]:
+        """Train the jobs, side by side as far as their numbers follow each other.
+
+        A launcher numbers its jobs in sequence, and another search may have taken one in between.
+        """
+        returns: list[JobReturn] = []
+        begin = 0
+        for end in range(1, len(jobs) + 1):
+            if end < len(jobs) and numbers[end] == numbers[end - 1] + 1:
+                continue
+            returns += self.jobs.launch(jobs[begin:end], initial_job_idx=numbers[begin])
+            if len(returns) < end:  # interrupted
+                break
+            begin = end
+        return returns
 
     def _study(self, arguments: Sequence[str]) -> Study:
         import optuna
         from sqlalchemy.exc import SQLAlchemyError
 
         name, storage = self.settings.study_name, self.settings.storage
+        create = partial(
+            optuna.create_study,
+            storage=storage,
+            study_name=name,
+            direction="maximize",
+            load_if_exists=True,
+        )
         try:
-            study = optuna.create_study(
-                storage=storage, study_name=name, direction="maximize", load_if_exists=True
-            )
+            try:
+                study = create()
+            except SQLAlchemyError:  # another search may be creating the tables
+                time.sleep(_POLL)
+                study = create()
         except (SQLAlchemyError, ImportError, ValueError) as error:
             reason = " ".join(str(error).split("\n(Background")[0].split())
             raise ConfigError(
@@ -146,7 +210,7 @@ class OptunaSearch:
                 f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
                 f"{' '.join(searched)}; give the same overrides, or another study_name"
             )
-        if study.user_attrs.get(_MEASURE) != _AT_100_HZ and _finished(study):
+        if study.user_attrs.get(_MEASURE) != _AT_100_HZ and finished(study):
             raise ConfigError(
                 f"hydra.sweeper.study_name: the trials of the study {name!r} in {storage} are "
                 "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
@@ -170,10 +234,10 @@ class OptunaSearch:
             for trial, job in zip(trials, returns, strict=False)  # fewer after an interrupt
         ]
         for trial in trials[len(returns) :]:
-            _stop(study, trial.number)
+            stop(study, trial.number)
         for problem in filter(None, problems):
             if self.settings.storage and isinstance(problem, InterruptedRunError):
-                done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
+                done = f"{len(finished(study))} of {self.settings.n_trials} trials are finished"
                 raise InterruptedRunError(
                     f"interrupted; {done}. The same command resumes the search"
                 ) from problem
@@ -181,19 +245,28 @@ class OptunaSearch:
 
     def _record_result(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""
+        from optuna.exceptions import UpdateFinishedTrialError
+
+        try:
+            return self._tell(study, trial, job)
+        except UpdateFinishedTrialError:  # this process had given no sign of life for long
+            _print_message(f"trial {trial.number} is lost: another search has closed it")
+            return None
+
+    def _tell(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
         from optuna.trial import TrialState
 
         value, error = job_result(job)
         if error is not None:
             if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
-                trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
+                trial.set_user_attr(FAILED, True)  # a result: these settings do not work
                 study.tell(trial, state=TrialState.FAIL)
                 _print_message(f"trial {trial.number} failed: {error}")
                 return None
-            _stop(study, trial.number)
+            stop(study, trial.number)
             return error
         if value is None:
-            _stop(study, trial.number)
+            stop(study, trial.number)
             return RequestError("train.validate_every: a search needs a validation in each run")
         composed: Any = job.hydra_cfg
         trial.set_user_attr("run", str(composed.hydra.runtime.output_dir))
@@ -206,7 +279,7 @@ class OptunaSearch:
         return None
 
     def _conclude(self, study: Study) -> None:
-        if not any(trial.value is not None for trial in _finished(study)):
+        if not any(trial.value is not None for trial in finished(study)):
             raise FlipperctlError("every trial of the search failed; see the messages above")
         best = study.best_trial
         results = {
@@ -218,25 +291,9 @@ class OptunaSearch:
         OmegaConf.save(OmegaConf.create(results), self.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         _print_message(
-            f"\nBest of {len(_finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
+            f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
             f"Evaluate: flipperctl eval --checkpoint {quote_path(Path(best.user_attrs['run']))}"
         )
-
-
-def _finished(study: Study) -> list[FrozenTrial]:
-    """Return the trials that count: those trained to the end, and those whose training failed."""
-    return [
-        trial
-        for trial in study.get_trials(deepcopy=False)
-        if trial.value is not None or _FAILED in trial.user_attrs
-    ]
-
-
-def _stop(study: Study, number: int) -> None:
-    """Close a trial that was killed or interrupted; it does not count and is sampled again."""
-    from optuna.trial import TrialState
-
-    study.tell(number, state=TrialState.FAIL)
 
 
 def _print_message(text: str) -> None:

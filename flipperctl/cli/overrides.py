@@ -117,7 +117,12 @@ def check_words(overrides: Sequence[str]) -> None:
     check_once(overrides)
 
 
+def literal_override(key: str, value: str) -> str:
+    """Return an override whose value Hydra takes literally."""
+    escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
+    return f'{key}="{escaped}"'
+
+
 def quote_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes literally, quoted for the shell as well."""
-    escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
-    return shlex.quote(f'{key}="{escaped}"')
+    return shlex.quote(literal_override(key, value))

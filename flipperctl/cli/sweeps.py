@@ -16,8 +16,9 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
+from flipperctl.cli import ray_launcher
 from flipperctl.cli.comparison import SweepRun, compare, sweep_run
-from flipperctl.cli.overrides import parse_overrides
+from flipperctl.cli.overrides import literal_override, parse_overrides
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import make_folder
 from flipperctl.training.lock import hold
@@ -55,9 +56,11 @@ def uses_default_naming(config: DictConfig) -> bool:
 class SweepLauncher:
     """Hydra's launcher with named folders; it keeps the results of the jobs."""
 
-    def __init__(self, launcher: Launcher, *, named: bool) -> None:
-        """``named`` says whether the folders are named after the swept values."""
+    def __init__(self, launcher: Launcher, folder: Path, *, named: bool) -> None:
+        """``folder``: that of the sweep; ``named``: whether runs are named after swept values."""
         self._launcher, self._named = launcher, named
+        # A worker of a running cluster has another working directory.
+        self._folder = literal_override("hydra.sweep.dir", str(folder.absolute()))
         self.swept: list[str] = []
         """Keys that the sweep varies."""
         self.runs: list[SweepRun] = []
@@ -81,12 +84,14 @@ class SweepLauncher:
 
     def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
         swept = [self._swept_values(job) for job in jobs]
+        jobs = [[*job, self._folder] for job in jobs]
         if self._named and self.swept:
             names = [folder_name(first + i, values) for i, values in enumerate(swept)]
             jobs = [
                 [*job, f"hydra.sweep.subdir='{name}'"]
                 for job, name in zip(jobs, names, strict=True)
             ]
+        ray_launcher.connect(self._launcher)
         returns = self._launcher.launch(jobs, initial_job_idx=first)
         self.runs += [
             sweep_run(job, first + i, values)
@@ -118,7 +123,9 @@ class ListSweep:
         self._sweeper = cast("Any", BasicSweeper(**settings))
         self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
         self._folder = Path(str(config.hydra.sweep.dir))
-        self._jobs = SweepLauncher(self._sweeper.launcher, named=uses_default_naming(config))
+        self._jobs = SweepLauncher(
+            self._sweeper.launcher, self._folder, named=uses_default_naming(config)
+        )
         self._sweeper.launcher = _RaisingLauncher(self._jobs)
 
     def run(self, arguments: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -99,10 +100,13 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     _check(overrides, compose=check)
     checked = check and _plain(overrides)
     errors: list[BaseException] = []
-    paths = loader.configured_paths()  # a worker on a running cluster has another environment
+    # A worker on a running cluster has another environment and another working directory.
+    paths, here = loader.configured_paths(), Path.cwd()
 
     def task(composed: Any) -> float | None:
         try:
+            if not HydraConfig.get().job.chdir and here.is_dir():
+                os.chdir(here)
             return _task(composed, paths, checked=checked)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
@@ -222,11 +226,12 @@ def _keep_hydra_files(composed: Any, directory: Path) -> None:
     from omegaconf import OmegaConf
 
     from flipperctl.files import make_folder, write_bytes
+    from flipperctl.training import run_folder
 
     hydra = HydraConfig.get()
     if hydra.output_subdir is not None:
         return  # the user asked for them, and Hydra wrote them
-    folder = make_folder(directory / ".hydra")
+    folder = make_folder(directory / run_folder.HYDRA)
     documents = {
         "config": composed,
         "hydra": OmegaConf.create({"hydra": OmegaConf.to_container(hydra)}),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,7 +18,13 @@ from flipperctl.cli.notices import print_notices
 from flipperctl.cli.progress import progress
 from flipperctl.cli.swing import swing_text
 from flipperctl.config import TrainConfig, container, with_overrides
-from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
+from flipperctl.errors import (
+    FlipperctlError,
+    InterruptedRunError,
+    OutputError,
+    RequestError,
+    WriteError,
+)
 from flipperctl.files import make_folder, write_bytes
 from flipperctl.training import run_folder
 from flipperctl.training.closing import open_all
@@ -37,19 +43,29 @@ def start(
     Raises:
         RunHeldError: another process is training in it.
         OutputError: it already holds a run.
+        RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
-    with hold(directory):
-        if run_folder.holds_run(directory):
-            raise OutputError(
-                f"{directory} already holds a run; resume it with: flipperctl train --resume "
-                f"{quote_path(directory)}, or choose another hydra.run.dir"
-            )
-        run_folder.clear_leftovers(directory)
-        trainer = Trainer(config, directory)
-        make_folder(directory / checkpoint.BEST.parent)
-        keep_more()
-        return _train(trainer, None)
+    try:
+        with hold(directory):
+            if run_folder.holds_run(directory):
+                raise OutputError(
+                    f"{directory} already holds a run; resume it with: flipperctl train --resume "
+                    f"{quote_path(directory)}, or choose another hydra.run.dir"
+                )
+            run_folder.clear_leftovers(directory)
+            trainer = Trainer(config, directory)
+            make_folder(directory / checkpoint.BEST.parent)
+            keep_more()
+            try:
+                return _train(trainer, None)
+            except RequestError:
+                if trainer.progress.decision == 0:  # the corrected request may have the directory
+                    run_folder.discard(directory)
+                raise
+    finally:
+        with contextlib.suppress(OSError):  # it holds files
+            directory.rmdir()
 
 
 def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
@@ -97,7 +113,7 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     trainer.listeners += open_all(
         [
             lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
-            lambda: TensorBoard(directory / "tensorboard", resume_at),
+            lambda: TensorBoard(directory / run_folder.TENSORBOARD, resume_at),
             lambda: progress(config.train.decisions, trainer.progress.decision),
         ]
     )
@@ -135,7 +151,7 @@ def quote_path(directory: Path) -> str:
     return shlex.quote(str(short))
 
 
-@contextmanager
+@contextlib.contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C was pressed or SIGTERM was sent.
 

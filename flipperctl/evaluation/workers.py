@@ -1,6 +1,7 @@
 """Worker processes of an evaluation, which play the episodes of one policy after the other.
 
-In: an environment configuration and a policy's source. Out: one result per episode, in order.
+In: an environment configuration and a policy's source. Out: one result per episode, in order. A
+worker takes the next episode as soon as it is free.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import itertools
 import logging
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -19,7 +21,7 @@ from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
+from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 
 _log = logging.getLogger(__name__)
 
@@ -83,12 +85,11 @@ class EpisodeWorkers:
             self._pool = None
 
 
-def _result(pool: WorkerPool, task: _Task, job: PendingCall, index: int) -> EpisodeResult:
+def _result(pool: WorkerPool, task: _Task, job: Future[EpisodeResult], index: int) -> EpisodeResult:
     """Wait for an episode; play it again if its worker died, since equal seeds repeat it."""
     for _ in range(pool.count + 2):  # all may have died at once
         try:
-            result: EpisodeResult = pool.result(job)
-            return result
+            return job.result()
         except WorkerDiedError:
             _log.warning("a worker died and is replaced; episode %d is played again", index)
             job = pool.submit(_play_in_worker, task, index)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,11 +46,10 @@ class Actor:
         teacher = settings.teacher.controller
         self._teacher = None if teacher is None else PluginPolicy(teacher)
 
-    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
-        """Play one greedy episode for each seed; return their rows in the order of the seeds."""
+    def evaluate(self, weights: Weights, seed: int) -> Row:
+        """Play the greedy episode of a seed; return its row."""
         self._load(weights)
-        policy = TrainedPolicy(self._module.eval(), self._frames)
-        return [play(self._env, policy, seed) for seed in seeds]
+        return play(self._env, TrainedPolicy(self._module.eval(), self._frames), seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
@@ -92,17 +92,24 @@ class StartedActor:
     The start of a worker process cannot return an error to the main process; a call can.
     """
 
-    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it."""
+    def __init__(
+        self, config: dict[str, Any], plugin_paths: list[str], folder: str | None = None
+    ) -> None:
+        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it.
+
+        ``folder``: working directory of the learner, to which relative paths in ``config`` refer.
+        """
+        if folder is not None and Path(folder).is_dir():
+            os.chdir(folder)
         self._actor: Actor | FlipperctlError
         try:
             self._actor = Actor(config, plugin_paths)
         except FlipperctlError as error:
             self._actor = error
 
-    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Row]:
+    def evaluate(self, weights: Weights, seed: int) -> Row:
         """Do as ``Actor.evaluate``, or raise the error of the start."""
-        return self._ready().evaluate(weights, seeds)
+        return self._ready().evaluate(weights, seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Do as ``Actor.play``, or raise the error of the start."""

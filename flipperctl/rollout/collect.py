@@ -8,6 +8,7 @@ episodes, so that acting and learning go on at the same time (``train.mode=fast`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from typing import Protocol
 
 from flipperctl.agent.frames import stacked
@@ -15,12 +16,14 @@ from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.episode import Row, decisions
+from flipperctl.rollout.pool import WorkerDiedError
 from flipperctl.rollout.values import (
-    EvaluateHere,
-    PendingEvaluation,
+    POLL,
+    PlayHere,
     Rollout,
     RolloutRequest,
     Step,
+    Stop,
     Weights,
 )
 
@@ -29,12 +32,15 @@ class Collector(Protocol):
     """A source of episodes."""
 
     def episode(self) -> Iterator[Step]:
-        """Yield the steps of one episode, to its end."""
+        """Yield the steps of one episode, to its end; none if the run is to stop before it."""
 
     def evaluate(
-        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
-    ) -> list[Row]:
-        """Play one greedy episode for each seed; ``evaluate_here`` does so in this process."""
+        self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
+    ) -> list[Row] | None:
+        """Play one greedy episode for each seed, in this process with ``play_here``.
+
+        Returns the rows in the order of the seeds; None if the run is to stop before the last.
+        """
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests whose episodes have not been collected yet, oldest first."""
@@ -46,19 +52,25 @@ class Collector(Protocol):
 class RolloutWorkers(Protocol):
     """Workers that play the episodes that they are requested to play."""
 
-    count: int
-    """Number of workers."""
-    capacity: int
-    """Number of requests that keeps all workers busy."""
+    @property
+    def capacity(self) -> int:
+        """Number of requests that keeps all workers busy."""
 
     def send(self, request: RolloutRequest) -> None:
         """Send a request; does not wait."""
 
-    def take(self) -> tuple[RolloutRequest, Rollout | None]:
-        """Wait for a request and return it with its rollout, or with None if its worker died."""
+    def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
+        """Wait for a request and return it with its rollout, or with None if its worker died.
 
-    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
-        """Send each worker one part of the seeds; does not wait."""
+        Returns None alone, and keeps the request, if the run is to stop before a rollout arrives.
+        """
+
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
+        """Request one greedy episode for each seed, which free workers play; does not wait.
+
+        The future of an episode that no worker has begun can be cancelled. One whose worker died
+        raises ``WorkerDiedError``.
+        """
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent and not yet taken, oldest first."""
@@ -77,12 +89,14 @@ class InProcessCollector:
         next_seed: Callable[[], int],
         difficulty: Callable[[], float] = lambda: 1.0,
         frames: int = 1,
+        stop: Stop = lambda: False,
     ) -> None:
         """``next_seed`` and ``difficulty`` are called before each episode.
 
-        ``frames``: number of observations that the network takes as one input.
+        ``frames``: number of observations that the network takes as one input. ``stop`` ends an
+        evaluation between two episodes.
         """
-        self._env, self._policy, self._frames = env, policy, frames
+        self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
@@ -96,10 +110,15 @@ class InProcessCollector:
             yield Step(observation, d.action, d.reward, next_observation, ending, label)
 
     def evaluate(
-        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
-    ) -> list[Row]:
-        """Play all episodes in this process."""
-        return evaluate_here(seeds)
+        self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
+    ) -> list[Row] | None:
+        """Play all episodes in this process; return None if the run is to stop before the last."""
+        rows = []
+        for seed in seeds:
+            if self._stop():
+                return None
+            rows.append(play_here(seed))
+        return rows
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return an empty list: nothing is requested ahead of its use."""
@@ -118,14 +137,15 @@ class AsyncCollector:
         next_request: Callable[[], RolloutRequest],
         on_lost: Callable[[RolloutRequest], None],
         accept: Callable[[RolloutRequest], bool],
+        stop: Stop = lambda: False,
     ) -> None:
         """``next_request`` makes the request of the next episode.
 
         ``on_lost`` is called with each request whose worker died; ``accept`` returns whether the
-        rollout of a request is still used, or dropped.
+        rollout of a request is still used, or dropped. ``stop`` ends any wait for workers.
         """
         self._workers, self._next_request = workers, next_request
-        self._on_lost, self._accept = on_lost, accept
+        self._on_lost, self._accept, self._stop = on_lost, accept, stop
 
     def resume(self, requests: Sequence[RolloutRequest]) -> None:
         """Send the requests again that were outstanding when the run was saved."""
@@ -133,12 +153,15 @@ class AsyncCollector:
             self._workers.send(request)
 
     def episode(self) -> Iterator[Step]:
-        """Yield the steps of the next episode that the workers return."""
+        """Yield the steps of the next episode that the workers return; none if the run stops."""
         workers = self._workers
         while True:
             while len(workers.outstanding()) < workers.capacity:
                 workers.send(self._next_request())
-            request, rollout = workers.take()
+            taken = workers.take(self._stop)
+            if taken is None:
+                return
+            request, rollout = taken
             if rollout is None:
                 self._on_lost(request)
             elif self._accept(request):
@@ -146,18 +169,34 @@ class AsyncCollector:
         yield from rollout.steps()
 
     def evaluate(
-        self, weights: Weights, seeds: Sequence[int], evaluate_here: EvaluateHere
-    ) -> list[Row]:
-        """Divide the episodes evenly among the workers and this process."""
-        count = self._workers.count + 1
-        parts = [seeds[start::count] for start in range(count)]
-        pending = self._workers.evaluate(weights, parts[1:])
-        rows = evaluate_here(parts[0])
-        for part, wait in zip(parts[1:], pending, strict=True):
-            received = wait()
-            rows += evaluate_here(part) if received is None else received
-        place = {seed: index for index, seed in enumerate(seeds)}
-        return sorted(rows, key=lambda row: place[row["seed"]])
+        self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
+    ) -> list[Row] | None:
+        """Let whoever is free play the next episode: workers from the first, this from the last.
+
+        Returns the rows in the order of the seeds; None if the run is to stop before the last.
+        """
+        futures = self._workers.evaluate(weights, seeds)
+        rows: list[Row] = []
+        for future, seed in zip(reversed(futures), reversed(seeds), strict=True):
+            row = self._row(future, seed, play_here)
+            if row is None:
+                for other in futures:
+                    other.cancel()
+                return None
+            rows.insert(0, row)
+        return rows
+
+    def _row(self, future: Future[Row], seed: int, play_here: PlayHere) -> Row | None:
+        """Return the row of an episode, played here if no worker has begun it; None to stop."""
+        if not self._stop() and future.cancel():
+            return play_here(seed)
+        while not wait([future], POLL).done:
+            if self._stop():
+                return None
+        try:
+            return future.result()
+        except WorkerDiedError:
+            return play_here(seed)
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that the workers have not played yet, oldest first."""

@@ -1,7 +1,9 @@
 """A pool of worker processes that replaces those that die.
 
-In: functions and their arguments. Out: what the functions return. Each worker is a process pool of
-one from the standard library, so a process that dies ends nothing but the call that it works on.
+In: functions and their arguments. Out: futures of what the functions return. Calls wait in one
+queue, from which each worker takes the next as soon as it is free, so that a long call holds up no
+other. Each worker is a process pool of one from the standard library, so a process that dies ends
+nothing but the call that it works on.
 """
 
 from __future__ import annotations
@@ -11,12 +13,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from queue import LifoQueue
 from typing import Any
 
 from flipperctl.errors import FlipperctlError
@@ -24,26 +25,18 @@ from flipperctl.errors import FlipperctlError
 _ACTOR = "flipperctl.rollout.actor"
 _STOPS = (signal.SIGINT, signal.SIGTERM)
 _MAX_DEATHS = 3
-"""Deaths of a worker, without a result in between, after which the pool fails."""
+"""Deaths of a worker, without a result in between, after which its calls fail."""
 
 
 class WorkerDiedError(FlipperctlError):
     """The process that worked on a call died."""
 
 
-@dataclass
-class PendingCall:
-    """A function call that was submitted to a worker."""
-
-    worker: int
-    """Index of the worker."""
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    future: Future[Any]
-
-
 class WorkerPool:
-    """``count`` processes, each initialised by ``initializer(*arguments)``."""
+    """``count`` processes, each initialised by ``initializer(*arguments)``.
+
+    A process starts with the first call that finds no other one free.
+    """
 
     def __init__(
         self, count: int, initializer: Callable[..., None], arguments: tuple[Any, ...]
@@ -52,86 +45,111 @@ class WorkerPool:
         # A fork server imports torch once for all workers; for one worker it would only add to
         # the memory.
         several = count > 1 and "forkserver" in multiprocessing.get_all_start_methods()
-        self._context = multiprocessing.get_context("forkserver" if several else "spawn")
+        context = multiprocessing.get_context("forkserver" if several else "spawn")
         known = multiprocessing.get_all_start_methods()
         if multiprocessing.get_start_method(allow_none=True) not in (None, *known):
             # A worker of joblib has a start method of its own, which its children do not know.
             multiprocessing.set_start_method("spawn", force=True)
         if several:
-            self._context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
-        self._initializer = (initializer, arguments)
-        self._executors = [self._executor() for _ in range(count)]
-        self._deaths = [0] * count
-        self._calls: list[deque[PendingCall]] = [deque() for _ in range(count)]
+            context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
 
-    def _executor(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(1, self._context, _initialize_process, self._initializer)
+        def create() -> ProcessPoolExecutor:
+            return ProcessPoolExecutor(1, context, _initialize_process, (initializer, arguments))
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> PendingCall:
-        """Call ``function(*arguments)`` in the worker with the fewest pending calls."""
-        worker = min(range(self.count), key=lambda index: len(self._calls[index]))
-        future = self._submit_to(worker, function, arguments)
-        call = PendingCall(worker, function, arguments, future)
-        self._calls[worker].append(call)
-        return call
+        self._workers = [_Worker(number, create) for number in range(count)]
+        self._idle: LifoQueue[_Worker] = LifoQueue()
+        for worker in reversed(self._workers):
+            self._idle.put(worker)
+        self._threads = ThreadPoolExecutor(count)  # one waits for each process
 
-    def _submit_to(
-        self, worker: int, function: Callable[..., Any], arguments: tuple[Any, ...]
-    ) -> Future[Any]:
-        try:
-            with _holding_stops():
-                return self._executors[worker].submit(function, *arguments)
-        except BrokenProcessPool as error:  # the process died after its last call
-            failed: Future[Any] = Future()
-            failed.set_exception(error)
-            return failed
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Queue the call ``function(*arguments)``; return its future.
 
-    def result(self, call: PendingCall) -> Any:
-        """Wait for a call and return what its function returned.
+        Calls begin in their order; one that has not begun can be cancelled. The result of the
+        future may raise:
 
-        Raises:
-            WorkerDiedError: the process of the call died; a new one has taken its place and runs
-                the calls that were submitted after this one.
-            FlipperctlError: the process has died too often.
+            WorkerDiedError: the process of the call died; a new one takes the next call.
+            FlipperctlError: the processes of a worker died too often.
         """
-        try:
-            value = call.future.result()
-        except BrokenProcessPool as error:
-            self._replace(call)
-            raise WorkerDiedError(f"worker process {call.worker} died") from error
-        finally:
-            self._calls[call.worker].remove(call)
-        self._deaths[call.worker] = 0
-        return value
+        return self._threads.submit(self._run, function, arguments)
 
-    def _replace(self, call: PendingCall) -> None:
-        """Replace the process that died during ``call``; submit its other calls again."""
-        worker = call.worker
-        self._deaths[worker] += 1
-        if self._deaths[worker] >= _MAX_DEATHS:
-            raise FlipperctlError(
-                f"worker process {worker} died {_MAX_DEATHS} times in a row, the last time in "
-                "its first job; is the memory full?"
-            )
-        self._executors[worker].shutdown(wait=False)
-        self._executors[worker] = self._executor()
-        for other in self._calls[worker]:
-            if other is not call and (not other.future.done() or other.future.exception()):
-                other.future = self._submit_to(worker, other.function, other.arguments)
+    def _run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        worker = self._idle.get()
+        try:
+            return worker.run(function, arguments)
+        finally:
+            self._idle.put(worker)
 
     def process_ids(self) -> list[int]:
         """Return the process identifiers of the workers that run."""
-        return [pid for executor in self._executors for pid in (executor._processes or {})]
+        return [pid for worker in self._workers for pid in worker.process_ids()]
 
     def close(self) -> None:
-        """Stop all processes, each after the call that it works on."""
-        for executor in self._executors:
-            executor.shutdown(wait=True, cancel_futures=True)
+        """Stop all processes at once; calls that have not ended are lost."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers:
+            worker.close()
+        self._threads.shutdown()
+
+
+class _Worker:
+    """A process that runs one call after the other, and its successors."""
+
+    _starting = threading.Lock()  # processes are started one at a time
+
+    def __init__(self, number: int, create: Callable[[], ProcessPoolExecutor]) -> None:
+        self._number, self._create = number, create
+        self._executor = create()
+        self._deaths = 0
+        self._busy = self._closed = False
+
+    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """Call ``function`` in the process; raise as described in ``WorkerPool.submit``."""
+        try:
+            value = self._submit(function, arguments).result()
+        except BrokenProcessPool as error:
+            self._deaths += 1
+            if self._deaths >= _MAX_DEATHS:
+                raise FlipperctlError(
+                    f"worker process {self._number} died {_MAX_DEATHS} times in a row, the last "
+                    "time in its first job; is the memory full?"
+                ) from error
+            raise WorkerDiedError(f"worker process {self._number} died") from error
+        finally:
+            self._busy = False
+        self._deaths = 0
+        return value
+
+    def _submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
+        """Send the call to the process, or to a new one if it has died since its last call."""
+        with self._starting, _blocked_stops():
+            if self._closed:
+                raise WorkerDiedError(f"worker process {self._number} was stopped")
+            self._busy = True
+            try:
+                return self._executor.submit(function, *arguments)
+            except BrokenProcessPool:
+                self._executor.shutdown(wait=False)
+                self._executor = self._create()
+                return self._executor.submit(function, *arguments)
+
+    def process_ids(self) -> list[int]:
+        """Return the identifier of the process, if it has started."""
+        return list(self._executor._processes or {})
+
+    def close(self) -> None:
+        """Stop the process, in the middle of a call if it works on one."""
+        with self._starting:
+            self._closed = True
+        if self._busy:
+            for process in list((self._executor._processes or {}).values()):
+                process.kill()
+        self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextlib.contextmanager
-def _holding_stops() -> Iterator[None]:
-    """Hold back what stops a run while a process is started.
+def _blocked_stops() -> Iterator[None]:
+    """Block SIGINT and SIGTERM while a worker starts.
 
     The process inherits that, and its imports are not interrupted: Ctrl-C in a terminal reaches
     every process of the run.

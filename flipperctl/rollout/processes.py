@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Future, wait
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,8 +16,8 @@ from typing import Any
 from safetensors.numpy import load_file, save_file
 
 from flipperctl.rollout.episode import Row
-from flipperctl.rollout.pool import PendingCall, WorkerDiedError, WorkerPool
-from flipperctl.rollout.values import PendingEvaluation, Rollout, RolloutRequest, Weights
+from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
+from flipperctl.rollout.values import POLL, Rollout, RolloutRequest, Stop, Weights
 
 
 class ProcessWorkers:
@@ -25,28 +25,34 @@ class ProcessWorkers:
 
     def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
         """``config``: the container of a ``TrainConfig``."""
-        self.count = count
         self.capacity = 2 * count  # each worker plays one request while another waits
         self._pool = WorkerPool(count, _create_actor, (config, plugin_paths))
-        self._sent: deque[tuple[RolloutRequest, PendingCall]] = deque()
+        self._sent: deque[tuple[RolloutRequest, Future[Rollout]]] = deque()
         # Weights go through files: a pool whose process dies while a long message to it is under
         # way would hold up the interpreter's exit (CPython issue 94777, before Python 3.12).
         self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
         self._files: dict[int, Path] = {}
 
     def send(self, request: RolloutRequest) -> None:
-        """Send a request to the worker with the fewest pending requests."""
+        """Queue a request for the next worker that is free."""
         if request.version not in self._files:
             self._files[request.version] = self._write(f"request{request.version}", request.weights)
         path = self._files[request.version]
         slim = replace(request, weights={})
         self._sent.append((request, self._pool.submit(_play, slim, path)))
 
-    def take(self) -> tuple[RolloutRequest, Rollout | None]:
-        """Wait for the oldest request; return it and its rollout, or None if its worker died."""
-        request, call = self._sent.popleft()
+    def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
+        """Wait for the oldest request; return it and its rollout, or None if its worker died.
+
+        Returns None alone, and keeps the request, if ``stop`` returns True before.
+        """
+        request, future = self._sent[0]
+        while not wait([future], POLL).done:
+            if stop():
+                return None
+        self._sent.popleft()
         try:
-            return request, self._pool.result(call)
+            return request, future.result()
         except WorkerDiedError:
             return request, None
         finally:
@@ -54,23 +60,15 @@ class ProcessWorkers:
             for version in self._files.keys() - in_use:
                 self._files.pop(version).unlink()
 
-    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
-        """Send each part of the seeds to the worker with the fewest pending requests."""
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
+        """Queue one greedy episode for each seed; they begin in their order."""
         path = self._write("evaluated", weights)
-        calls = [self._pool.submit(_evaluate, path, part) for part in parts]
-        return [partial(self._evaluation_rows, call) for call in calls]
+        return [self._pool.submit(_evaluate, path, seed) for seed in seeds]
 
     def _write(self, name: str, weights: Weights) -> Path:
         path = Path(self._folder.name) / f"{name}.safetensors"
         save_file(dict(weights), path)
         return path
-
-    def _evaluation_rows(self, call: PendingCall) -> list[Row] | None:
-        try:
-            rows: list[Row] = self._pool.result(call)
-        except WorkerDiedError:
-            return None
-        return rows
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent and not yet taken, oldest first."""
@@ -98,6 +96,6 @@ def _play(request: RolloutRequest, weights: Path) -> Rollout:
     return rollout
 
 
-def _evaluate(weights: Path, seeds: Sequence[int]) -> list[Row]:
-    rows: list[Row] = _actor.evaluate(load_file(weights), seeds)
-    return rows
+def _evaluate(weights: Path, seed: int) -> Row:
+    row: Row = _actor.evaluate(load_file(weights), seed)
+    return row

@@ -1,89 +1,224 @@
 """Actors on a Ray cluster; rollouts come as soon as they are ready.
 
-When a worker or a node is lost, the episodes that it was playing are lost, and Ray starts the actor
-again on a node with a free CPU. The weights of a version are sent once for all workers.
+An actor gets requests once it has a CPU and has started; the others wait for a CPU. When a worker
+or a node is lost, the episodes that it was playing are lost, and Ray starts the actor again on a
+node with a free CPU. The weights of a version are sent once for all workers.
 """
 
 from __future__ import annotations
 
-import socket
-from collections.abc import Sequence
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
-from functools import partial
+from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from flipperctl.config import RayCollector
-from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
-from flipperctl.rollout.values import PendingEvaluation, Rollout, RolloutRequest, Weights
+from flipperctl.errors import FlipperctlError
+from flipperctl.rollout.episode import Row
+from flipperctl.rollout.pool import WorkerDiedError
+from flipperctl.rollout.ray_cluster import QUIET, cpus, import_ray, join, start_local
+from flipperctl.rollout.values import POLL, Rollout, RolloutRequest, Stop, Weights
 
 _REQUESTS_PER_WORKER = 2
 """Requests of one worker: it plays one while the other waits."""
+_REPORT_AFTER = 10.0
+"""Time of waiting for workers to start, after which those without a CPU are reported [s]."""
 
 
 class RayWorkers:
     """Actors on a cluster, or on a local cluster if ``collector.address`` is not set."""
 
     def __init__(
-        self, settings: RayCollector, config: dict[str, Any], plugin_paths: list[str]
+        self,
+        settings: RayCollector,
+        config: dict[str, Any],
+        plugin_paths: list[str],
+        report: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """``config``: the container of a ``TrainConfig``.
+        """Create the actors; do not wait until they have started.
+
+        ``config``: the container of a ``TrainConfig``. ``report`` is called with what the user
+        should know about the workers, as a sentence.
 
         Raises:
             MissingExtraError: Ray is not installed.
-            ConfigError: there is no cluster at the address.
+            ConfigError: no cluster answers at the address, or it asks for a token.
         """
-        ray = _import_ray()
-        self._ray = ray
-        self._settings = settings
+        ray = import_ray()
+        self._ray, self._settings, self._report = ray, settings, report
         self._owned = not ray.is_initialized()
-        if self._owned:
-            _connect(settings)
+        if self._owned and settings.address is None:
+            start_local(settings.workers)
+        elif self._owned:
+            join(settings.address, "collector.address", **QUIET)
         from flipperctl.rollout.actor import StartedActor
 
         remote: Any = ray.remote(StartedActor)
         actor = remote.options(num_cpus=1, max_restarts=-1)
-        self._actors: list[Any] = [
-            actor.remote(config, plugin_paths) for _ in range(settings.workers)
-        ]
-        self.count = settings.workers
-        self.capacity = _REQUESTS_PER_WORKER * settings.workers
-        self._sent: dict[Any, tuple[RolloutRequest, int]] = {}
-        """Request and worker by the reference of the rollout."""
+        self._started: list[Any] = []
+        self._starting: dict[Any, Any] = {}
+        """Actor by the reference that is ready as soon as it has started."""
+        for _ in range(settings.workers):
+            self._expect(actor.remote(config, plugin_paths, str(Path.cwd())))
+        self._changed_at, self._reported = time.monotonic(), 0
+        self._waited = 0.0
+        """Time of waiting since the last rollout [s]."""
+        self._queue: deque[RolloutRequest] = deque()
+        self._sent: dict[Any, tuple[RolloutRequest, Any]] = {}
+        """Request and actor by the reference of the rollout."""
         self._shared: tuple[Weights | None, Any] = (None, None)
+        self._closed = False
+
+    @property
+    def capacity(self) -> int:
+        """Number of requests that keeps all started workers busy."""
+        return _REQUESTS_PER_WORKER * max(1, len(self._started))
 
     def send(self, request: RolloutRequest) -> None:
-        """Send a request to the actor with the fewest pending requests."""
-        load = [0] * len(self._actors)
-        for _, worker in self._sent.values():
-            load[worker] += 1
-        worker = load.index(min(load))
-        if self._shared[0] is not request.weights:
-            self._shared = (request.weights, self._ray.put(dict(request.weights)))
-        slim = replace(request, weights={})
-        reference = self._actors[worker].play.remote(slim, self._shared[1])
-        self._sent[reference] = (request, worker)
+        """Queue a request for a worker that has started."""
+        self._queue.append(request)
+        self._hand_out()
 
-    def take(self) -> tuple[RolloutRequest, Rollout | None]:
-        """Wait for the first rollout that is ready, and return it with its request."""
-        ready, _ = self._ray.wait(list(self._sent), timeout=self._settings.patience)
-        if not ready:
-            raise FlipperctlError(
-                f"no Ray worker has played an episode for {self._settings.patience:g} s "
-                "(collector.patience); has the cluster as many free CPUs as collector.workers "
-                f"({self._settings.workers})?"
+    def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
+        """Wait for the first rollout that is ready; return it with its request.
+
+        The rollout is None if its worker was lost. Returns None alone if ``stop`` returns True
+        before.
+
+        Raises:
+            FlipperctlError: no rollout has come for ``collector.patience``, or a worker cannot
+                start.
+        """
+        while not stop():
+            self._admit()
+            self._hand_out()
+            begun = time.monotonic()
+            ready, _ = self._ray.wait([*self._sent, *self._starting], timeout=POLL)
+            self._waited += time.monotonic() - begun
+            if self._waited > self._settings.patience:
+                raise FlipperctlError(self._why_nothing())
+            for reference in ready:
+                if reference in self._sent:
+                    return self._taken(reference)
+        return None
+
+    def _taken(self, reference: Any) -> tuple[RolloutRequest, Rollout | None]:
+        request, actor = self._sent.pop(reference)
+        try:
+            rollout: Rollout = self._get(reference, actor)
+        except WorkerDiedError:
+            return request, None
+        self._waited = 0.0
+        return request, rollout
+
+    def _expect(self, actor: Any) -> None:
+        self._starting[actor.__ray_ready__.remote()] = actor
+
+    def _admit(self) -> None:
+        """Let the actors that have started take requests; report those that get no CPU."""
+        waiting = list(self._starting)
+        ready = self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0] if waiting else []
+        for reference in ready:
+            actor = self._starting.pop(reference)
+            try:
+                self._ray.get(reference)
+            except self._ray.exceptions.ActorUnavailableError:  # lost again; Ray restarts it
+                self._expect(actor)
+                continue
+            except self._ray.exceptions.RayActorError as error:
+                last = str(error).strip().splitlines()[-1]
+                raise FlipperctlError(f"a Ray worker cannot start: {last}") from error
+            self._started.append(actor)
+            self._changed_at = time.monotonic()
+        if self._starting and time.monotonic() > self._changed_at + _REPORT_AFTER:
+            self._changed_at = time.monotonic()
+            self._report_waiting()
+
+    def _report_waiting(self) -> None:
+        """Say once how many workers have got no CPU, if none is free."""
+        count, (free, total) = len(self._starting), cpus()
+        if free or count == self._reported:
+            return
+        self._reported = count
+        text = (
+            f"{count} of {self._settings.workers} Ray workers (collector.workers) have got no CPU: "
+            f"none of the cluster's {total} is free. "
+        )
+        if self._started:
+            text += f"The run goes on with {len(self._started)}; others join it when a CPU is free"
+        else:
+            text += (
+                f"The run waits up to {self._settings.patience:g} s (collector.patience) for one"
             )
-        request, _ = self._sent.pop(ready[0])
-        return request, self._get(ready[0])
+        self._report(text)
 
-    def evaluate(self, weights: Weights, parts: Sequence[Sequence[int]]) -> list[PendingEvaluation]:
-        """Send each actor its part of the seeds."""
+    def _hand_out(self) -> None:
+        """Send the queued requests to the started actors with the fewest pending ones."""
+        if not self._started:
+            return
+        load = {id(actor): 0 for actor in self._started}
+        for _, actor in self._sent.values():
+            load[id(actor)] = load.get(id(actor), 0) + 1
+        while self._queue:
+            request = self._queue.popleft()
+            if self._shared[0] is not request.weights:
+                self._shared = (request.weights, self._ray.put(dict(request.weights)))
+            actor = min(self._started, key=lambda one: load[id(one)])
+            load[id(actor)] += 1
+            slim = replace(request, weights={})
+            self._sent[actor.play.remote(slim, self._shared[1])] = (request, actor)
+
+    def _why_nothing(self) -> str:
+        patience = f"{self._settings.patience:g} s (collector.patience)"
+        free, total = cpus()
+        if self._started:
+            return f"no Ray worker has played an episode for {patience}"
+        return (
+            f"no Ray worker has got a CPU and started within {patience}: {free} of the cluster's "
+            f"{total} CPUs are free; wait for other jobs to end, or add machines"
+        )
+
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
+        """Let each started actor play one greedy episode after the other, in their order."""
         shared = self._ray.put(dict(weights))
-        pairs = zip(self._actors, parts, strict=True)
-        references = [actor.evaluate.remote(shared, part) for actor, part in pairs]
-        return [partial(self._get, reference) for reference in references]
+        calls: list[tuple[int, Future[Row]]] = [(seed, Future()) for seed in seeds]
+        arguments = (shared, deque(calls), list(self._started))
+        Thread(target=self._evaluate, args=arguments, daemon=True).start()
+        return [future for _, future in calls]
 
-    def _get(self, reference: Any) -> Any:
-        """Return the result of a call; None if its actor or its result was lost."""
+    def _evaluate(
+        self, shared: Any, calls: deque[tuple[int, Future[Row]]], free: list[Any]
+    ) -> None:
+        """Hand the calls out to whichever actor is free; runs in a thread of its own."""
+        running: dict[Any, tuple[Future[Row], Any]] = {}
+        while not self._closed:
+            while free and calls:
+                seed, future = calls.popleft()
+                if future.set_running_or_notify_cancel():
+                    actor = free.pop()
+                    running[actor.evaluate.remote(shared, seed)] = future, actor
+            if not running:
+                return  # the rest is played by the learner
+            ready, _ = self._ray.wait(list(running), timeout=POLL)
+            for reference in ready:
+                future, actor = running.pop(reference)
+                try:
+                    future.set_result(self._get(reference, actor))
+                    free.append(actor)
+                except Exception as error:  # noqa: BLE001 - raised where the row is awaited
+                    future.set_exception(error)
+
+    def _get(self, reference: Any, actor: Any) -> Any:
+        """Return the result of a call to an actor.
+
+        Raises:
+            WorkerDiedError: the actor or its result was lost.
+        """
         errors = self._ray.exceptions
         try:
             return self._ray.get(reference, timeout=self._settings.patience)
@@ -96,60 +231,20 @@ class RayWorkers:
             errors.ObjectLostError,
             errors.WorkerCrashedError,
             errors.GetTimeoutError,
-        ):
-            return None
+        ) as error:
+            with contextlib.suppress(ValueError):  # both its requests were lost
+                self._started.remove(actor)
+                self._expect(actor)
+            raise WorkerDiedError("a Ray worker was lost") from error
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent and not yet taken, oldest first."""
-        return [request for request, _ in self._sent.values()]
+        return [*(request for request, _ in self._sent.values()), *self._queue]
 
     def close(self) -> None:
-        """Stop the actors, and the cluster if it was started here."""
-        for actor in self._actors:
+        """Stop the actors, and disconnect if the connection was made here."""
+        self._closed = True
+        for actor in [*self._started, *self._starting.values()]:
             self._ray.kill(actor)
         if self._owned:
             self._ray.shutdown()
-
-
-_QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-
-
-def start_local(cpus: int) -> None:
-    """Start a cluster for this process alone, unless it is connected to one already.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-    """
-    ray = _import_ray()
-    if not ray.is_initialized():  # "local": do not join a cluster of this machine
-        ray.init(address="local", num_cpus=cpus, include_dashboard=False, **_QUIET)
-
-
-def _import_ray() -> Any:
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingExtraError("collector=ray needs Ray: pip install flipperctl[ray]") from error
-    return ray
-
-
-def _connect(settings: RayCollector) -> None:
-    address = settings.address
-    if address is None:
-        start_local(settings.workers)
-        return
-    try:
-        _check_reachable(address)
-        _import_ray().init(address=address, **_QUIET)
-    except (OSError, ValueError, RuntimeError) as error:
-        raise ConfigError(
-            f"collector.address: no Ray cluster answers at {address!r}: "
-            f"{' '.join(str(error).split())[:200]}"
-        ) from error
-
-
-def _check_reachable(address: str) -> None:
-    """Raise ``OSError`` unless the address answers; Ray itself would try for minutes."""
-    host, _, port = address.rpartition("://")[2].rpartition(":")
-    if port.isdigit():
-        socket.create_connection((host, int(port)), timeout=10.0).close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,12 @@ from flipperctl.rollout.episode import Row
 
 Weights = Mapping[str, NDArray[Any]]
 """A network's ``state_dict`` as arrays."""
-EvaluateHere = Callable[[Sequence[int]], list[Row]]
-"""Plays one greedy episode for each seed in this process."""
-PendingEvaluation = Callable[[], list[Row] | None]
-"""Waits for the rows of an evaluation in a worker; returns None if the worker died."""
+PlayHere = Callable[[int], Row]
+"""Plays the greedy episode of a seed in this process."""
+Stop = Callable[[], bool]
+"""Returns whether the user has asked the run to stop."""
+POLL = 0.1
+"""Longest time between two calls of a ``Stop`` while waiting for workers [s]."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import episode_seed
-from flipperctl.rollout.values import RolloutRequest, Weights
+from flipperctl.rollout.values import RolloutRequest, Stop, Weights
 from flipperctl.training.progress import Progress
 
 
@@ -32,14 +32,14 @@ class EpisodeSource:
         agent: D3qn,
         progress: Progress,
         rng: np.random.Generator,
-        report_lost: Callable[[RolloutRequest], None],
+        report: Callable[[str], None],
     ) -> None:
         """``rng`` draws the random actions of episodes in this process.
 
-        ``report_lost`` is called with each request whose worker died.
+        ``report`` is called with what the user should know about the workers, as a sentence.
         """
         self._config, self._agent, self._progress = config, agent, progress
-        self._rng, self._report_lost = rng, report_lost
+        self._rng, self._report = rng, report
         self._weights: tuple[int, Weights] | None = None
         self.lag = 0
         """Decisions of the run between the request of the last episode and its arrival."""
@@ -50,20 +50,23 @@ class EpisodeSource:
         s = self._config.agent
         return linear(s.epsilon_start, s.epsilon_end, self._progress.decision / s.epsilon_decisions)
 
-    def start_collector(self, outstanding: Sequence[RolloutRequest]) -> Collector:
-        """Start the collector; send the ``outstanding`` requests of a resumed run again."""
+    def start_collector(self, outstanding: Sequence[RolloutRequest], stop: Stop) -> Collector:
+        """Start the collector; send the ``outstanding`` requests of a resumed run again.
+
+        ``stop`` ends its waiting and its evaluations.
+        """
         config = self._config
         if config.train.mode == "exact":
-            return self._in_process_collector()
+            return self._in_process_collector(stop)
         document, paths = container(config), plugins.configured_paths()
         workers: RolloutWorkers
         if config.collector.name == "ray":
             from flipperctl.rollout.ray_workers import RayWorkers
 
-            workers = RayWorkers(config.collector, document, paths)
+            workers = RayWorkers(config.collector, document, paths, self._report)
         else:
             workers = ProcessWorkers(config.train.workers, document, paths)
-        collector = AsyncCollector(workers, self._next_request, self._on_lost, self._accept)
+        collector = AsyncCollector(workers, self._next_request, self._on_lost, self._accept, stop)
         collector.resume(list(outstanding))
         return collector
 
@@ -76,7 +79,7 @@ class EpisodeSource:
         terrain = self._config.terrain
         progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
 
-    def _in_process_collector(self) -> Collector:
+    def _in_process_collector(self, stop: Stop) -> Collector:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
         policy: Policy = ExploringPolicy(
@@ -92,7 +95,7 @@ class EpisodeSource:
                 self._rng,
             )
         return InProcessCollector(
-            env, policy, self._next_seed, lambda: self._progress.difficulty, frames
+            env, policy, self._next_seed, lambda: self._progress.difficulty, frames, stop
         )
 
     def _next_seed(self) -> int:
@@ -116,7 +119,7 @@ class EpisodeSource:
 
     def _on_lost(self, request: RolloutRequest) -> None:
         self._progress.lost += 1
-        self._report_lost(request)
+        self._report(f"a worker died and is replaced; its episode {request.episode} is dropped")
 
     def _accept(self, request: RolloutRequest) -> bool:
         self.lag = self._progress.decision - request.decision

@@ -50,7 +50,7 @@ def hold(directory: Path, name: str = "run") -> Iterator[None]:
     except OSError as error:
         raise failure(path, error) from error
     try:
-        write_json(note, _holder())
+        write_json(note, holder())
         yield
     finally:
         note.unlink(missing_ok=True)
@@ -73,20 +73,21 @@ def _acquire(path: Path) -> BaseFileLock:
     return lock
 
 
-def _holder() -> dict[str, Any]:
+def holder() -> dict[str, Any]:
+    """Return what others need to find this process: its identifier, its host, and the time."""
     since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
 
 def _held_text(directory: Path, path: Path, note: Path) -> str:
-    holder = _read_note(note)
-    if holder is None:
+    found = _read_note(note)
+    if found is None:
         return f"{directory} is being trained by another process; wait for it, or stop it"
     soft = path.with_suffix(".softlock")
     advice = f" (if it is gone, delete {soft})" if soft.exists() else ""
     return (
-        f"{directory} is being trained by process {holder['pid']} on {holder['host']} since "
-        f"{holder['since']}; wait for it, or stop it{advice}"
+        f"{directory} is being trained by process {found['pid']} on {found['host']} since "
+        f"{found['since']}; wait for it, or stop it{advice}"
     )
 
 
@@ -100,7 +101,7 @@ def _read_note(note: Path) -> dict[str, Any] | None:
     while time.monotonic() < deadline:
         try:
             found = json.loads(note.read_text())
-            if {"pid", "host", "since"} <= found.keys() and not _is_dead(found):
+            if {"pid", "host", "since"} <= found.keys() and not is_dead(found):
                 return dict(found)
         except (OSError, ValueError, AttributeError):  # missing, damaged or not a mapping
             pass
@@ -108,7 +109,8 @@ def _read_note(note: Path) -> dict[str, Any] | None:
     return None
 
 
-def _is_dead(holder: dict[str, Any]) -> bool:
+def is_dead(holder: dict[str, Any]) -> bool:
+    """Return whether a process is of this machine and has ended; False if that is unknown."""
     if holder["host"] != socket.gethostname() or os.name != "posix":
         return False
     try:

@@ -8,6 +8,7 @@ made; the run begins again), or both (the run continues from the checkpoint).
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,17 @@ from yaml import YAMLError
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, parse
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.training.recorded import EPISODES
+from flipperctl.files import remove_partial
+from flipperctl.training import timing
+from flipperctl.training.recorder import EPISODES, PARTS
 
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
-_WRITTEN = (CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST)
+TENSORBOARD, HYDRA = Path("tensorboard"), Path(".hydra")
+_LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
+_WRITTEN = (
+    *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
+    *(Path(timing.NAME), _LOCK_NOTE),
+)
 
 
 def holds_run(directory: Path) -> bool:
@@ -103,5 +111,20 @@ def is_finished(directory: Path, decision: int) -> bool:
 def clear_leftovers(directory: Path) -> None:
     """Remove the partial files of a process that was killed while it wrote a file of the run."""
     for name in _WRITTEN:
-        path = directory / name
-        path.with_name(f".{path.name}.part").unlink(missing_ok=True)
+        remove_partial(directory / name)
+    for part in (directory / PARTS).glob(".*.part"):
+        part.unlink()
+
+
+def discard(directory: Path) -> None:
+    """Remove the files of a new run that was refused before its first decision.
+
+    The caller holds the lock of the run, whose file goes too: a process that has opened it finds
+    that it was removed. Other files in the directory stay.
+    """
+    clear_leftovers(directory)
+    for name in (*_WRITTEN, _LOCK):
+        (directory / name).unlink(missing_ok=True)
+    for folder in (TENSORBOARD, HYDRA):
+        shutil.rmtree(directory / folder, ignore_errors=True)
+    (directory / checkpoint.BEST.parent).rmdir()

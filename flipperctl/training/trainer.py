@@ -35,7 +35,8 @@ from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
-from flipperctl.training.recorded import TrainingRecorder, fill, read_teacher
+from flipperctl.training.recorded import fill, read_teacher
+from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
@@ -75,7 +76,7 @@ class Trainer:
         self._sample = generators["sample"]
         self.progress = Progress(ground.first_difficulty(config.terrain))
         self.episodes = EpisodeSource(
-            config, self.agent, self.progress, generators["explore"], self._report_lost
+            config, self.agent, self.progress, generators["explore"], self._report
         )
         self.validator = Validator(config, self.agent, env)
         self._saver = RunSaver(
@@ -86,39 +87,56 @@ class Trainer:
         self._recorder = TrainingRecorder(config, directory)
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
-        """Train until the budget is spent or ``stop``, called between episodes, returns True.
+        """Train until the budget is spent or ``stop`` returns True.
 
-        Returns the summary, which is also written to ``summary.json``. The listeners are closed,
-        whatever fails.
+        ``stop`` is called between episodes, in validations, and while waiting for workers. Returns
+        the summary, which is also written to ``summary.json``. The listeners are closed, whatever
+        fails.
         """
         opened: list[Closable] = [*self.listeners]
         with closing(opened):
             self._stopwatch.start()
-            self._add_recorded()
+            if not self.progress.decision:
+                self._recorder.restore(0)
+                self._add_recorded()
             self._save_all(self._outstanding)
-            collector = self.episodes.start_collector(self._outstanding)
+            collector = self.episodes.start_collector(self._outstanding, stop)
             opened.append(collector)
-            return self._run(collector, stop)
+            finished = self._train(collector, stop)
+            self._save_all(collector.outstanding())
+            self._recorder.finish()
+            summary = self.summary(finished)
+            write_json(self.directory / "summary.json", summary)
+            return summary
 
-    def _run(self, collector: Collector, stop: Callable[[], bool]) -> dict[str, Any]:
-        """Train with the episodes of ``collector``; see ``run``."""
+    def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
+        """Train and validate; return whether the budget is spent, or False if stopped before.
+
+        A run that was stopped in a validation begins with it when it is resumed.
+        """
         settings, progress = self.config.train, self.progress
-        while progress.decision < settings.decisions and not stop():
+        while True:
+            if self._validation_due():
+                if not self._validate(collector):
+                    return False
+                self._save_all(collector.outstanding())
+            if progress.decision >= settings.decisions:
+                return True
+            if stop():
+                return False
             before = progress.decision
             self._train_episode(collector)
-            validate = self._passed(before, settings.validate_every)
-            if validate:
-                self._validate(collector)
-            if validate or self._passed(before, settings.checkpoint_every):
+            passed = progress.decision // settings.checkpoint_every
+            if passed > before // settings.checkpoint_every and not self._validation_due():
                 self._save_all(collector.outstanding())
-        finished = progress.decision >= settings.decisions
-        last = self.validator.last
-        if finished and (last is None or last.decision != progress.decision):
-            self._validate(collector)
-        self._save_all(collector.outstanding())
-        summary = self.summary(finished)
-        write_json(self.directory / "summary.json", summary)
-        return summary
+
+    def _validation_due(self) -> bool:
+        """Return whether the last validation lies before the newest multiple of the period."""
+        decision, settings, last = self.progress.decision, self.config.train, self.validator.last
+        validated_at = 0 if last is None else last.decision
+        if decision >= settings.decisions:
+            return last is None or validated_at != decision
+        return decision // settings.validate_every > validated_at // settings.validate_every
 
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a run that begins.
@@ -127,16 +145,14 @@ class Trainer:
             CheckpointError: their file is missing or damaged.
             ConfigError: they do not fit the training.
         """
-        begins = not self.replay.added and not self.progress.decision
-        if begins and (found := read_teacher(self.config)) is not None:
+        if not self.replay.added and (found := read_teacher(self.config)) is not None:
             fill(self.replay, found, self.config)
 
-    def _passed(self, before: int, period: int) -> bool:
-        """Return whether a multiple of ``period`` was passed since the decision ``before``."""
-        return self.progress.decision // period > before // period
-
     def _train_episode(self, collector: Collector) -> None:
-        """Act and step in the collector, store and learn, until the episode or the budget ends."""
+        """Act and step in the collector, store and learn, until the episode or the budget ends.
+
+        Does nothing if the run is to stop before an episode arrives.
+        """
         ending: Row | None = None
         for step in collector.episode():
             ending = step.ending
@@ -146,7 +162,7 @@ class Trainer:
             self._learn()
             if self.progress.decision >= self.config.train.decisions:
                 break
-        if ending is None:  # the budget ended first
+        if ending is None:  # the budget ended first, or the run is to stop
             self.replay.drop_pending()
             self._recorder.drop()
         else:
@@ -189,14 +205,17 @@ class Trainer:
         for listener in self.listeners:
             listener.episode({**row, "lag": self.episodes.lag, **ending})
 
-    def _validate(self, collector: Collector) -> None:
+    def _validate(self, collector: Collector) -> bool:
+        """Validate the policy; return False if the run is to stop before the result is known."""
         found = self.validator.validate(collector, self.progress.decision)
+        if found is None:
+            return False
         means = found.model_dump(exclude={"decision"})
         for listener in self.listeners:
             listener.validation({**self._common_columns(), **means})
+        return True
 
-    def _report_lost(self, request: RolloutRequest) -> None:
-        text = f"a worker died and is replaced; its episode {request.episode} is dropped"
+    def _report(self, text: str) -> None:
         for listener in self.listeners:
             listener.note(text)
 
@@ -214,7 +233,7 @@ class Trainer:
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
 
-        The recorded episodes are written first, so that they are all those of the checkpoint.
+        New recorded episodes are written first, so that the checkpoint counts none that is missing.
         """
         self._recorder.save()
         self._saver.save(outstanding)

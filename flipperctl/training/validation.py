@@ -52,12 +52,15 @@ class Validator:
         """Newest validation."""
         return self.history[-1] if self.history else None
 
-    def validate(self, collector: Collector, decision: int) -> Validation:
+    def validate(self, collector: Collector, decision: int) -> Validation | None:
         """Play all episodes, which the collector distributes; return and keep the result.
 
-        ``decision``: number of decisions of the run so far.
+        ``decision``: number of decisions of the run so far. Returns None if the run is to stop
+        before the last episode has ended.
         """
         rows = collector.evaluate(arrays(self._agent.policy), self._seeds, self._play)
+        if rows is None:
+            return None
         reached_rows = reached(rows)
         names = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         # Means over the episodes that reached the finish, as in the paper; over all if none did.
@@ -67,7 +70,6 @@ class Validator:
         self.history.append(Validation(decision=decision, success_rate=success, **means))
         return self.history[-1]
 
-    def _play(self, seeds: Sequence[int]) -> list[Row]:
+    def _play(self, seed: int) -> Row:
         with self._agent.evaluation_mode() as module:
-            policy = TrainedPolicy(module, self._frames)
-            return [play(self._env, policy, seed) for seed in seeds]
+            return play(self._env, TrainedPolicy(module, self._frames), seed)

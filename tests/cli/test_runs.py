@@ -61,6 +61,7 @@ def _nothing(run: Path) -> None:
     for name in ("best", "last"):
         (run / f"checkpoints/{name}.safetensors").unlink()
     (run / "checkpoints/.last.safetensors.part").write_bytes(b"half")
+    (run / "checkpoints/.last.safetensors.123-0123abcd.part").write_bytes(b"half")
 
 
 def _best_alone(run: Path) -> None:

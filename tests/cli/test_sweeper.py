@@ -1,5 +1,8 @@
 """The search: its samples, the trials that count, and that stopping it changes nothing."""
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +10,7 @@ import optuna
 import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
+from sqlalchemy.exc import SQLAlchemyError
 
 from flipperctl.cli.optuna_search import OptunaSearch
 from flipperctl.cli.search import SearchSettings, objective, search_space
@@ -39,13 +43,17 @@ class Launcher:
 
 
 def search(
-    folder: Path, overrides: list[str] = DRAWN, fails: dict[int, Any] | None = None, **settings: Any
+    folder: Path,
+    overrides: list[str] = DRAWN,
+    fails: dict[int, Any] | None = None,
+    own: str = ".",
+    **settings: Any,
 ) -> tuple[list[dict[str, str]], list[optuna.trial.FrozenTrial]]:
     """The jobs of this start, and all trials of the study."""
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
-    jobs = SweepLauncher(launcher, named=False)
-    OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder).run(overrides)
+    jobs = SweepLauncher(launcher, folder / own, named=False)
+    OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder / own).run(overrides)
     return launcher.jobs, trials(folder)
 
 
@@ -67,6 +75,71 @@ def test_a_search_that_was_killed_finds_what_an_uninterrupted_one_finds(tmp_path
     assert len(jobs) == 2  # twelve were finished and count
     assert drawn(killed) == drawn(whole)  # tpe learns from the tenth trial on
     assert search(tmp_path / "killed", n_trials=14)[0] == []
+
+
+SCRIPT = """
+import sys, time
+from pathlib import Path
+from tests.cli.test_sweeper import Launcher, search
+train = Launcher.train
+def slow(self, job, number):
+    time.sleep(float(sys.argv[2]))
+    return train(self, job, number)
+Launcher.train = slow
+search(Path(sys.argv[1]), n_trials=8, n_jobs=int(sys.argv[3]), own=sys.argv[4])
+"""
+
+
+def start(folder: Path, pause: float, jobs: int, own: str) -> subprocess.Popen[bytes]:
+    """Start a search in another process, whose trainings last ``pause`` [s]."""
+    arguments = [str(folder), str(pause), str(jobs), own]
+    with (folder / f"{own}.log").open("w") as log:
+        return subprocess.Popen([sys.executable, "-c", SCRIPT, *arguments], stderr=log)
+
+
+@pytest.mark.slow
+def test_two_searches_share_a_study_from_its_creation_on(tmp_path: Path) -> None:
+    pair = {own: start(tmp_path, 0.1, jobs, own) for own, jobs in (("one", 1), ("two", 2))}
+    for own, process in pair.items():
+        assert process.wait(timeout=120) == 0, (tmp_path / f"{own}.log").read_text()
+    found = trials(tmp_path)
+    complete = [trial for trial in found if trial.state.name == "COMPLETE"]
+    assert len(complete) == 8  # none twice, and none beyond the eight
+    assert len({trial.params["agent.learning_rate"] for trial in complete}) == 8
+    assert all(not trial.params for trial in found if trial not in complete)
+
+
+@pytest.mark.slow
+def test_a_trial_that_runs_elsewhere_is_left_alone_until_its_process_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = start(tmp_path, 600, 1, "other")
+    while not (running := [t for t in find_trials(tmp_path) if t.params.get("agent.batch_size")]):
+        assert other.poll() is None
+        time.sleep(0.1)
+    train, states = Launcher.train, []
+
+    def killing(self: Launcher, job: list[str], number: int) -> JobReturn:
+        states.append(trials(tmp_path)[0].state.name)
+        if number == 1:
+            other.kill()
+            other.wait()
+        return train(self, job, number)
+
+    monkeypatch.setattr(Launcher, "train", killing)
+    jobs, found = search(tmp_path, n_trials=2)
+    assert states == ["RUNNING", "FAIL"]
+    assert len(jobs) == 2
+    assert [trial.state.name for trial in found] == ["FAIL", "COMPLETE", "COMPLETE"]
+    assert found[1].params != running[0].params
+
+
+def find_trials(folder: Path) -> list[optuna.trial.FrozenTrial]:
+    """The trials so far, none before the study exists."""
+    try:
+        return trials(folder)
+    except (KeyError, SQLAlchemyError):
+        return []
 
 
 def test_more_trials_go_on_and_the_best_is_written(tmp_path: Path) -> None:

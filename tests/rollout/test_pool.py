@@ -1,9 +1,12 @@
 """The worker pool: it replaces a process that dies and runs the remaining calls."""
 
+import itertools
 import os
 import signal
 import time
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,27 +32,41 @@ def fail() -> None:
     raise FlipperctlError("on purpose")
 
 
+def wait_for(path: Path, limit: float = 20.0) -> bool:
+    end = time.monotonic() + limit
+    while not path.exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    return path.exists()
+
+
+def touch(path: Path) -> None:
+    path.touch()
+
+
 def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
     workers = WorkerPool(2, initialize, ())
     try:
-        functions = ((double, 1), (double, 5), (die,), (double, 6), (double, 2))  # by turns
-        calls = [workers.submit(function, *arguments) for function, *arguments in functions]
-        assert [workers.result(call) for call in calls[:2]] == [2, 10]
-        with pytest.raises(WorkerDiedError, match="worker process 0 died"):
-            workers.result(calls[2])
-        assert [workers.result(call) for call in calls[3:]] == [12, 4]
+        assert workers.submit(double, 1).result() == 2
+        dead, after = workers.submit(die), [workers.submit(double, n) for n in range(4)]
+        with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
+            dead.result()
+        assert [call.result() for call in after] == [0, 2, 4, 6]
+        for pid in workers.process_ids():  # while they wait for calls
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.2)
+        assert workers.submit(double, 2).result() == 4
     finally:
         workers.close()
 
 
-def test_a_worker_that_always_dies_ends_the_pool_with_a_reason() -> None:
+def test_a_worker_that_always_dies_ends_its_calls_with_a_reason() -> None:
     workers = WorkerPool(2, initialize, ())
     try:
         for _ in range(2):
             with pytest.raises(WorkerDiedError):
-                workers.result(workers.submit(die))
+                workers.submit(die).result()
         with pytest.raises(FlipperctlError, match="3 times in a row"):
-            workers.result(workers.submit(die))
+            workers.submit(die).result()
     finally:
         workers.close()
 
@@ -58,10 +75,38 @@ def test_an_error_in_a_worker_is_raised_unchanged() -> None:
     workers = WorkerPool(2, initialize, ())
     try:
         with pytest.raises(FlipperctlError, match="on purpose"):
-            workers.result(workers.submit(fail))
-        assert workers.result(workers.submit(double, 3)) == 6
+            workers.submit(fail).result()
+        assert workers.submit(double, 3).result() == 6
     finally:
         workers.close()
+
+
+def test_a_long_call_holds_up_no_other(tmp_path: Path) -> None:
+    """The first call waits for the last one, which any fixed division puts behind it or not."""
+    workers = WorkerPool(2, initialize, ())
+    try:
+        long = workers.submit(wait_for, tmp_path / "last")
+        others = [workers.submit(double, number) for number in range(9)]
+        last = workers.submit(touch, tmp_path / "last")
+        assert long.result(timeout=30) is True
+        assert last.result() is None
+        assert [call.result() for call in others] == [2 * number for number in range(9)]
+    finally:
+        workers.close()
+
+
+def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
+    workers = WorkerPool(2, initialize, ())
+    call = workers.submit(wait_for, tmp_path / "never", 60.0)
+    queued = [workers.submit(wait_for, tmp_path / "never", 60.0) for _ in range(3)]
+    while not call.running() or not workers.process_ids():
+        time.sleep(0.01)
+    begun = time.monotonic()
+    workers.close()
+    assert time.monotonic() - begun < 10
+    with pytest.raises(WorkerDiedError):
+        call.result(timeout=0)
+    assert queued[-1].cancelled()
 
 
 @pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
@@ -70,29 +115,27 @@ def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count:
     workers = WorkerPool(count, initialize, ())
     try:
         call = workers.submit(double, 1)
+        while not workers.process_ids():
+            time.sleep(0.001)
         for number in (signal.SIGINT, signal.SIGTERM):  # while it is starting
             os.kill(workers.process_ids()[0], number)
-        assert workers.result(call) == 2
+        assert call.result() == 2
         for number in (signal.SIGINT, signal.SIGTERM):
             os.kill(workers.process_ids()[0], number)
-        assert workers.result(workers.submit(double, 2)) == 4
+        assert workers.submit(double, 2).result() == 4
         assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
     finally:
         workers.close()
 
 
-class Killer:
-    """A listener that kills a worker after the fifth episode and collects the notes."""
+class Notes:
+    """A listener that collects the notes."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
-        self.episodes = 0
 
     def episode(self, row: dict) -> None:
-        self.episodes += 1
-        if self.episodes == 5:
-            os.kill(children()[0], signal.SIGKILL)
-            time.sleep(0.2)
+        pass
 
     def validation(self, row: dict) -> None:
         pass
@@ -104,28 +147,30 @@ class Killer:
         pass
 
 
-_pools: list[WorkerPool] = []
-
-
-def children() -> list[int]:
-    return _pools[-1].process_ids()
-
-
 def test_a_training_run_continues_when_a_worker_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    create = WorkerPool.__init__
+    calls = itertools.count()
+    submit = WorkerPool.submit
 
-    def remembered(self: WorkerPool, *arguments: object) -> None:
-        create(self, *arguments)
-        _pools.append(self)
+    def killing(self: WorkerPool, *call: Any) -> Future[Any]:
+        pids = self.process_ids() if next(calls) == 8 else []
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)  # the episode of this call cannot end
+        future = submit(self, *call)
+        while pids and not future.running():
+            time.sleep(0.001)
+        time.sleep(0.2 * bool(pids))
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        return future
 
-    monkeypatch.setattr(WorkerPool, "__init__", remembered)
+    monkeypatch.setattr(WorkerPool, "submit", killing)
     learner: Trainer = trainer(short_config(**{"train.mode": "fast", "train.workers": 2}), tmp_path)
-    killer = Killer()
-    learner.listeners.append(killer)
+    listener = Notes()
+    learner.listeners.append(listener)
     summary = learner.run()
     assert summary["finished"] is True
     assert summary["decisions"] == 600
-    assert summary["lost_episodes"] == len(killer.notes) >= 1
-    assert "a worker died and is replaced; its episode" in killer.notes[0]
+    assert summary["lost_episodes"] == len(listener.notes) >= 1
+    assert "a worker died and is replaced; its episode" in listener.notes[0]

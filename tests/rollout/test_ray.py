@@ -1,5 +1,6 @@
 """Training on a real Ray cluster of two nodes on this machine."""
 
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from flipperctl.errors import ConfigError
+from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.rollout import ray_workers
 from tests.short import short_config, trainer
 
 pytestmark = [
@@ -49,6 +51,61 @@ class NodeKiller:
         if row["episode"] == self._at:
             node = next(n for n in self._cluster.list_all_nodes() if not n.head)
             self._cluster.remove_node(node, allow_graceful=False)
+
+    def validation(self, row: dict) -> None:
+        pass
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four workers want the two CPUs; the validations ask those that have one, and a stop ends."""
+    monkeypatch.setattr(ray_workers, "_REPORT_AFTER", 1.0)
+    collector = {"name": "ray", "address": cluster.address, "workers": 4}
+    settings = {"train.mode": "fast", "collector": collector, "train.decisions": 10**6}
+    learner = trainer(short_config(**settings, **{"train.validate_every": 200}), tmp_path)
+    listener = Notes()
+    learner.listeners.append(listener)
+    summary = learner.run(lambda: bool(listener.notes) and len(learner.validator.history) > 1)
+    assert summary["finished"] is False
+    assert summary["lost_episodes"] == 0
+    (note,) = listener.notes
+    assert "2 of 4 Ray workers (collector.workers) have got no CPU" in note
+
+
+def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
+    cluster: Any, tmp_path: Path
+) -> None:
+    ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
+    try:
+        held = [ray.remote(Notes).options(num_cpus=1).remote() for _ in range(2)]
+        ray.get([actor.__ray_ready__.remote() for actor in held])
+        collector = {"name": "ray", "workers": 1, "patience": 1.0}
+        config = short_config(**{"train.mode": "fast", "collector": collector})
+        begun = time.monotonic()
+        stopped = trainer(config, tmp_path / "stopped")
+        assert stopped.run(lambda: time.monotonic() > begun + 0.5)["finished"] is False
+        with pytest.raises(FlipperctlError, match=r"no Ray worker has got a CPU.* 1 s \(collector"):
+            trainer(config, tmp_path / "failed").run()
+        assert time.monotonic() - begun < 30
+    finally:
+        ray.shutdown()
+
+
+class Notes:
+    """A listener that collects the notes."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def episode(self, row: dict) -> None:
+        pass
 
     def validation(self, row: dict) -> None:
         pass

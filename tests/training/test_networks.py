@@ -99,7 +99,7 @@ def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None
         weights = arrays(agent.online)
         actors = [Actor(container(settings), []) for _ in range(2)]
         requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
-        actors[1].evaluate(weights, [3])  # must not change the next rollout
+        actors[1].evaluate(weights, 3)  # must not change the next rollout
         one, again, other = (
             actor.play(request, weights)
             for actor, request in zip(

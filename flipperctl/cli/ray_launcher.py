@@ -1,0 +1,39 @@
+"""The cluster of Hydra's Ray launcher: joined here, since the launcher joins no running one.
+
+The launcher asks for an object store of a size of its own, which Ray refuses when it joins a
+cluster (hydra-ray-launcher 1.2). It goes on with the connection that it finds.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from hydra.plugins.launcher import Launcher
+from omegaconf import OmegaConf
+
+from flipperctl.rollout.ray_cluster import join
+
+_MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
+
+
+def connect(launcher: Launcher) -> None:
+    """Connect to the cluster of a Ray launcher; do nothing for other launchers.
+
+    Without an address, Ray joins the cluster that ``ray start`` has started on this machine, or
+    starts one. The launcher itself starts one at the address ``local``.
+
+    Raises:
+        ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
+    """
+    module = sys.modules.get(_MODULE)
+    if module is None or not isinstance(launcher, module.RayLauncher):
+        return
+    ray = sys.modules.get("ray")
+    if ray is not None and ray.is_initialized():
+        return
+    found: Any = launcher
+    settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)
+    address = settings.pop("address", None)
+    if address != "local":
+        join(address, "hydra.launcher.ray.init.address", **settings)

@@ -1,0 +1,112 @@
+"""The Ray cluster of this process: started here, or joined at an address.
+
+In: an address and further settings of ``ray.init``. Out: a connection, or an error that says which
+setting is wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+from flipperctl.errors import ConfigError, MissingExtraError
+
+QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+"""Settings of ``ray.init`` for a process that shows its own messages."""
+_PATIENCE = 10.0
+"""Time in which a host has to answer [s]; Ray itself would try for minutes."""
+
+
+def import_ray() -> Any:
+    """Return the module ``ray``.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingExtraError("collector=ray needs Ray: pip install flipperctl[ray]") from error
+    return ray
+
+
+def start_local(cpus: int) -> None:
+    """Start a cluster for this process alone, unless it is connected to one already.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+    """
+    ray = import_ray()
+    if not ray.is_initialized():  # "local": do not join a cluster of this machine
+        with _kept_sigterm():
+            ray.init(address="local", num_cpus=cpus, include_dashboard=False, **QUIET)
+
+
+def join(address: str | None, key: str, **settings: Any) -> None:
+    """Connect to a running cluster; ``settings`` are further ones of ``ray.init``.
+
+    ``key``: configuration path of the address, for the errors. Without an address, Ray joins the
+    cluster that it finds on this machine, or starts one.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+        ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
+    """
+    ray = import_ray()
+    try:
+        _check_reachable(address)
+        with _kept_sigterm():
+            ray.init(address=address, **settings)
+    except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        if _is_refused_token(error):
+            raise ConfigError(
+                f"{key}: the Ray cluster at {address!r} asks for its token; set RAY_AUTH_MODE=token"
+                " and give the token in RAY_AUTH_TOKEN, or its file in RAY_AUTH_TOKEN_PATH"
+            ) from error
+        reason = " ".join(str(error).split())[:200]
+        if isinstance(error, ValueError):  # raised before connecting, about the settings
+            raise ConfigError(f"{key}: Ray cannot use {address!r}: {reason}") from error
+        raise ConfigError(f"{key}: no Ray cluster answers at {address!r}: {reason}") from error
+
+
+def cpus() -> tuple[int, int]:
+    """Return the numbers of free and of all CPUs of the cluster."""
+    ray = import_ray()
+    free, total = ray.available_resources(), ray.cluster_resources()
+    return int(free.get("CPU", 0)), int(total.get("CPU", 0))
+
+
+def _is_refused_token(error: BaseException) -> bool:
+    """Return whether Ray failed for want of a token; ``ray.init`` has that in a cause's text."""
+    found: BaseException | None = error
+    while found is not None:
+        if "AuthenticationError" in f"{type(found).__name__} {found}":
+            return True
+        found = found.__cause__
+    return False
+
+
+def _check_reachable(address: str | None) -> None:
+    """Raise an error unless a cluster answers at ``host:port`` and accepts the token."""
+    host, _, port = (address or "").rpartition("://")[2].rpartition(":")
+    if not port.isdigit():
+        return
+    socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+    if "://" not in str(address):  # ``ray.init`` would repeat a refused token for 20 s
+        from ray._raylet import GcsClient
+
+        GcsClient(address=address)
+
+
+@contextlib.contextmanager
+def _kept_sigterm() -> Iterator[None]:
+    """Keep this process's handler of SIGTERM, which ``ray.init`` replaces by an exit."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):  # not in the main thread
+            signal.signal(signal.SIGTERM, before)

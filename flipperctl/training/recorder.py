@@ -1,0 +1,128 @@
+"""The episodes of a training, recorded for others to learn from (``train.record``).
+
+In: the steps of the training. Out: a file of recorded episodes beside each checkpoint, with those
+that have ended since the checkpoint before, and one file of all when the run ends or is stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from flipperctl.checkpoint import recording
+from flipperctl.checkpoint.recording import RecordedEpisode
+from flipperctl.config import TrainConfig
+from flipperctl.files import make_folder
+from flipperctl.rollout.recording import EpisodeRecorder
+from flipperctl.rollout.values import Step
+
+EPISODES = Path("episodes.safetensors")
+"""File of a run directory with all episodes of the training, written when the run ends."""
+PARTS = Path("episodes")
+"""Folder of a run directory with the files that its checkpoints have written since it started."""
+
+
+class TrainingRecorder:
+    """Writes the episodes of a training, each once until the run ends.
+
+    A file in the folder ``episodes`` is named after the number of its first episode, counted from
+    0. The files are written before the checkpoint that counts their episodes, so the checkpoint
+    never counts one that is not there. Those that no checkpoint counts are played and written
+    again when the run is resumed.
+    """
+
+    def __init__(self, config: TrainConfig, directory: Path) -> None:
+        """Keep nothing unless ``train.record`` asks for it."""
+        self._config, self._directory = config, directory
+        self._on, self._size = config.train.record, config.perception.size
+        self._running, self._new = EpisodeRecorder(), list[RecordedEpisode]()
+
+    def add(self, step: Step, number: int) -> None:
+        """Add a step of the episode with this number, counted from 0."""
+        if not self._on:
+            return
+        newest = slice(-self._size, None)  # of the frames that the network takes
+        self._running.add(
+            step.observation[newest],
+            step.action,
+            step.reward,
+            step.next_observation[newest],
+            step.label,
+        )
+        if step.ending is not None:
+            self._new.append(self._running.finish(number, step.ending))
+
+    def drop(self) -> None:
+        """Discard the running episode."""
+        self._running.drop()
+
+    def save(self) -> None:
+        """Write the episodes that have ended since the last call, completely or not at all.
+
+        Raises:
+            OutputError: the file cannot be written.
+            WriteError: writing failed half way.
+        """
+        if self._new:
+            folder = make_folder(self._directory / PARTS)
+            self._write(folder / f"{self._new[0].number:08}.safetensors", self._new)
+            self._new = []
+
+    def finish(self) -> None:
+        """Write all episodes into one file and remove the files of the checkpoints.
+
+        Raises:
+            CheckpointError: a file of a checkpoint is damaged.
+            OutputError: the file cannot be written.
+            WriteError: writing failed half way; the files of the checkpoints are kept.
+        """
+        if not self._on:
+            return
+        self.save()
+        parts = self._parts()
+        if parts or not (self._directory / EPISODES).is_file():
+            self._write(self._directory / EPISODES, list(self._saved()))
+        self._remove(parts)
+
+    def restore(self, episodes: int) -> None:
+        """Go on after that many episodes of the run; drop later ones, which are played again.
+
+        Raises:
+            CheckpointError: a file of the episodes is damaged.
+        """
+        if not self._on:
+            return
+        whole = self._directory / EPISODES
+        self._remove([part for part in self._parts() if int(part.stem) >= episodes])
+        if episodes == 0:
+            whole.unlink(missing_ok=True)
+            return
+        saved = list(self._saved())
+        if saved and saved[-1].number >= episodes:  # of a later checkpoint than the restored one
+            self._write(whole, [episode for episode in saved if episode.number < episodes])
+            self._remove(self._parts())
+
+    def _parts(self) -> list[Path]:
+        """Return the files of the checkpoints in the order of their episodes."""
+        found = (self._directory / PARTS).glob("*.safetensors")
+        return sorted((path for path in found if path.stem.isdecimal()), key=lambda p: int(p.stem))
+
+    def _saved(self) -> Iterator[RecordedEpisode]:
+        """Yield each written episode once, in order."""
+        whole, last = self._directory / EPISODES, -1
+        for path in [*([whole] if whole.is_file() else []), *self._parts()]:
+            for episode in recording.read(path).episodes:
+                if episode.number > last:  # not one that was joined before the run was killed
+                    last = episode.number
+                    yield episode
+
+    def _write(self, path: Path, episodes: list[RecordedEpisode]) -> None:
+        driver = f"training on {self._config.terrain.plugin_name}"
+        recording.write(path, driver, [(self._config, episodes)])
+
+    def _remove(self, parts: list[Path]) -> None:
+        for part in parts:
+            part.unlink()
+        folder = self._directory / PARTS
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()

@@ -1,0 +1,62 @@
+"""The collector of workers: who plays the episodes of a validation, and what a stop ends."""
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any
+
+from flipperctl.rollout.collect import AsyncCollector
+from flipperctl.rollout.pool import WorkerDiedError
+
+
+class Workers:
+    """Workers whose first ``begun`` episodes are under way."""
+
+    capacity = 1
+
+    def __init__(self, begun: int) -> None:
+        self.begun = begun
+        self.futures: list[Future[Any]] = []
+
+    def evaluate(self, weights: object, seeds: Sequence[int]) -> list[Future[Any]]:
+        self.futures = [Future() for _ in seeds]
+        for future in self.futures[: self.begun]:
+            future.set_running_or_notify_cancel()
+        return self.futures
+
+
+def collector(workers: Any, stop: Any = lambda: False) -> AsyncCollector:
+    return AsyncCollector(workers, lambda: None, lambda _: None, lambda _: True, stop)  # type: ignore[arg-type, return-value]
+
+
+def row(seed: int) -> dict[str, int]:
+    return {"seed": seed}
+
+
+def test_the_learner_plays_what_no_worker_has_begun_and_the_order_is_that_of_the_seeds() -> None:
+    workers = Workers(begun=2)
+    played: list[int] = []
+
+    def play_here(seed: int) -> dict[str, int]:
+        played.append(seed)
+        if seed == 3:  # the last but one: meanwhile the workers end theirs, and one dies
+            workers.futures[0].set_result(row(10))
+            workers.futures[1].set_exception(WorkerDiedError("died"))
+        return row(seed)
+
+    rows = collector(workers).evaluate({}, [10, 20, 3, 40], play_here)
+    assert rows == [row(10), row(20), row(3), row(40)]
+    assert played == [40, 3, 20]  # from the last, then that of the worker that died
+
+
+def test_a_stop_ends_an_evaluation_that_waits_for_a_worker() -> None:
+    workers = Workers(begun=1)
+    played: list[int] = []
+    stopped = collector(workers, lambda: len(played) == 2)
+
+    def play_here(seed: int) -> dict[str, int]:
+        played.append(seed)
+        return row(seed)
+
+    assert stopped.evaluate({}, [1, 2, 3, 4, 5], play_here) is None
+    assert played == [5, 4]
+    assert [future.cancelled() for future in workers.futures[1:]] == [True] * 4
