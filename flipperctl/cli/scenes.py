@@ -37,7 +37,7 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     for config in configs:
-        source.build(config.perception)  # a wrong layout is found before the first episode
+        source.build(config)  # a wrong layout or robot is found before the first episode
     return [(config, source) for config in configs]
 
 

@@ -195,7 +195,7 @@ def _end(config: EvalConfig, source: PolicySource, seed: int) -> RobotState:
         ends[:] = [decision.transition.after]
 
     env = FlipperEnv(config=config)
-    play(env, source.build(config.perception), seed, watch=watch)
+    play(env, source.build(config), seed, watch=watch)
     return ends[0]
 
 
@@ -225,5 +225,5 @@ def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) 
         sim = config.sim.model_copy(update={"friction": friction})
         config = config.model_copy(update={"sim": sim})
     env = FlipperEnv(config=config)
-    row = play(env, source.build(config.perception), seed)
+    row = play(env, source.build(config), seed)
     return Outcome(row["outcome"]) is Outcome.REACHED

@@ -1,6 +1,7 @@
 """The metadata of an exported policy.
 
-In: a checkpoint. Out: what a robot must know to run the policy, as strings under ``flipperctl.*``.
+In: a training configuration. Out: what a robot must know to run the policy, as strings under
+``flipperctl.*``.
 """
 
 from __future__ import annotations
@@ -10,15 +11,16 @@ from typing import Any
 
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, ObservationLayout
-from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import resolver
+from flipperctl.config import TrainConfig, resolver
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 from flipperctl.runtime.targets import MEANING
 
 
-def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
-    """Return the metadata of a policy, without its checksum; values that are not text are JSON."""
-    config = checkpoint.config()
+def policy_metadata(config: TrainConfig) -> dict[str, str]:
+    """Return the metadata of a policy, without its checksum; values that are not text are JSON.
+
+    ``config``: that of its training, with the robot that the policy is exported for.
+    """
     layout, robot = config.perception, config.robot
     table = [[front * robot.angle_step, rear * robot.angle_step] for front, rear in ACTIONS]
     geometry = robot.model_dump(mode="json")

@@ -60,7 +60,7 @@ def test_a_policy_of_a_mix_is_evaluated_on_that_mix(tmp_path: Path) -> None:
 def test_another_layout_is_refused(exported: Path) -> None:
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
-        PolicySource(checkpoint=exported).build(config.perception)
+        PolicySource(checkpoint=exported).build(config)
 
 
 def test_a_terrain_that_is_not_installed_is_named(tmp_path: Path) -> None:
