@@ -94,10 +94,10 @@ def _compare(names: str, overrides: list[str], episodes: int, as_json: bool) -> 
     from flipperctl.evaluation.workers import EpisodeWorkers
 
     sources, others = policies(names, overrides)
-    scenes = reward_scenes([*others, f"eval.episodes={episodes}"])
+    scenes = reward_scenes([*others, f"eval.episodes={episodes}"], sources)
     for scene in scenes:
         for source in sources.values():
-            source.build(scene.config.perception)  # a wrong layout is found before the first draw
+            source.build(scene.config)  # a wrong layout or robot is found before the first draw
     with EpisodeWorkers(scenes[0].config.eval.jobs) as workers:
         found = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     if as_json:
