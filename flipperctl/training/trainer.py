@@ -35,6 +35,7 @@ from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
 from flipperctl.training.recorded import TrainingRecorder, fill, read_teacher
+from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
@@ -119,12 +120,16 @@ class Trainer:
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a run that begins.
 
+        Listeners are told under which other conditions they were recorded.
+
         Raises:
             CheckpointError: their file is missing or damaged.
             ConfigError: they do not fit the training.
         """
         begins = not self.replay.added and not self.progress.decision
         if begins and (found := read_teacher(self.config)) is not None:
+            if text := differing_conditions(self.config, found):
+                self._note(text)
             fill(self.replay, found, self.config)
 
     def _passed(self, before: int, period: int) -> bool:
@@ -188,7 +193,9 @@ class Trainer:
             listener.validation({**self._common_columns(), **means})
 
     def _report_lost(self, request: RolloutRequest) -> None:
-        text = f"a worker died and is replaced; its episode {request.episode} is dropped"
+        self._note(f"a worker died and is replaced; its episode {request.episode} is dropped")
+
+    def _note(self, text: str) -> None:
         for listener in self.listeners:
             listener.note(text)
 
