@@ -23,9 +23,9 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import ValidationError
 
 from flipperctl.cli.comparison import compare, job_result
+from flipperctl.cli.follow_up import command
 from flipperctl.cli.search import SearchSettings, search_space
 from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
-from flipperctl.cli.training import quote_path
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -219,7 +219,7 @@ class OptunaSearch:
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         _print_message(
             f"\nBest of {len(_finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
-            f"Evaluate: flipperctl eval --checkpoint {quote_path(Path(best.user_attrs['run']))}"
+            f"Evaluate: {command('eval', '--checkpoint', Path(best.user_attrs['run']))}"
         )
 
 

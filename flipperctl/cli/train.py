@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from flipperctl.cli import follow_up
 from flipperctl.cli.options import Overrides, PluginPaths, reject_options
 
 if TYPE_CHECKING:
@@ -80,7 +81,6 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from flipperctl import plugins as loader
     from flipperctl.cli import config_store
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.training import quote_path
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
 
@@ -90,17 +90,18 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     overrides = [a for a in arguments if a != "--multirun"]
     _check(overrides, compose=check)
     errors: list[BaseException] = []
-    paths = loader.configured_paths()  # a worker on a running cluster has another environment
+    # A worker on a running cluster has another environment.
+    paths, typed = loader.configured_paths(), follow_up.plugin_paths()
 
     def task(composed: Any) -> float | None:
         try:
-            return _task(composed, paths)
+            return _task(composed, paths, typed)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
-            directory = quote_path(Path(HydraConfig.get().runtime.output_dir))
+            directory = Path(HydraConfig.get().runtime.output_dir)
             stopped = InterruptedRunError(
-                f"interrupted. Resume with: flipperctl train --resume {directory}"
+                f"interrupted. Resume with: {follow_up.command('train', '--resume', directory)}"
             )
             # Hydra would add lines of its own to what passes through it.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
@@ -116,7 +117,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
-            "interrupted; resume a saved run with: flipperctl train --resume RUN"
+            f"interrupted; resume a saved run with: {follow_up.command('train', '--resume', 'RUN')}"
         ) from error
     except OSError as error:
         if error.filename is None:
@@ -161,8 +162,11 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _task(composed: Any, paths: list[str]) -> float | None:
-    """Run one job of Hydra; a launcher's worker process loads the plugins itself."""
+def _task(composed: Any, paths: list[str], typed: list[str]) -> float | None:
+    """Run one job of Hydra; a launcher's worker process loads the plugins itself.
+
+    ``paths`` are those of all plugins, ``typed`` those of ``--plugins``.
+    """
     from hydra.core.hydra_config import HydraConfig
 
     from flipperctl import plugins as loader
@@ -171,6 +175,7 @@ def _task(composed: Any, paths: list[str]) -> float | None:
     from flipperctl.cli.training import start
 
     loader.load(paths)
+    follow_up.remember_plugins(typed)
     config = parse_training(composed)
     _check_device(config)
     directory = Path(HydraConfig.get().runtime.output_dir)
@@ -237,7 +242,7 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
 def _resume(run: Path, overrides: list[str]) -> None:
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import override_values
-    from flipperctl.cli.training import quote_path, resume_run
+    from flipperctl.cli.training import resume_run
     from flipperctl.errors import ConfigError, InterruptedRunError
 
     for override in overrides:
@@ -252,5 +257,5 @@ def _resume(run: Path, overrides: list[str]) -> None:
         resume_run(run, changes, _check_device)
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
         raise InterruptedRunError(
-            f"interrupted. Resume with: flipperctl train --resume {quote_path(run)}"
+            f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"
         ) from error

@@ -11,6 +11,7 @@ from typing import Any
 
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 from flipperctl.runtime.targets import MEANING
@@ -40,6 +41,8 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
         "seed": config.seed,
         "network": config.network.plugin_name,
     }
+    if files := [p for p in plugin_references(config) if p.file is not None]:
+        values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

@@ -15,6 +15,7 @@ import numpy as np
 
 from flipperctl.api import ACTIONS, Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
+from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import ConfigError, PolicyError
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
@@ -52,11 +53,11 @@ def is_exported(file: Path) -> bool:
 def exported_config(file: Path) -> EvalConfig:
     """Return the file's own evaluation: its robot, layout and terrain, all as in training.
 
-    A file of format 1 holds only the terrain's name, which then has its defaults.
+    A file of format 1 holds only the terrain's name, which then has its defaults. A terrain whose
+    plugin is not there is a stand-in (see ``config.absent``).
 
     Raises:
-        PolicyError: flipperctl did not export the file, or this version lacks its terrain plugin
-            or one of its settings.
+        PolicyError: flipperctl did not export the file, or this version lacks one of its settings.
     """
     interface = OnnxPolicy(file).interface
     settings = {
@@ -64,8 +65,9 @@ def exported_config(file: Path) -> EvalConfig:
         "robot": dict(interface.robot),
         "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
     }
+    files = {(plugin.kind, plugin.name): plugin.file for plugin in interface.plugins}
     try:
-        return parse(EvalConfig, settings)
+        return parse(EvalConfig, with_stand_ins(settings, files))
     except ConfigError as error:
         raise PolicyError(f"{file}: its metadata do not fit this version: {error}") from error
 

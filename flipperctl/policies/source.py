@@ -74,7 +74,7 @@ class PolicySource:
             return None
         if is_exported(self.checkpoint):
             return exported_config(self.checkpoint).robot
-        return read(self.checkpoint).config().robot
+        return read(self.checkpoint).policy_config().robot
 
     def build(self, config: EnvConfig) -> Policy:
         """Build the policy for an environment of this configuration.
@@ -111,6 +111,6 @@ def _open(file: Path) -> tuple[int, float, Policy]:
         exported = ExportedPolicy(file)
         return exported.interface.bins, exported.interface.bin_width, exported
     checkpoint = read(file)
-    config = checkpoint.config()
+    config = checkpoint.policy_config()
     policy = TrainedPolicy(policy_module(checkpoint), config.network.frames)
     return config.perception.bins, config.perception.bin_width, policy
