@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -46,6 +47,14 @@ def reinstall_hint(kind: str) -> str:
     if kind not in ("sim", "perception"):
         return ""
     return "; a new entry point is found after the package is reinstalled (pip install -e .)"
+
+
+def missing_plugin(kind: str, name: str, file: str | None) -> str:
+    """Return that a plugin is missing and what to do; ``file`` is the file that it came from."""
+    advice = "install it or name its file with --plugins"
+    if file is not None:
+        advice = f"it came from {file}: add --plugins {shlex.quote(file)}"
+    return f"there is no {kind} plugin {name!r}; {advice}"
 
 
 def bounds(model: type[BaseModel], field: str) -> str:

@@ -10,6 +10,7 @@ import hashlib
 import importlib
 import importlib.util
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
@@ -17,13 +18,18 @@ from pathlib import Path
 from types import ModuleType
 
 from flipperctl import guard
-from flipperctl.api import registry
+from flipperctl.api import Plugin, registry
 from flipperctl.errors import PluginError
 
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
+_MODULE = "flipperctl_user_"
+"""Begin of the name of a module that was loaded from a path."""
+
 _loaded: set[str] = set()
+_files: dict[type[Plugin], str] = {}
+"""Class → name of the file from which it was loaded, for those that are not installed."""
 
 
 def load(paths: Iterable[str | Path] = ()) -> None:
@@ -42,7 +48,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     named = [*configured_paths(), *(str(Path(p).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
-        for file in _files(Path(path)):
+        for file in _files_at(Path(path)):
             _load_file(file)
     if named:
         os.environ[VARIABLE] = os.pathsep.join(named)
@@ -53,7 +59,21 @@ def configured_paths() -> list[str]:
     return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
 
 
-def _files(path: Path) -> list[Path]:
+def file_name(cls: type[Plugin]) -> str | None:
+    """Return the name of the file, without its folder, that a path of plugins led to.
+
+    It is None for an installed plugin.
+    """
+    return _files.get(cls)
+
+
+def module_file_name(module: str) -> str | None:
+    """Return the name of the file from which a path's module was loaded, None for any other."""
+    found = re.fullmatch(rf"{_MODULE}(.+)_[0-9a-f]{{8}}", module)
+    return f"{found[1]}.py" if found else None
+
+
+def _files_at(path: Path) -> list[Path]:
     if path.is_file() and path.suffix == ".py":
         return [path]
     if path.is_dir():
@@ -68,7 +88,7 @@ def _files(path: Path) -> list[Path]:
 def _load_file(file: Path) -> None:
     file = file.resolve()
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"flipperctl_user_{file.stem}_{digest}"
+    name = f"{_MODULE}{file.stem}_{digest}"
     if name in _loaded:
         return
 
@@ -81,7 +101,10 @@ def _load_file(file: Path) -> None:
         spec.loader.exec_module(module)
         return module
 
+    before = dict(registry)
     _import(name, str(file), file, run)
+    fresh = (cls for key, cls in registry.items() if before.get(key) is not cls)
+    _files.update(dict.fromkeys(fresh, file.name))
 
 
 def _import(name: str, label: str, file: Path | None, run: Callable[[], object]) -> None:

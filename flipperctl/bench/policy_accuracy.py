@@ -88,7 +88,7 @@ def _play_both(bench: Bench, config: EnvConfig, source: PolicySource) -> list[tu
     s = bench.settings
     finer = {"sim.substep": FINER * planar(config.sim).substep}
     envs = [FlipperEnv(config=c) for c in (config, with_overrides(config, finer))]
-    policy = source.build(envs[0].layout)
+    policy = source.build(config)
     pairs = []
     for index in range(s.starts):
         seed = episode_seed("evaluation", s.seed, index)

@@ -10,8 +10,18 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
+from flipperctl import plugins
 from flipperctl.messages import explain
 
 FORMAT: Final = 2
@@ -68,6 +78,18 @@ class PluginReference(Record):
     kind: Label
     name: Label
     module: Label
+    file: Label | None = None
+    """Name of its file, if it was not installed; version 0.2 did not write it."""
+
+    @property
+    def origin(self) -> str | None:
+        """Name of its file, which that of the module tells too; None if it was installed."""
+        return self.file or plugins.module_file_name(self.module)
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, serialize: SerializerFunctionWrapHandler) -> dict[str, str]:
+        """Leave ``file`` out for an installed plugin, so that files stay those of version 0.2."""
+        return {name: text for name, text in serialize(self).items() if text is not None}
 
 
 class Validation(Record):

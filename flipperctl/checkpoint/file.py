@@ -8,22 +8,23 @@ from __future__ import annotations
 import contextlib
 import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
-from flipperctl import __version__
+from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
 from flipperctl.checkpoint import sealed
-from flipperctl.checkpoint.document import Document, State
+from flipperctl.checkpoint.document import Document, PluginReference, State
 from flipperctl.config import TrainConfig, container, parse, resolver
+from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
-from flipperctl.messages import close_match
+from flipperctl.messages import close_match, missing_plugin
 from flipperctl.sim.versions import engine_versions
 
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
@@ -45,15 +46,34 @@ class Checkpoint:
             CheckpointError: a plugin of the configuration is not installed, or the configuration
                 is not valid in this version.
         """
+        self._require_plugins()
+        return self._parse(self.document.config.model_dump(mode="json"))
+
+    def policy_config(self) -> TrainConfig:
+        """Return the training configuration, as far as the policy needs it.
+
+        Terrain and reward terms whose plugins are not there are stand-ins (see ``config.absent``),
+        and a teacher whose plugin is not there is left out.
+
+        Raises:
+            CheckpointError: another plugin is not there, such as the network's, or the
+                configuration is not valid in this version.
+        """
+        self._require_plugins(apart=("terrain", "reward", "controller"))
+        files = {(p.kind, p.name): p.origin for p in self.document.plugins if p.origin}
+        settings = self.document.config.model_dump(mode="json")
+        return self._parse(with_stand_ins(settings, files))
+
+    def _require_plugins(self, apart: Collection[str] = ()) -> None:
+        """Check that the plugins of all kinds but those ``apart`` are there."""
         for plugin in self.document.plugins:
-            if (plugin.kind, plugin.name) not in registry:
-                raise CheckpointError(
-                    f"{self.path}: the checkpoint needs the {plugin.kind} plugin "
-                    f"{plugin.name!r} (from {plugin.module}), which is not installed; "
-                    "install it or name its file with --plugins"
-                )
+            if plugin.kind not in apart and (plugin.kind, plugin.name) not in registry:
+                text = missing_plugin(plugin.kind, plugin.name, plugin.origin)
+                raise CheckpointError(f"{self.path}: {text}")
+
+    def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
         try:
-            return parse(TrainConfig, self.document.config.model_dump(mode="json"))
+            return parse(TrainConfig, settings)
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration does not fit: {error}"
@@ -84,11 +104,6 @@ def describe(
     import gymnasium
     import numpy as np
 
-    plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
-    plugged += config.rewards.values()
-    if config.teacher.controller is not None:
-        plugged.append(config.teacher.controller)
-    used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]
     return Document(
         format=documents.FORMAT,
         kind=kind,
@@ -100,13 +115,28 @@ def describe(
             "gymnasium": gymnasium.__version__,
             **engine_versions(config.sim),
         },
-        plugins=tuple(
-            documents.PluginReference(kind=p.kind, name=p.plugin_name, module=type(p).__module__)
-            for p in used
-        ),
+        plugins=plugin_references(config),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),
         state=state,
+    )
+
+
+def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
+    """Return the plugins that a configuration names, each with its file if it is not installed."""
+    plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
+    plugged += config.rewards.values()
+    if config.teacher.controller is not None:
+        plugged.append(config.teacher.controller)
+    used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]
+    return tuple(
+        PluginReference(
+            kind=p.kind,
+            name=p.plugin_name,
+            module=type(p).__module__,
+            file=plugins.file_name(type(p)),
+        )
+        for p in used
     )
 
 

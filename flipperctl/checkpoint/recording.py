@@ -78,6 +78,7 @@ class EnvironmentOutline(Record):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
     perception: PerceptionOutline
+    robot: dict[Label, float]
     rewards: dict[Label, RewardOutline]
 
 

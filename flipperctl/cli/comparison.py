@@ -14,8 +14,8 @@ from typing import Any
 
 from hydra.core.utils import JobReturn
 
+from flipperctl.cli.follow_up import quote_path
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
-from flipperctl.cli.training import quote_path
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import write_csv
 from flipperctl.training.run_folder import SUMMARY

@@ -62,9 +62,9 @@ def compose_eval(
     return found
 
 
-def compose_environment(overrides: Sequence[str]) -> EnvConfig:
+def compose_environment(overrides: Sequence[str], primary: str = EVAL_CONTROLLER) -> EnvConfig:
     """Return the environment of an evaluation with these overrides."""
-    config, _ = only_one(compose_eval(overrides))
+    config, _ = only_one(compose_eval(overrides, primary))
     return config
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 
-from flipperctl.api import ObservationLayout, registry
+from flipperctl.api import ObservationLayout, Robot, registry
 from flipperctl.cli import conditions
 from flipperctl.cli.search import SearchSettings
 from flipperctl.config import (
@@ -33,6 +33,8 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
     "flipperctl_eval_exported",
 )
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
+EVAL_ROBOT = "flipperctl_eval_robot"
+"""Primary configuration of an evaluation of a controller with a robot that a file describes."""
 GROUPS = (
     *("terrain", "rewards", "network", "collector", "teacher"),
     *("sim", "perception", "conditions"),
@@ -96,6 +98,18 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     ]
     store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
     return primary
+
+
+def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str:
+    """Register an evaluation with another robot as a primary configuration; return its name.
+
+    ``layout``: the observation layout, if it is another one as well. Overrides change both.
+    """
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": container(robot)}
+    if layout is not None:
+        node["perception"] = container(layout)
+    ConfigStore.instance().store(name=EVAL_ROBOT, node=node)
+    return EVAL_ROBOT
 
 
 def register_sweepers() -> None:

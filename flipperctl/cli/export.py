@@ -6,22 +6,27 @@ import json
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
 
 Before the file is saved under its name, it is compared with torch on at least 1,000 observations
 of real rollouts; a mismatch is an error.
 
+OVERRIDES are settings of the robot that the file is for, as in robot.angle_limit=0.9, where they
+differ from the training's; the command prints what they change.
+
 [bold]Examples[/]
 
   flipperctl export onnx --checkpoint runs/stair/2026-01-31_12-00-00 --output stair.onnx
 
   flipperctl export pt2 --checkpoint best.safetensors
+
+  flipperctl export onnx --checkpoint generalist --output mine.onnx robot.flipper_speed=0.5
 """
 
 
@@ -42,6 +47,7 @@ def export(
     checkpoint: Annotated[
         Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
     ],
+    overrides: Overrides = None,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="[<terrain>.<format>]", show_default=False)
     ] = None,
@@ -59,8 +65,9 @@ def export(
     saved = checkpoints.read(find_policy(checkpoint))
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
+    robot = _robot_overrides(overrides or [])
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
-    found = run(saved, kind.value, target)
+    found = run(saved, kind.value, target, robot)
     if as_json:
         print(json.dumps(found, indent=2))
         return
@@ -71,3 +78,41 @@ def export(
         f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
         f"the chosen action agrees on {found['action_agreement']:.2%}"
     )
+    if changes := found["robot_changes"]:
+        print(f"for another robot than that of the training: {_describe(changes)}")
+
+
+def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
+    """Return the fields of the robot that the overrides set.
+
+    Raises:
+        ConfigError: an override is malformed, or sets anything but a field of the robot.
+    """
+    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.overrides import check_words, override_values
+    from flipperctl.errors import ConfigError
+
+    check_words(overrides)
+    with convert_hydra_errors():
+        values = override_values(overrides)
+    for key in values:
+        section, _, field = key.partition(".")
+        if section != "robot" or not field:
+            raise ConfigError(
+                f"{key}: export takes settings of the robot alone, as in robot.angle_limit=0.9; "
+                "everything else is that of the training"
+            )
+    return {key.removeprefix("robot."): value for key, value in values.items()}
+
+
+def _describe(changes: dict[str, dict[str, float]]) -> str:
+    from flipperctl.api import Robot
+    from flipperctl.messages import unit
+
+    parts = []
+    for name, values in changes.items():
+        setting = name in Robot.model_fields
+        label = f"robot.{name}" if setting else name.replace("_", " ")
+        of = unit(Robot, name) if setting else "s"
+        parts.append(f"{label} {values['file']:.6g} {of} (training {values['training']:.6g})")
+    return ", ".join(parts)

@@ -8,11 +8,23 @@ from typing import Annotated
 
 import typer
 
+from flipperctl.cli import follow_up
 from flipperctl.errors import RequestError
+
+
+def _remember_plugins(paths: list[Path] | None) -> list[Path] | None:
+    follow_up.remember_plugins(paths)
+    return paths
+
 
 PluginPaths = Annotated[
     list[Path] | None,
-    typer.Option("--plugins", metavar="PATH", help="A plugin file or folder; may be repeated."),
+    typer.Option(
+        "--plugins",
+        metavar="PATH",
+        help="A plugin file or folder; may be repeated.",
+        callback=_remember_plugins,  # at every command, with None where it is not given
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,

@@ -25,9 +25,9 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import ValidationError
 
 from flipperctl.cli.comparison import compare, job_result
+from flipperctl.cli.follow_up import command
 from flipperctl.cli.search import SearchSettings, search_space
 from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
-from flipperctl.cli.training import quote_path
 from flipperctl.cli.trial_owner import claim, signs_of_life
 from flipperctl.cli.trials import FAILED, fail_abandoned, finished, running, stop, suggest
 from flipperctl.errors import (
@@ -292,7 +292,7 @@ class OptunaSearch:
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         _print_message(
             f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
-            f"Evaluate: flipperctl eval --checkpoint {quote_path(Path(best.user_attrs['run']))}"
+            f"Evaluate: {command('eval', '--checkpoint', Path(best.user_attrs['run']))}"
         )
 
 

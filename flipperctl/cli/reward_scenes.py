@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import Controller
+from flipperctl.api import Controller, Robot
 from flipperctl.cli import compose, config_store
 from flipperctl.cli.combinations import combinations
 from flipperctl.cli.hydra_errors import convert_hydra_errors
@@ -29,16 +29,21 @@ _DEFAULT = "paper"
 """Preset of ``configs/eval.yaml``."""
 
 
-def reward_scenes(overrides: Sequence[str]) -> list[RewardScene]:
+def reward_scenes(
+    overrides: Sequence[str], sources: Mapping[str, PolicySource]
+) -> list[RewardScene]:
     """Return a scene for each combination of the lists that do not concern the rewards.
 
-    Lists that concern the rewards, as ``rewards=paper,tuned``, give the sets of each scene.
+    Lists that concern the rewards, as ``rewards=paper,tuned``, give the sets of each scene. The
+    robot is that of the files among the ``sources``, whose names are for errors.
 
     Raises:
-        ConfigError: an override is wrong, or drops every reward term.
+        ConfigError: an override is wrong, or drops every reward term, or the files are for
+            different robots and no override says which one drives.
     """
     config_store.register_defaults()
     check_words(overrides)
+    primary = config_store.register_robot(_robot(overrides, sources))
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}
     configs = {}
     with convert_hydra_errors():
@@ -47,12 +52,32 @@ def reward_scenes(overrides: Sequence[str]) -> list[RewardScene]:
         parts = [(o, _concerns_rewards(o)) for o in combination]
         scene = tuple(o for o, rewards in parts if not rewards)
         label = " ".join(o.removeprefix("rewards=") for o, rewards in parts if rewards)
-        ((config, _),) = compose.compose_eval(combination)
+        ((config, _),) = compose.compose_eval(combination, primary)
         if not config.rewards:
             raise ConfigError(f"rewards: {label!r} leaves no term, by which nothing can be ranked")
         configs[scene] = config
         found.setdefault(scene, {})[label or _DEFAULT] = config.rewards
     return [RewardScene(configs[scene], rewards) for scene, rewards in found.items()]
+
+
+def _robot(overrides: Sequence[str], sources: Mapping[str, PolicySource]) -> Robot:
+    """Return the robot of the files, beside the fields that overrides set; see above."""
+    robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
+    if not robots:
+        return Robot()
+    with convert_hydra_errors():
+        chosen = {o.key_or_group for o in parse_overrides(overrides)}
+    (first, ours), *others = robots.items()
+    for other, theirs in others:
+        for field in Robot.model_fields:
+            values = getattr(ours, field), getattr(theirs, field)
+            key = f"robot.{field}"
+            if values[0] != values[1] and key not in chosen:
+                raise ConfigError(
+                    f"--compare: {first} is for {key}={values[0]:.6g}, {other} for "
+                    f"{values[1]:.6g}; give {key}=… for the robot that both drive"
+                )
+    return ours
 
 
 def policies(names: str, overrides: Sequence[str]) -> tuple[dict[str, PolicySource], list[str]]:

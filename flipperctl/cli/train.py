@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from flipperctl.cli import follow_up
 from flipperctl.cli.command import TrainingCommand
 from flipperctl.cli.options import Overrides, PluginPaths
 
@@ -87,7 +88,6 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from flipperctl import plugins as loader
     from flipperctl.cli import config_store
     from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.training import quote_path
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
 
@@ -101,19 +101,19 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     checked = check and _plain(overrides)
     errors: list[BaseException] = []
     # A worker on a running cluster has another environment and another working directory.
-    paths, here = loader.configured_paths(), Path.cwd()
+    paths, typed, here = loader.configured_paths(), follow_up.plugin_paths(), Path.cwd()
 
     def task(composed: Any) -> float | None:
         try:
             if not HydraConfig.get().job.chdir and here.is_dir():
                 os.chdir(here)
-            return _task(composed, paths, checked=checked)
+            return _task(composed, paths, typed, checked=checked)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
-            directory = quote_path(Path(HydraConfig.get().runtime.output_dir))
+            directory = Path(HydraConfig.get().runtime.output_dir)
             stopped = InterruptedRunError(
-                f"interrupted. Resume with: flipperctl train --resume {directory}"
+                f"interrupted. Resume with: {follow_up.command('train', '--resume', directory)}"
             )
             # Hydra would add lines of its own to what passes through it.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
@@ -129,7 +129,7 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
-            "interrupted; resume a saved run with: flipperctl train --resume RUN"
+            f"interrupted; resume a saved run with: {follow_up.command('train', '--resume', 'RUN')}"
         ) from error
     except OSError as error:
         if error.filename is None:
@@ -197,10 +197,11 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _task(composed: Any, paths: list[str], *, checked: bool) -> float | None:
+def _task(composed: Any, paths: list[str], typed: list[str], *, checked: bool) -> float | None:
     """Run one job of Hydra; a launcher's worker process loads the plugins itself.
 
-    ``checked``: the command has composed the configuration before, and printed its notices.
+    ``paths`` are those of all plugins, ``typed`` those of ``--plugins``. ``checked``: the command
+    has composed the configuration before, and printed its notices.
     """
     from hydra.core.hydra_config import HydraConfig
 
@@ -211,6 +212,7 @@ def _task(composed: Any, paths: list[str], *, checked: bool) -> float | None:
     from flipperctl.cli.training import start
 
     loader.load(paths)
+    follow_up.remember_plugins(typed)
     config = parse_training(composed)
     _check_device(config)
     if not checked:
@@ -280,7 +282,7 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
 def _resume(run: Path, overrides: list[str]) -> None:
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import override_values
-    from flipperctl.cli.training import quote_path, resume_run
+    from flipperctl.cli.training import resume_run
     from flipperctl.errors import ConfigError, InterruptedRunError
 
     for override in overrides:
@@ -295,5 +297,5 @@ def _resume(run: Path, overrides: list[str]) -> None:
         resume_run(run, changes, _check_device)
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
         raise InterruptedRunError(
-            f"interrupted. Resume with: flipperctl train --resume {quote_path(run)}"
+            f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"
         ) from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +13,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
+from flipperctl.cli.follow_up import command
 from flipperctl.cli.notices import print_notices
 from flipperctl.cli.progress import progress
 from flipperctl.cli.swing import swing_text
@@ -50,8 +50,8 @@ def start(
         with hold(directory):
             if run_folder.holds_run(directory):
                 raise OutputError(
-                    f"{directory} already holds a run; resume it with: flipperctl train --resume "
-                    f"{quote_path(directory)}, or choose another hydra.run.dir"
+                    f"{directory} already holds a run; resume it with: "
+                    f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
                 )
             run_folder.clear_leftovers(directory)
             trainer = Trainer(config, directory)
@@ -130,25 +130,18 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
     if not summary["finished"]:
         raise InterruptedRunError(
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
-            f"Resume with: flipperctl train --resume {quote_path(directory)}"
+            f"Resume with: {command('train', '--resume', directory)}"
         )
     best = summary["best"]
     print(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{swing_text(best, 2)}, {best['t_cost']:.1f} s. "
         f"{summary['decisions']} decisions in {summary['seconds']:.0f} s.\n"
-        f"Evaluate: flipperctl eval --checkpoint {quote_path(directory)}\n"
-        f"Export:   flipperctl export onnx --checkpoint {quote_path(directory)}",
+        f"Evaluate: {command('eval', '--checkpoint', directory)}\n"
+        f"Export:   {command('export', 'onnx', '--checkpoint', directory)}",
         file=sys.stderr,
     )
     return summary
-
-
-def quote_path(directory: Path) -> str:
-    """Return a path relative to the working directory, if inside, quoted for the shell."""
-    here = Path.cwd()
-    short = directory.relative_to(here) if directory.is_relative_to(here) else directory
-    return shlex.quote(str(short))
 
 
 @contextlib.contextmanager

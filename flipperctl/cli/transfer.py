@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from flipperctl.cli.follow_up import command
 from flipperctl.cli.options import (
     AsJson,
     CheckpointFile,
@@ -104,9 +104,8 @@ def run(
     if as_json:
         print(json.dumps(document, indent=2))
     else:
-        policy = ["--checkpoint", str(checkpoint)] if checkpoint else ["--controller", controller]
-        paths = [part for path in plugins or () for part in ("--plugins", str(path))]
-        _print(found, [*map(str, policy), *paths], overrides or [])
+        kind, name = ("checkpoint", checkpoint) if checkpoint else ("controller", controller)
+        _print(found, [f"--{kind}", str(name)], overrides or [])
 
 
 def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
@@ -175,7 +174,7 @@ def _failures(
             )
             again = [*policy, f"terrain={one.terrain}", *others]
             seed = ["--seed", str(one.seed), "--only", str(f.episode)]
-            yield f"  {shlex.join(['flipperctl', 'transfer', *again, *seed])}"
+            yield f"  {command('transfer', *again, *seed)}"
 
 
 def _interval(found: Interval | None, pairs: int, digits: int) -> str:

@@ -84,7 +84,7 @@ def audit(
         FlipperctlError: the policy cannot be built or failed.
     """
     env = FlipperEnv(config=config)
-    policy = source.build(config.perception)
+    policy = source.build(config)
     paid: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
 

@@ -41,7 +41,7 @@ class Probe:
     @property
     def holds(self) -> bool:
         """Whether the measurement is within the tolerance."""
-        return abs(self.found - self.expected) <= self.tolerance
+        return bool(abs(self.found - self.expected) <= self.tolerance)  # found may be numpy's
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -71,7 +71,7 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     )
     yield probe("velocity along x", "m/s", state.velocity[0], drive / 2, 0.1 * drive)
     yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
-    step, samples = robot.angle_step, round(100 * robot.decision_period)
+    step, samples = min(robot.angle_step, robot.angle_limit), round(100 * robot.decision_period)
     for pair, index in (("front", 0), ("rear", 1)):
         world = place(_FLAT, 0.0)
         targets = [step if i == index else 0.0 for i in range(2)]
@@ -93,10 +93,11 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
 
 
 def _lifted(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
-    """Yield probes of the pitch half a second after one pair begins to press on the ground."""
-    turned = min(0.5 * robot.flipper_speed, robot.angle_limit)
+    """Yield probes of the pitch while one pair presses on the ground and still turns."""
+    samples = math.ceil(100 * min(0.5, 0.8 * robot.angle_limit / robot.flipper_speed))
+    turned = samples / 100 * robot.flipper_speed
     world.command(*[-robot.angle_limit if i == index else 0.0 for i in range(2)])
-    before = world.advance(50)[-1, 2]
+    before = world.advance(samples)[-1, 2]
     rate = world.state().pitch_rate
     pitch = world.advance(2)[-1, 2]
     # The robot turns about the level tip at its other end: rise and distance of the pressing tip.
@@ -132,13 +133,19 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
-    """Yield the probes of an exported policy's table of actions and timing."""
+    """Yield the probes of an exported policy's actions, targets and timing beside a robot's."""
     for index, moves in enumerate(ACTIONS):
         for side, pair in enumerate(("front", "rear")):
             found, expected = float(interface.actions[index, side]), moves[side] * robot.angle_step
             yield Probe(
                 file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
             )
+    rule = interface.targets
+    if math.isfinite(rule.limit):  # a file of version 0.1 may not state it
+        yield Probe(file, "largest target, both ways", "rad", rule.limit, robot.angle_limit, 1e-6)
+    if interface.states_targets:
+        held = "distance between target and angle"
+        yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
     period = interface.decision_period
     yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
     names = [quantity.name for quantity in interface.observation[-3:]]

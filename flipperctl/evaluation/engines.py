@@ -157,7 +157,7 @@ def compare_engines(
         FlipperctlError: the policy cannot be built or failed.
     """
     first, second = FlipperEnv(config=in_default_engine(config)), FlipperEnv(config=config)
-    policy = source.build(config.perception)
+    policy = source.build(config)
     found = []
     for index in range(config.eval.episodes):
         seed = episode_seed("evaluation", config.eval.seed, index)

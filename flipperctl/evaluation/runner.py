@@ -42,7 +42,7 @@ class EpisodeRunner:
         """
         self._env = FlipperEnv(config=config)
         self._report_progress = report_progress
-        self._policy = source.build(config.perception)
+        self._policy = source.build(config)
         self._seed = seed
         self._record = record
 

@@ -198,7 +198,7 @@ def _end(config: EvalConfig, source: PolicySource, seed: int) -> RobotState:
         ends[:] = [decision.transition.after]
 
     env = FlipperEnv(config=config)
-    play(env, source.build(config.perception), seed, watch=watch)
+    play(env, source.build(config), seed, watch=watch)
     return ends[0]
 
 
@@ -227,5 +227,5 @@ def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) 
     except ConfigError:  # beyond what the engine simulates
         return False
     env = FlipperEnv(config=config)
-    row = play(env, source.build(config.perception), seed)
+    row = play(env, source.build(config), seed)
     return Outcome(row["outcome"]) is Outcome.REACHED

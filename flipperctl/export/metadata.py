@@ -1,6 +1,7 @@
 """The metadata of an exported policy.
 
-In: a checkpoint. Out: what a robot must know to run the policy, as strings under ``flipperctl.*``.
+In: a training configuration. Out: what a robot must know to run the policy, as strings under
+``flipperctl.*``.
 """
 
 from __future__ import annotations
@@ -10,15 +11,17 @@ from typing import Any
 
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, ObservationLayout
-from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import resolver
+from flipperctl.checkpoint import plugin_references
+from flipperctl.config import TrainConfig, resolver
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 from flipperctl.runtime.targets import MEANING
 
 
-def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
-    """Return the metadata of a policy, without its checksum; values that are not text are JSON."""
-    config = checkpoint.config()
+def policy_metadata(config: TrainConfig) -> dict[str, str]:
+    """Return the metadata of a policy, without its checksum; values that are not text are JSON.
+
+    ``config``: that of its training, with the robot that the policy is exported for.
+    """
     layout, robot = config.perception, config.robot
     table = [[front * robot.angle_step, rear * robot.angle_step] for front, rear in ACTIONS]
     geometry = robot.model_dump(mode="json")
@@ -38,6 +41,8 @@ def policy_metadata(checkpoint: Checkpoint) -> dict[str, str]:
         "seed": config.seed,
         "network": config.network.plugin_name,
     }
+    if files := [p for p in plugin_references(config) if p.file is not None]:
+        values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

@@ -1,14 +1,18 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
-In: a checkpoint. Out: an ONNX or pt2 file, and the result of the comparison.
+In: a checkpoint, and changes of its robot. Out: an ONNX or pt2 file, and the result of the
+comparison.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
+from flipperctl.config import with_overrides
 from flipperctl.errors import ExportError
 from flipperctl.export.folded import folded
 from flipperctl.export.metadata import policy_metadata
@@ -25,18 +29,28 @@ OBSERVATIONS = 1000
 """Least number of observations that are compared."""
 
 
-def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, Any]:
+def export(
+    checkpoint: Checkpoint,
+    format: Format,
+    output: Path,
+    robot: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """Write the policy to ``output`` and return what the comparison found.
 
+    ``robot``: fields of the robot that the file is for, where they differ from the training's.
+
     Raises:
+        ConfigError: there is no such field, or its value is of the wrong type or out of bounds.
         MissingExtraError: the format is ONNX and a package that it needs is not installed.
         ExportError: the exported policy disagrees with torch; nothing is written.
         OutputError: the file cannot be written.
     """
-    config = checkpoint.config()
+    trained = checkpoint.config()
+    changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
+    config = with_overrides(trained, changes)
     module = policy_module(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
-    metadata = policy_metadata(checkpoint)
+    metadata = policy_metadata(config)
     try:
         if format == "onnx":
             metadata = {**metadata, CHECKSUM: PLACEHOLDER}
@@ -48,4 +62,21 @@ def export(checkpoint: Checkpoint, format: Format, output: Path) -> dict[str, An
         raise fault(error, config.network, "forward", ExportError, while_=" (export)") from error
     found = compare(module, q_values, observations)
     write_bytes(output, data)
-    return {"format": format, "output": str(output), "bytes": len(data), **found}
+    return {
+        "format": format,
+        "output": str(output),
+        "bytes": len(data),
+        **found,
+        "robot_changes": _changes(config.robot, trained.robot),
+    }
+
+
+def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:
+    """Return what differs between two robots, their decision periods included."""
+    names = (*Robot.model_fields, "decision_period")
+    pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}
+    return {
+        name: {"training": before, "file": after}
+        for name, (before, after) in pairs.items()
+        if before != after
+    }

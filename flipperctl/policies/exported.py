@@ -1,17 +1,27 @@
 """An exported file as a policy in the simulator, run as the robot runs it.
 
-In: a file of ``flipperctl export onnx``. Out: a policy, and the evaluation that its metadata
-describe.
+In: a file of ``flipperctl export onnx``. Out: a policy, the evaluation that its metadata describe,
+and whether a robot agrees with what the file itself applies.
 """
 
 from __future__ import annotations
 
+import math
+import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
-from flipperctl.api import Perception, Simulator
+import numpy as np
+
+from flipperctl.api import ACTIONS, Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
+from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import ConfigError, PolicyError
 from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.interface import Interface
+
+_CLOSE = 1e-6
+"""Largest difference of angles, speeds and periods that counts as rounding [SI units]."""
 
 
 class ExportedPolicy:
@@ -43,11 +53,11 @@ def is_exported(file: Path) -> bool:
 def exported_config(file: Path) -> EvalConfig:
     """Return the file's own evaluation: its robot, layout and terrain, all as in training.
 
-    A file of format 1 holds only the terrain's name, which then has its defaults.
+    A file of format 1 holds only the terrain's name, which then has its defaults. A terrain whose
+    plugin is not there is a stand-in (see ``config.absent``).
 
     Raises:
-        PolicyError: flipperctl did not export the file, or this version lacks its terrain plugin
-            or one of its settings.
+        PolicyError: flipperctl did not export the file, or this version lacks one of its settings.
     """
     interface = OnnxPolicy(file).interface
     settings = {
@@ -55,7 +65,58 @@ def exported_config(file: Path) -> EvalConfig:
         "robot": dict(interface.robot),
         "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
     }
+    files = {(plugin.kind, plugin.name): plugin.file for plugin in interface.plugins}
     try:
-        return parse(EvalConfig, settings)
+        return parse(EvalConfig, with_stand_ins(settings, files))
     except ConfigError as error:
         raise PolicyError(f"{file}: its metadata do not fit this version: {error}") from error
+
+
+def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
+    """Check that a simulated robot agrees with what an exported file applies itself.
+
+    The file brings its table of actions, the limit of its targets and its decision period to the
+    real robot, whatever the simulator was told. All other properties are the robot's own.
+
+    Raises:
+        ConfigError: one of them differs; the text has the command that exports a file with it.
+    """
+    found = list(_disagreements(interface, robot))
+    if not found:
+        return
+    own = parse(Robot, interface.robot)
+    names = ("angle_step", "angle_limit", "flipper_speed")  # those that a file applies
+    changed = [name for name in names if not _close(getattr(own, name), getattr(robot, name))]
+    if not changed:
+        raise ConfigError(
+            f"{file} applies {', '.join(found)}: it contradicts the robot in its own metadata; "
+            f"flipperctl inspect conventions --checkpoint {shlex.quote(str(file))} shows where"
+        )
+    asked = " ".join(f"robot.{name}={getattr(robot, name)!r}" for name in changed)
+    advice = f"export a file with it: flipperctl export onnx --checkpoint RUN {asked}"
+    if changed == ["flipper_speed"]:
+        speed = f"{robot.flipper_speed!r}"
+        advice += f", or keep the file's period with randomise.flipper_speed={speed}"
+    raise ConfigError(f"{file} applies {', '.join(found)}, on the robot as well; {advice}")
+
+
+def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
+    """Yield in words what the file applies instead of the robot's own."""
+    rule = interface.targets
+    step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
+    if not np.allclose(interface.actions, step * np.array(ACTIONS), rtol=0.0, atol=_CLOSE):
+        largest = np.abs(interface.actions).max()
+        yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
+    elif math.isfinite(rule.window) and not _close(rule.window, step):
+        yield f"targets within {rule.window:.6g} rad (robot.angle_step asks for {step:.6g})"
+    if math.isfinite(rule.limit) and not _close(rule.limit, limit):
+        yield f"a limit of {rule.limit:.6g} rad (robot.angle_limit asks for {limit:.6g})"
+    if not _close(interface.decision_period, period):
+        yield (
+            f"a decision period of {interface.decision_period:.6g} s (robot.angle_step / "
+            f"robot.flipper_speed asks for {period:.6g})"
+        )
+
+
+def _close(ours: float, theirs: float) -> bool:
+    return abs(ours - theirs) <= _CLOSE

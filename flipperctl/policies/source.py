@@ -10,12 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.api import Controller, ObservationLayout, Policy
+from flipperctl.api import Controller, Policy, Robot
 from flipperctl.checkpoint import find, read, shipped_policies
-from flipperctl.config import resolver
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Planner
-from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.exported import (
+    ExportedPolicy,
+    check_robot,
+    exported_config,
+    is_exported,
+)
 from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 
@@ -58,12 +63,26 @@ class PolicySource:
         assert isinstance(found, Controller)
         return found.baselines
 
-    def build(self, layout: ObservationLayout) -> Policy:
-        """Build the policy for observations of this layout.
+    def robot(self) -> Robot | None:
+        """Return the robot that a file's policy is for; None of a controller plugin.
+
+        Raises:
+            CheckpointError: the file is missing or damaged.
+            PolicyError: the exported file is damaged.
+        """
+        if self.checkpoint is None:
+            return None
+        if is_exported(self.checkpoint):
+            return exported_config(self.checkpoint).robot
+        return read(self.checkpoint).policy_config().robot
+
+    def build(self, config: EnvConfig) -> Policy:
+        """Build the policy for an environment of this configuration.
 
         Raises:
             CheckpointError: the policy was trained on another observation layout, or its file is
                 missing or damaged.
+            ConfigError: the environment's robot contradicts what an exported file applies itself.
             PolicyError: the exported file is damaged.
             PluginFailedError: the controller's code failed.
         """
@@ -71,15 +90,18 @@ class PolicySource:
             controller = resolver.create("controller", self.settings, "controller")
             if isinstance(controller, Planner) and controller.policy:
                 file = find(Path(controller.policy))
-                controller = controller.starting_from(PolicySource(file).build(layout))
+                controller = controller.starting_from(PolicySource(file).build(config))
             return PluginPolicy(controller)
         bins, bin_width, policy = _open(self.checkpoint)
+        layout = config.perception
         if (bins, bin_width) != (layout.bins, layout.bin_width):
             raise CheckpointError(
                 f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
                 "perception.bins and perception.bin_width ask for "
                 f"{layout.bins} of {layout.bin_width:g} m"
             )
+        if isinstance(policy, ExportedPolicy):
+            check_robot(policy.interface, config.robot, self.checkpoint)
         return policy
 
 
@@ -89,6 +111,6 @@ def _open(file: Path) -> tuple[int, float, Policy]:
         exported = ExportedPolicy(file)
         return exported.interface.bins, exported.interface.bin_width, exported
     checkpoint = read(file)
-    config = checkpoint.config()
+    config = checkpoint.policy_config()
     policy = TrainedPolicy(policy_module(checkpoint), config.network.frames)
     return config.perception.bins, config.perception.bin_width, policy

@@ -40,9 +40,9 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     It maps observations (B, F · (N + 3)) of F frames in SI units to Q-values (B, 9).
 
     Raises:
-        CheckpointError: the weights do not fit the network.
+        CheckpointError: the network's plugin is not there, or the weights do not fit the network.
     """
-    config = checkpoint.config()
+    config = checkpoint.policy_config()
     try:
         module = build_network(config.network, config.perception, len(ACTIONS))
     except ConfigError as error:

@@ -58,7 +58,7 @@ def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> Non
             raise RequestError(f"sim={config.sim.plugin_name} draws no pictures for a film")
         env.drive.world = FilmedWorld(world, frames)
 
-    for _ in decisions(env, source.build(config.perception), seed, pace=begin):
+    for _ in decisions(env, source.build(config), seed, pace=begin):
         pass
     from PIL.Image import fromarray
 

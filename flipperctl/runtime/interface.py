@@ -48,6 +48,16 @@ class Quantity:
     meaning: str
 
 
+@dataclass(frozen=True)
+class PluginFile:
+    """A plugin of the training that was loaded from a file, not from an installed package."""
+
+    kind: str
+    name: str
+    file: str
+    """Name of the file, without its folder."""
+
+
 @dataclass(frozen=True, eq=False)
 class Interface:
     """The inputs and outputs of an exported policy, read from its metadata."""
@@ -79,6 +89,8 @@ class Interface:
     """Seed of the training."""
     package_version: str
     """Version of flipperctl that exported the policy."""
+    plugins: tuple[PluginFile, ...] = ()
+    """Plugins of the training that were not installed; a robot needs none of them."""
 
     @property
     def size(self) -> int:
@@ -155,6 +167,15 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         terrain_config=MappingProxyType(terrain_config),
         seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
+        plugins=tuple(
+            PluginFile(**e)
+            for e in entry(
+                "plugins",
+                "a list of mappings of kind, name and file to text",
+                lambda v: isinstance(v, list) and all(map(_is_plugin, v)),
+                absent="[]",
+            )
+        ),
     )
 
 
@@ -197,6 +218,14 @@ def _entry(
             f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
         )
     return value
+
+
+def _is_plugin(value: object) -> bool:
+    return (
+        isinstance(value, dict)
+        and set(value) == set(PluginFile.__dataclass_fields__)
+        and all(isinstance(text, str) for text in value.values())
+    )
 
 
 def _is_whole(value: object) -> bool:

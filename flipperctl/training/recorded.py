@@ -15,8 +15,9 @@ from flipperctl.agent.replay import Replay
 from flipperctl.api import MAX_HISTORY
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
-from flipperctl.config import TrainConfig, container
+from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
+from flipperctl.training.recorded_fit import check_fit
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:
@@ -30,34 +31,13 @@ def read_teacher(config: TrainConfig) -> Recording | None:
     if name is None:
         return None
     found = recording.read(Path(name))
-    for environment in found.document.environments:
-        _check_fit(config, found, environment)
+    check_fit(config, found)
     if found.decisions >= config.agent.replay_size:
         raise ConfigError(
             f"agent.replay_size: {config.agent.replay_size:,} transitions leave no room beside the "
             f"{found.decisions:,} recorded ones of teacher.episodes={name}; make it larger"
         )
     return found
-
-
-def _check_fit(
-    config: TrainConfig, found: Recording, environment: recording.EnvironmentOutline
-) -> None:
-    """Refuse episodes of another observation, or whose rewards would be learnt but are others'."""
-    ours, theirs = config.perception, environment.perception
-    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
-        raise ConfigError(
-            f"teacher.episodes: {found.path} holds observations of {theirs.bins} bins of "
-            f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for {ours.bins} "
-            f"of {ours.bin_width:g} m"
-        )
-    rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
-    if config.teacher.td_weight and rewards != container(config.environment())["rewards"]:
-        raise ConfigError(
-            f"teacher.episodes: {found.path} was recorded with other rewards "
-            f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
-            "from its labels alone with teacher.td_weight=0"
-        )
 
 
 def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:

@@ -36,6 +36,7 @@ from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
 from flipperctl.training.recorded import fill, read_teacher
+from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
@@ -141,11 +142,15 @@ class Trainer:
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a run that begins.
 
+        Listeners are told under which other conditions they were recorded.
+
         Raises:
             CheckpointError: their file is missing or damaged.
             ConfigError: they do not fit the training.
         """
         if not self.replay.added and (found := read_teacher(self.config)) is not None:
+            if text := differing_conditions(self.config, found):
+                self._report(text)
             fill(self.replay, found, self.config)
 
     def _train_episode(self, collector: Collector) -> None:

@@ -141,6 +141,23 @@ def test_export_prints_what_it_compared(run: Path, tmp_path: Path) -> None:
     assert (tmp_path / "p.onnx").stat().st_size > 10_000
 
 
+def test_export_takes_another_robot_and_says_so(run: Path, tmp_path: Path) -> None:
+    export = ("export", "pt2", "--checkpoint", str(run), "--output", "p.pt2")
+    done = call(*export, "robot.flipper_speed=0.5", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert done.out.splitlines()[-1] == (
+        "for another robot than that of the training: robot.flipper_speed 0.5 rad/s (training "
+        "0.436332), decision period 0.523599 s (training 0.6)"
+    )
+    (tmp_path / "p.pt2").unlink()
+    for override in ("terrain=stair", "sim.friction=0.7", "robot=x"):
+        done = call(*export, override, cwd=tmp_path)
+        key = override.partition("=")[0]
+        assert (done.code, done.out) == (2, "")
+        assert f"error: {key}: export takes settings of the robot alone" in done.err
+    assert not (tmp_path / "p.pt2").exists()
+
+
 def test_inspect_plugins_shows_origin_unit_bounds_and_default(tmp_path: Path) -> None:
     done = call("inspect", "plugins", "--json", cwd=tmp_path)
     plugins = {(p["kind"], p["name"]): p for p in json.loads(done.out)}

@@ -1,5 +1,6 @@
 """Signs, frames, units and timing hold in both engines, and a flip of any of them is found."""
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,9 +11,11 @@ import pytest
 from flipperctl.api import ACTIONS, Robot, SensedGround
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conventions import probe_export, probe_sensing, probe_world
+from flipperctl.runtime.targets import TargetRule
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
 from tests.cli.call import call
+from tests.runtime import linear
 
 IN_3D = EvalConfig(terrain="flat", sim="mujoco")
 
@@ -78,13 +81,18 @@ def test_an_export_s_actions_and_period_are_compared() -> None:
         actions=np.array(ACTIONS) * robot.angle_step,
         decision_period=robot.decision_period,
         observation=names,
+        targets=TargetRule(window=robot.angle_step, limit=robot.angle_limit),
+        states_targets=True,
     )
     assert wrong(probe_export(interface, robot, "policy.onnx")) == []
     interface.actions[0, 1] *= -1
     interface.decision_period = 0.5
+    interface.targets = TargetRule(window=15.0, limit=60.0)
     interface.observation = names[::-1]
     assert wrong(probe_export(interface, robot, "policy.onnx")) == [
         "turn of the rear pair by action 0",
+        "largest target, both ways",
+        "distance between target and angle",
         "time between two actions",
         "order of the angles: front, rear, pitch",
     ]
@@ -102,3 +110,25 @@ def test_the_command_fails_and_names_the_first_convention(
     assert "sim=mujoco: time of 200 samples is 4.000 s; 2.000 ± 0.000 is allowed" in done.err
     other = call("inspect", "conventions", "--checkpoint", "run", cwd=tmp_path)
     assert (other.code, "an exported .onnx file is allowed" in other.err) == (2, True)
+
+
+def test_the_robot_and_the_observation_of_a_file_are_probed(tmp_path: Path) -> None:
+    own = {"track_radius": 0.12, "track_speed": 0.4, "angle_limit": 0.2}
+    robot = {**Robot().model_dump(), **own}
+    targets = {"meaning": "x", "window": robot["angle_step"], "limit": 0.2}
+    linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, bin_width=0.1)
+    probe = ("inspect", "conventions", "--checkpoint", "p.onnx", "--json")
+    done = call(*probe, cwd=tmp_path)
+    assert done.code == 0, done.err
+    probes = {(p["of"], p["meaning"]): p for p in json.loads(done.out)["probes"]}
+    for engine in ("sim=planar", "sim=mujoco"):
+        assert probes[engine, "x after 2 s of belts, forward"]["expected"] == 0.8
+        assert probes[engine, "z of the chassis on the level, up"]["expected"] == 0.12
+        # The end stop holds a pair that one action would turn further.
+        assert probes[engine, "front flippers turned up by one action"]["expected"] == 0.2
+    assert probes["perception=planar", "first height, behind the robot"]["expected"] == -0.12
+    assert probes["p.onnx", "largest target, both ways"]["found"] == 0.2
+    other = call(*probe, "robot.angle_limit=0.3", cwd=tmp_path)
+    assert (other.code, json.loads(other.out)["holds"]) == (1, False)
+    assert "error: 1 of " in other.err
+    assert "first p.onnx: largest target, both ways is 0.200 rad; 0.300" in other.err

@@ -79,5 +79,5 @@ def test_a_wall_lifts_level_flippers_from_the_friction_of_statics_on(engine: str
         settings = {"name": engine, "friction": friction}
         wall = {"name": "step", "low": 0.4, "high": 0.4}
         env = FlipperEnv(config=EnvConfig(terrain=wall, sim=settings))
-        _, poses, _ = drive(env, PolicySource.of_plugin("level", "").build(env.layout), 0)
+        _, poses, _ = drive(env, PolicySource.of_plugin("level", "").build(env.config), 0)
         assert (poses[:, 2].max() > 0.1) == expected, friction

@@ -105,7 +105,7 @@ def test_a_trained_policy_drives_another_terrain_greedily(short_run: Path) -> No
     (result,) = play_episodes(config, PolicySource(file), episodes=1, seed=5)
     assert (result.terrain, result.outcome) == ("flat", Outcome.REACHED)
     assert result.t_cost == pytest.approx(20.0, abs=0.5)
-    policy = PolicySource(file).build(config.perception)
+    policy = PolicySource(file).build(config)
     row = play(FlipperEnv(config=config), policy, episode_seed("evaluation", 5, 0))
     assert list(result.row().items()) == [("episode", 0), *row.items()]
     assert EpisodeResult.of(0, row) == result

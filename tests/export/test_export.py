@@ -12,12 +12,15 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import ObservationLayout
-from flipperctl.config import resolver
-from flipperctl.errors import ExportError, MissingExtraError
+from flipperctl.config import EnvConfig, resolver
+from flipperctl.errors import ConfigError, ExportError, MissingExtraError
+from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy
 from flipperctl.export.metadata import describe_observation
 from flipperctl.export.parity import compare
+from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
+from flipperctl.runtime import OnnxPolicy
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +95,45 @@ def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Pat
     observation = torch.full((3, 18), 0.1)
     expected = policy_module(saved)(observation)
     assert torch.allclose(program.module()(observation), expected, atol=1e-5)
+
+
+def test_the_file_for_another_robot_drives_it_as_the_checkpoint_does(
+    saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared = []
+
+    def watched(module: torch.nn.Module, exported: object, observations: np.ndarray) -> object:
+        compared.append(observations)
+        return compare(module, exported, observations)
+
+    monkeypatch.setattr(policy, "compare", watched)
+    path = tmp_path / "narrow.onnx"
+    robot = {"angle_limit": 0.4, "flipper_speed": 0.5}
+    found = policy.export(saved, "onnx", path, robot)
+    assert found["robot_changes"] == {
+        "angle_limit": {"training": math.pi / 3, "file": 0.4},
+        "flipper_speed": {"training": math.radians(25), "file": 0.5},
+        "decision_period": {"training": 0.6, "file": pytest.approx(math.pi / 12 / 0.5)},
+    }
+    assert np.abs(compared[0][:, 15:17]).max() == pytest.approx(0.4, abs=0.01)  # it drove it
+    interface = OnnxPolicy(path).interface
+    assert (interface.targets.window, interface.targets.limit) == (math.pi / 12, 0.4)
+    assert interface.decision_period == pytest.approx(math.pi / 12 / 0.5)
+    assert interface.robot["flipper_speed"] == 0.5
+    config = EnvConfig(terrain="step", robot=robot)
+    sources = PolicySource(checkpoint=path), PolicySource(checkpoint=saved.path)
+    ours, theirs = (list(play_episodes(config, s, episodes=2, seed=1)) for s in sources)
+    assert ours == theirs
+
+
+def test_another_robot_must_be_possible(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
+    for robot, text in (
+        ({"angle_limt": 0.4}, r"robot\.angle_limt: there is no such key; did you mean 'angle_l"),
+        ({"angle_limit": 7}, r"robot\.angle_limit: .*the value is 7"),
+    ):
+        with pytest.raises(ConfigError, match=text):
+            policy.export(saved, "onnx", tmp_path / "x.onnx", robot)
+    assert policy.export(saved, "pt2", tmp_path / "x.pt2", {})["robot_changes"] == {}
 
 
 def test_a_mismatch_fails_and_writes_nothing(

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.api import Robot
 from flipperctl.config import EnvConfig
-from flipperctl.errors import CheckpointError, PolicyError
+from flipperctl.errors import CheckpointError, PluginError, PolicyError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.export.policy import export
@@ -60,13 +62,44 @@ def test_a_policy_of_a_mix_is_evaluated_on_that_mix(tmp_path: Path) -> None:
 def test_another_layout_is_refused(exported: Path) -> None:
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
-        PolicySource(checkpoint=exported).build(config.perception)
+        PolicySource(checkpoint=exported).build(config)
 
 
-def test_a_terrain_that_is_not_installed_is_named(tmp_path: Path) -> None:
-    path = linear.write(tmp_path / "p.onnx", terrain="moon", terrain_config={"name": "moon"})
-    with pytest.raises(PolicyError, match="there is no terrain plugin 'moon'"):
+def test_a_terrain_that_is_not_installed_is_named_and_not_needed_on_another(tmp_path: Path) -> None:
+    moon = {"terrain": "moon", "terrain_config": {"name": "moon", "craters": 3}}
+    robot = {"robot": Robot().model_dump()}
+    linear.write(tmp_path / "p.onnx", **moon, **robot)
+    mix = {"name": "mix", "parts": [{"name": "moon", "craters": 3}, {"name": "step"}]}
+    linear.write(tmp_path / "mix.onnx", **robot, terrain="mix", terrain_config=mix)
+    for name in ("p.onnx", "mix.onnx"):
+        with pytest.raises(PluginError, match="there is no terrain plugin 'moon'; install it or"):
+            exported_config(tmp_path / name).terrain.generate(np.random.default_rng(0))
+        evaluate = ("eval", "--checkpoint", name, "--episodes", "1")
+        done = call(*evaluate, cwd=tmp_path)
+        assert (done.code, done.err.count("\n")) == (2, 1)
+        assert done.err.startswith(f"error: {name}: there is no terrain plugin 'moon'; install it")
+        assert call(*evaluate, "terrain=flat", cwd=tmp_path).code == 0
+    # Of the mix only a part is missing; the mix at its own defaults is another terrain.
+    assert (
+        call(
+            "eval", "--checkpoint", "mix.onnx", "terrain=mix", "--episodes", "1", cwd=tmp_path
+        ).code
+        == 0
+    )
+
+
+def test_a_terrain_with_wrong_settings_is_still_refused(tmp_path: Path) -> None:
+    stair = {"name": "stair", "rise": -1}
+    path = linear.write(tmp_path / "p.onnx", terrain="stair", terrain_config=stair)
+    with pytest.raises(PolicyError, match=r"terrain\.rise: .*greater than 0"):
         exported_config(path)
+
+
+def test_a_file_that_states_no_rule_for_targets_says_what_differs(tmp_path: Path) -> None:
+    path = linear.write(tmp_path / "p.onnx", robot=Robot().model_dump())
+    done = call("eval", "--checkpoint", str(path), "--episodes", "1", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert done.err.count("does not state how a blocked flipper is turned: here its target") == 1
 
 
 def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Trainings that learn from recorded episodes, and trainings that record their own."""
 
 import itertools
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
 from flipperctl.training.recorded import fill, read_teacher
+from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.recorder import EPISODES, PARTS
 from flipperctl.training.run_folder import clear_leftovers
 from flipperctl.training.saving import RunSaver
@@ -227,6 +229,56 @@ def test_episodes_that_do_not_fit_the_training_are_refused(
         read_teacher(short_config(**{"teacher.episodes": str(file), **changes}))
 
 
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    """One step, driven with another robot, physics and sensing."""
+    robot = {"angle_step": 0.1, "flipper_length": 0.3, "track_speed": 0.4}
+    config = EnvConfig(
+        terrain="step",
+        robot=robot,
+        sim={"name": "planar", "friction": 0.75},
+        perception={"name": "planar", "noise": 0.01, "occlusion": True},
+        episode={"slack": 4},
+        randomise={"chassis_mass": [30, 40]},
+    )
+    (found,) = play_episodes(config, OKADA, episodes=1, seed=5, record=True)
+    assert found.recorded is not None
+    path = tmp_path / "elsewhere.safetensors"
+    recording.write(path, "okada", [(config, [found.recorded])])
+    return path
+
+
+def test_episodes_of_another_robot_are_refused_with_every_difference(elsewhere: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_teacher(short_config(**{"teacher.episodes": str(elsewhere)}))
+    assert str(caught.value) == (
+        f"teacher.episodes: {elsewhere} was recorded with another robot: robot.flipper_length=0.3 "
+        f"(here 0.536), robot.angle_step=0.1 (here {math.pi / 12}), robot.track_speed=0.4 (here "
+        "0.2), a decision period of 0.229183 s (here 0.6); record it again with the robot of the "
+        "training, or train with robot.flipper_length=0.3 robot.angle_step=0.1 "
+        "robot.track_speed=0.4"
+    )
+    agreeing = {"robot.angle_step": 0.1, "robot.flipper_length": 0.3}
+    settings = {"teacher.episodes": str(elsewhere), **agreeing}
+    assert read_teacher(short_config(**settings, **{"robot.track_speed": 0.4})) is not None
+    with pytest.raises(
+        ConfigError, match=r"another robot: robot\.track_speed=0\.4 \(here 0\.2\); "
+    ):
+        read_teacher(short_config(**settings))
+
+
+def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file: Path) -> None:
+    found = recording.read(elsewhere)
+    assert differing_conditions(short_config(), found) == (
+        f"teacher.episodes: {elsewhere} was recorded under other conditions: sim.friction=0.75 "
+        "(here 1.0), perception.noise=0.01 (here 0.0), perception.occlusion=true (here false), "
+        "episode.slack=4.0 (here 3.0), randomise.chassis_mass=[30.0,40.0] (here null)"
+    )
+    in_3d = short_config(sim={"name": "mujoco", "friction": 0.75})
+    assert "sim=planar (here mujoco), perception" in differing_conditions(in_3d, found)
+    assert differing_conditions(short_config(), recording.read(file)) == ""
+
+
 def test_labels_alone_may_come_from_other_rewards(file: Path) -> None:
     changes = {"rewards.pitch.lambda_2": 3.0, "teacher.td_weight": 0.0}
     assert read_teacher(short_config(**{"teacher.episodes": str(file), **changes})) is not None
@@ -255,6 +307,17 @@ def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
     words += ["terrain=step", "teacher=recorded", "hydra.run.dir=run"]
     done = call("train", *words, "teacher.episodes=a.safetensors", cwd=tmp_path)
     assert done.code == 0, done.err
+    assert "other conditions" not in done.err
+    other = ["teacher.episodes=a.safetensors", "hydra.run.dir=other", "sim.friction=0.9"]
+    done = call("train", *words[:-1], *other, cwd=tmp_path)
+    assert done.code == 0, done.err
+    stated = "a.safetensors was recorded under other conditions: sim.friction=1.0 (here 0.9)\n"
+    assert done.err.count(stated) == 1
+    done = call(
+        "train", *words, "teacher.episodes=a.safetensors", "robot.angle_step=0.2", cwd=tmp_path
+    )
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert f"another robot: robot.angle_step={math.pi / 12} (here 0.2)" in done.err
     assert (
         "it is that of recorded episodes"
         in call("eval", "--checkpoint", "a.safetensors", cwd=tmp_path).err

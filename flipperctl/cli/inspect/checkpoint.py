@@ -86,7 +86,9 @@ def _print(found: dict[str, Any], saved: Checkpoint) -> None:
         "decision": str(found.get("decision") or (state or {}).get("decision")),
         "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "plugins": ", ".join(f"{p['kind']} {p['name']} ({p['module']})" for p in found["plugins"]),
+        "plugins": ", ".join(
+            f"{p.kind} {p.name} ({p.origin or p.module})" for p in document.plugins
+        ),
     }
     if best:
         lines["best"] = (

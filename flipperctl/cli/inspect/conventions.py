@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 HELP = """Probe signs, frames, units and timing of both engines, of sensing and of an exported file.
 
 Each engine drives on the level, turns each pair of flippers up and presses it down, and drives up
-a ramp; the sensor looks at a step; an exported file is asked for its actions and its period. What
-differs from the contract is listed, and the command fails. sim=… names the engine beside the
+a ramp; the sensor looks at a step. With an exported file, robot and observation are the file's, and
+its actions, targets and period are compared with the robot (after robot.… overrides: with yours).
+What differs from the contract is listed, and the command fails. sim=… names the engine beside the
 default one.
 
 [bold]Examples[/]
@@ -75,12 +76,15 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
     config_store.register_defaults()
-    config = compose_environment(with_engine(overrides))
+    primary = config_store.EVAL_CONTROLLER
+    if file is not None:
+        own = exported_config(file)
+        primary = config_store.register_robot(own.robot, own.perception.layout)
+    config = compose_environment(with_engine(overrides), primary)
     plane = in_default_engine(config)
     found = [*probe_world(plane), *probe_world(config), *probe_sensing(config)]
     if file is not None:
-        interface, robot = ExportedPolicy(file).interface, exported_config(file).robot
-        found += probe_export(interface, robot, str(file))
+        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
     return found
 
 

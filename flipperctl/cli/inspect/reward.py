@@ -98,10 +98,10 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.evaluation.workers import EpisodeWorkers
 
     sources, others = policies(names, overrides)
-    scenes = reward_scenes(others)
+    scenes = reward_scenes(others, sources)
     for scene in scenes:
         for source in sources.values():
-            source.build(scene.config.perception)  # a wrong layout is found before the first draw
+            source.build(scene.config)  # a wrong layout or robot is found before the first draw
     with EpisodeWorkers(scenes[0].config.eval.jobs) as workers:
         found = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 from typing import Annotated, Any
@@ -78,9 +79,20 @@ def _number(cell: str | None) -> float | None:
     return float(cell) if cell else None
 
 
-def _print(found: dict[str, Any]) -> None:
-    import shlex
+def _resume_command(run: Path) -> str:
+    """Return the command with the plugins of this one, else with those that the run names."""
+    from flipperctl import checkpoint
+    from flipperctl.cli import follow_up
+    from flipperctl.errors import CheckpointError
 
+    if not follow_up.plugin_paths():
+        with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
+            named = checkpoint.read(run / checkpoint.LAST).document.plugins
+            follow_up.remember_plugins(dict.fromkeys(p.origin for p in named if p.origin))
+    return follow_up.command("train", "--resume", run)
+
+
+def _print(found: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
@@ -89,7 +101,7 @@ def _print(found: dict[str, Any]) -> None:
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
-        state = f"interrupted; resume with: flipperctl train --resume {shlex.quote(found['run'])}"
+        state = f"interrupted; resume with: {_resume_command(Path(found['run']))}"
     table = Table(title=f"{found['run']}: {state}", title_justify="left")
     headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
     for heading in headings:

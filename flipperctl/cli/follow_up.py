@@ -1,0 +1,43 @@
+"""Commands that are printed for the user to type next, with the plugins of the command that prints.
+
+In: words of a command, and the paths that ``--plugins`` named. Out: a line for the shell. Installed
+plugins and those of ``FLIPPERCTL_PLUGINS`` are found again without being named.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+
+_plugin_paths: list[str] = []
+
+
+def remember_plugins(paths: Iterable[str | Path] | None) -> None:
+    """Remember the paths that ``--plugins`` named, as they were typed, in place of earlier ones."""
+    _plugin_paths[:] = map(str, paths or ())
+
+
+def plugin_paths() -> list[str]:
+    """Return the remembered paths, for a worker process that prints commands too."""
+    return list(_plugin_paths)
+
+
+def command(*words: str | Path) -> str:
+    """Return ``flipperctl`` with these words and the remembered plugins, quoted for the shell.
+
+    A path inside the working directory is printed relative to it.
+    """
+    typed = [_short(word) if isinstance(word, Path) else word for word in words]
+    plugins = [part for path in _plugin_paths for part in ("--plugins", path)]
+    return shlex.join(["flipperctl", *typed, *plugins])
+
+
+def quote_path(path: Path) -> str:
+    """Return a path relative to the working directory, if it is inside, quoted for the shell."""
+    return shlex.quote(_short(path))
+
+
+def _short(path: Path) -> str:
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)

@@ -1,0 +1,114 @@
+"""Whether recorded episodes fit a training: what must be equal, and what is only stated.
+
+In: a training's configuration and a file of recorded episodes. Out: an error where the episodes
+would teach something else than they say; in words, the conditions under which they differ.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from flipperctl.api import ObservationLayout, Robot
+from flipperctl.checkpoint.recording import EnvironmentOutline, Recording
+from flipperctl.config import TrainConfig, container
+from flipperctl.errors import ConfigError
+
+_SECTIONS = ("sim", "perception", "episode", "randomise")
+"""Sections of an environment that may differ: the student learns from what others met."""
+
+
+def check_fit(config: TrainConfig, found: Recording) -> None:
+    """Refuse episodes that would teach something else than they say.
+
+    The observation layout and the robot must be the training's: the robot decides what an action
+    turns and how long a decision takes. So must the rewards, if they are learnt from.
+
+    Raises:
+        ConfigError: they are not; the text has each setting that differs, with both values.
+    """
+    for environment in found.document.environments:
+        _check_layout(config, found.path, environment)
+        _check_robot(config.robot, found.path, environment)
+        _check_rewards(config, found.path, environment)
+
+
+def differing_conditions(config: TrainConfig, found: Recording) -> str:
+    """Return a sentence with the settings of simulation, sensing and episodes that differ.
+
+    It is empty if there are none.
+    """
+    ours = container(config.environment())
+    left_out: dict[str, Collection[str]] = {
+        "sim": config.sim.without_effect,
+        "perception": ObservationLayout.model_fields.keys(),
+    }
+    texts = dict.fromkeys(
+        text
+        for environment in found.document.environments
+        for section in _SECTIONS
+        for text in _differing(
+            section,
+            {k: v for k, v in ours[section].items() if k not in left_out.get(section, ())},
+            environment.model_dump(mode="json").get(section, {}),
+        )
+    )
+    if not texts:
+        return ""
+    return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
+
+
+def _check_layout(config: TrainConfig, path: Path, environment: EnvironmentOutline) -> None:
+    ours, theirs = config.perception, environment.perception
+    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
+        raise ConfigError(
+            f"teacher.episodes: {path} holds observations of {theirs.bins} bins of "
+            f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for {ours.bins} "
+            f"of {ours.bin_width:g} m"
+        )
+
+
+def _check_robot(robot: Robot, path: Path, environment: EnvironmentOutline) -> None:
+    ours = container(robot)
+    theirs = {**container(Robot()), **environment.robot}  # of a version without all settings
+    texts = list(_differing("robot", ours, theirs))
+    if not texts:
+        return
+    period, own = theirs["angle_step"] / theirs["flipper_speed"], robot.decision_period
+    if period != own:
+        texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
+    settings = [f"robot.{k}={v}" for k, v in theirs.items() if v != ours.get(k)]
+    raise ConfigError(
+        f"teacher.episodes: {path} was recorded with another robot: {', '.join(texts)}; record it "
+        f"again with the robot of the training, or train with {' '.join(settings)}"
+    )
+
+
+def _check_rewards(config: TrainConfig, path: Path, environment: EnvironmentOutline) -> None:
+    rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
+    if config.teacher.td_weight and rewards != container(config.environment())["rewards"]:
+        raise ConfigError(
+            f"teacher.episodes: {path} was recorded with other rewards "
+            f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
+            "from its labels alone with teacher.td_weight=0"
+        )
+
+
+def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each setting of a section whose value differs, with both values.
+
+    Another engine or sensor is named without its own settings.
+    """
+    if theirs.get("name") != ours.get("name"):
+        yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
+        return
+    for name, value in theirs.items():
+        if name in ours and value != ours[name]:
+            yield f"{section}.{name}={_text(value)} (here {_text(ours[name])})"
+
+
+def _text(value: object) -> str:
+    """Return a value as an override has it."""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
