@@ -112,10 +112,11 @@ def run(
 def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
     from flipperctl.cli.compose import only_one
     from flipperctl.report.drawn_film import film
-    from flipperctl.rollout.seeds import episode_seed
+    from flipperctl.rollout.seeds import EvaluationSeeds
 
     config, source = only_one(asked)
-    film(config, source, episode_seed("evaluation", config.eval.seed, episode), path)
+    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
+    film(config, source, seeds(episode), path)
 
 
 def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:

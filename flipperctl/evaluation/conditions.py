@@ -10,11 +10,11 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Settings
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container, resolver
+from flipperctl.config.identity import content_digest, read_files
 from flipperctl.messages import unit
 
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
@@ -109,15 +109,7 @@ def _digests(config: EvalConfig) -> list[str | None]:
     """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
     plugins = (config.terrain, config.sim, config.perception)
     nested = [one for plugin in plugins for one in resolver.nested_plugins(plugin)]
-    return [_digest(file) for plugin in nested for file in plugin.files_read()]
-
-
-def _digest(file: Path) -> str | None:
-    try:
-        with file.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
-    except OSError:  # the plugin refuses the file in words of its own when it reads it
-        return None
+    return [content_digest(file) for plugin in nested for file in read_files(plugin)]
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:
