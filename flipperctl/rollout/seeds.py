@@ -1,4 +1,4 @@
-"""Seeds of episodes, in three streams whose ranges do not overlap, and the generator of exploration.
+"""Seeds of episodes in three streams whose ranges do not overlap, and exploration's generator.
 
 Training seeds are 32-bit numbers. Validation and evaluation seeds have the stream's number in front
 of 50 random bits; all are below 2^53, so that every reader of JSON keeps their last digit.

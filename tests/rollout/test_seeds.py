@@ -4,6 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flipperctl_plugins.terrains.profile_file import ProfileFile
+from flipperctl_plugins.terrains.stair import Stair
 
 from flipperctl.api import Profile, Terrain
 from flipperctl.cli.scenes import scenes
@@ -12,8 +14,6 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.seeds import EvaluationSeeds, training_seed, validation_seed
-from flipperctl_plugins.terrains.profile_file import ProfileFile
-from flipperctl_plugins.terrains.stair import Stair
 
 FAMILIES = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 KERB = "x,z\n0,0\n0,0.1\n0.5,0.1\n"
