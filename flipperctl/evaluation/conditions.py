@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,6 +53,11 @@ class Conditions:
         if files := _digests(config):
             settings["files"] = files
         return cls(config.conditions, settings, defaults)
+
+    @property
+    def label(self) -> str:
+        """Name and hash, for rows and titles."""
+        return f"{self.name} {self.hash}"
 
     @property
     def hash(self) -> str:
@@ -103,6 +109,22 @@ class Conditions:
         return ", ".join(
             [*chosen, *(_format_setting(model, name, values[name]) for name in changed)]
         )
+
+
+def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
+    """Return a name for each scene: its terrain; its conditions too where a terrain has several.
+
+    Scenes that are equal in both, as those of several ``controller.width``, have numbers.
+    """
+    counts = Counter(terrain for terrain, _ in scenes)
+    names = [
+        terrain if counts[terrain] == 1 else f"{terrain}, {found.label}"
+        for terrain, found in scenes
+    ]
+    return [
+        name if names.count(name) == 1 else f"{name} ({names[: index + 1].count(name)})"
+        for index, name in enumerate(names)
+    ]
 
 
 def _digests(config: EvalConfig) -> list[str | None]:
