@@ -32,7 +32,7 @@ def test_rates_are_covered_as_their_outcomes_say() -> None:
     assert rate_coverage(0.5, 5) == pytest.approx(30 / 32)
 
 
-@pytest.mark.parametrize("won, lost", [(0.0, 0.0), (0.1, 0.02), (0.3, 0.3), (0.5, 0.2)])
+@pytest.mark.parametrize(("won", "lost"), [(0.0, 0.0), (0.1, 0.02), (0.3, 0.3), (0.5, 0.2)])
 def test_a_paired_difference_is_covered_in_93_percent_or_more(won: float, lost: float) -> None:
     for total in (5, 10, 20, 40):
         assert 0.93 <= paired_coverage(won, lost, total) <= 1.0 + 1e-9

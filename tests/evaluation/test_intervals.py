@@ -80,7 +80,10 @@ def test_equal_pairs_prove_no_equality(total: int) -> None:
     assert found.low == pytest.approx(-(Z**2) / (total + Z**2), abs=1e-9)
 
 
-@pytest.mark.parametrize("won, lost, total", [(3, 1, 10), (0, 4, 12), (7, 7, 30), (5, 0, 5)])
+PAIRS = [(3, 1, 10), (0, 4, 12), (7, 7, 30), (5, 0, 5)]
+
+
+@pytest.mark.parametrize(("won", "lost", "total"), PAIRS)
 def test_the_ends_of_a_paired_difference_solve_the_score_equation(
     won: int, lost: int, total: int
 ) -> None:

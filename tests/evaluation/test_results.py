@@ -2,9 +2,9 @@
 
 ``recorded/`` holds what these commands wrote before results had types, the path of the policy cut
 to its name; a change of a key or a number there breaks the readers of these documents. Since then,
-only ends of intervals have changed (success rates are Wilson's, means Student's, null for fewer than
-five values), and fields were added: ``controller`` and ``not_reached`` of a scene, ``beyond`` of
-``passable``, ``success`` of a ``difference``.
+only ends of intervals have changed (success rates are Wilson's, means Student's, null for fewer
+than five values), and fields were added: ``controller`` and ``not_reached`` of a scene, ``beyond``
+of ``passable``, ``success`` of a ``difference``.
 
 - ``mix``: ``eval --controller level --baseline okada --passable okada,random terrain=mix
   'terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1},wave]' sim.friction=0.8
