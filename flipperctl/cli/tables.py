@@ -73,8 +73,8 @@ class Table:
         for at, heading in enumerate(self.headings):
             words, shown = heading in self._words, _text(heading, to)
             if broken:
-                cells = max((_text(row[at], to).cell_len for row, _ in self._rows), default=0)
-                shown = Text("\n").join(_wrapped(shown, cells))
+                widest_cell = max((_text(row[at], to).cell_len for row, _ in self._rows), default=0)
+                shown = Text("\n").join(_wrapped(shown, widest_cell))
             table.add_column(
                 shown,
                 no_wrap=not words,
@@ -93,8 +93,8 @@ class Table:
             yield from _wrapped(_text(self.title, to, "italic"), to.width)
         headings = [_text(heading, to) for heading in self.headings]
         longest = max(heading.cell_len for heading in headings)
-        for cells, dim in self._rows:
-            shown = [(h, _text(c, to)) for h, c in zip(headings, cells, strict=True) if len(c) > 0]
+        for row, dim in self._rows:
+            shown = [(h, _text(c, to)) for h, c in zip(headings, row, strict=True) if len(c) > 0]
             for at, (heading, cell) in enumerate(shown):
                 if dim:
                     cell.stylize("dim")

@@ -94,7 +94,7 @@ def _print(found: Iterable[dict[str, Any]]) -> None:
     out = console(natural=120)
     headings = ("setting", "value", "default", "bounds", "unit", "meaning")
     for section, settings in groupby(found, key=lambda s: str(s["section"])):
-        table = Table(headings, words=["value", "default", "meaning"], boxed=False)
+        table = Table(headings, words=["value", "default", "bounds", "meaning"], boxed=False)
         for s in settings:
             value, default = _format_value(s["value"]), _format_value(s["default"])
             path = s["path"].removeprefix(f"{section}.")

@@ -105,7 +105,7 @@ def _print(found: list[dict[str, Any]]) -> None:
         output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
         if plugin["fields"]:
             headings = ("  field", "default", "bounds", "unit", "meaning")
-            table = Table(headings, words=["default", "meaning"], boxed=False)
+            table = Table(headings, words=["default", "bounds", "meaning"], boxed=False)
             for field in plugin["fields"]:
                 default = field["default"]
                 shown = f"{default:.4g}" if isinstance(default, float) else str(default)
