@@ -127,7 +127,7 @@ def _outcomes(summary: Summary) -> str:
 
 def _failed_text(summary: Summary) -> str:
     failed = summary.not_reached
-    return interval_text(failed and failed.pitch_variation_100hz)
+    return interval_text(failed.pitch_variation_100hz if failed else None)
 
 
 def _further() -> list[type[Measure]]:

@@ -154,5 +154,9 @@ def _cells(summary: Summary) -> list[Cell]:
         Cell("pitch_variation", summary.pitch_variation, 2),
         Cell("max_pitch", summary.max_pitch, 2),
         Cell("flipper_travel", summary.flipper_travel, 2),
-        Cell("not_reached_pitch_variation_100hz", failed and failed.pitch_variation_100hz, 2),
+        Cell(
+            "not_reached_pitch_variation_100hz",
+            failed.pitch_variation_100hz if failed else None,
+            2,
+        ),
     ]
