@@ -38,7 +38,7 @@ Sample = Callable[[np.random.Generator, tuple[int, int]], FloatArray]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print a table of coverages."""
+    """Print a table of coverages; leave with code 2 if an argument or a file is wrong."""
     parser = argparse.ArgumentParser(
         prog="python -m flipperctl.evaluation.coverage",
         description="Simulate how often the 95 %% intervals of evaluations contain the truth.",
@@ -47,8 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
     parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
     chosen = parser.parse_args(arguments)
+    if chosen.repetitions < 1:
+        parser.error(f"--repetitions: {chosen.repetitions}; 1 or more is allowed")
+    if chosen.seed < 0:
+        parser.error(f"--seed: {chosen.seed}; 0 or more is allowed")
+    try:
+        recorded = dict(_recorded(chosen.files))
+    except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError) as error:
+        parser.error(f"files: {error}; an episodes.csv that eval --output wrote is allowed")
     print(_line("mean (Student's t)", [f"n={count}" for count in COUNTS]))
-    distributions = _made() | dict(_recorded(chosen.files))
+    distributions = _made() | recorded
     for name, (truth, sample) in distributions.items():
         rng = np.random.default_rng(chosen.seed)
         found = [mean_coverage(truth, sample, n, chosen.repetitions, rng) for n in COUNTS]

@@ -38,6 +38,30 @@ def test_a_paired_difference_is_covered_in_93_percent_or_more(won: float, lost: 
         assert 0.93 <= paired_coverage(won, lost, total) <= 1.0 + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--repetitions", "0"], "1 or more"),
+        (["--seed", "-1"], "0 or more"),
+        (["missing.csv"], "missing.csv"),
+        (["other.csv"], "'outcome'"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    arguments: list[str],
+    word: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 2
+    assert word in capsys.readouterr().err
+
+
 def test_the_command_adds_recorded_episodes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
