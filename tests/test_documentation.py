@@ -209,6 +209,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
+        # tests/evaluation/test_coverage.py
+        "python -m flipperctl.evaluation.coverage evaluated/episodes.csv",
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

@@ -16,7 +16,7 @@ from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import Row, play
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.planar import planar
 
 ABOUT = (
@@ -70,7 +70,7 @@ def _play(bench: Bench, scene: str, substep: float) -> list[Row]:
     env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))
     policy = resolver.create("controller", bench.settings.controller, "bench.controller").build()
     s = bench.settings
-    seeds = (episode_seed("evaluation", s.seed, index) for index in range(s.starts))
+    seeds = EvaluationSeeds.of(s.seed, env.config.terrain).first(s.starts)
     return [play(env, policy, seed) for seed in seeds]
 
 

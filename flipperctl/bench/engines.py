@@ -20,7 +20,7 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, resolver, with_override
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 ABOUT = (
     "simulated time for each second of CPU time, that is × real time on one core, of every engine "
@@ -86,8 +86,7 @@ def measure(bench: Bench) -> dict[str, Any]:
     The engine that ``sim=…`` chooses has its settings, the others have their defaults.
     """
     s = bench.settings
-    seeds = [episode_seed("evaluation", s.seed, index) for index in range(s.episodes)]
-    clocks, missing = _clocks(bench, seeds)
+    clocks, missing = _clocks(bench)
     found: dict[str, list[float]] = measure_in_turn(
         {
             name: clock
@@ -105,7 +104,7 @@ def measure(bench: Bench) -> dict[str, Any]:
     }
 
 
-def _clocks(bench: Bench, seeds: list[int]) -> tuple[dict[str, Clock], list[str]]:
+def _clocks(bench: Bench) -> tuple[dict[str, Clock], list[str]]:
     """Return the clock of each engine and terrain, and why engines are left out."""
     config, s = bench.config.environment(), bench.settings
     clocks: dict[str, Clock] = {}
@@ -116,6 +115,7 @@ def _clocks(bench: Bench, seeds: list[int]) -> tuple[dict[str, Clock], list[str]
         for ground in ENGINE_GROUNDS[: s.families]:
             bench.report_progress(f"recording {engine} on {ground}", 0.0)
             on_ground = with_overrides(changed, {"terrain": ground})
+            seeds = EvaluationSeeds.of(s.seed, on_ground.terrain).first(s.episodes)
             try:
                 clocks[f"{engine}.{ground}"] = Clock(on_ground, s.controller, seeds)
             except MissingExtraError as error:

@@ -31,7 +31,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.function import FunctionPolicy
 from flipperctl.rollout.collect import InProcessCollector
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import training_seed
 
 ABOUT = (
     "sample, gradient step and soft target update of our agent against Stable-Baselines3's DQN, "
@@ -88,7 +88,7 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     collector = InProcessCollector(
         FlipperEnv(config=config.environment()),
         FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS)))),
-        lambda: episode_seed("training", seed, next(numbers)),
+        lambda: training_seed(seed, next(numbers)),
         frames=config.network.frames,
     )
     while True:

@@ -20,7 +20,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 ABOUT = (
     "CPU time of a decision of mpc at its defaults, without the first, which compiles; its "
@@ -80,7 +80,7 @@ def measure(bench: Bench) -> dict[str, Any]:
         for done, (family, terrain) in enumerate(terrains.items()):
             fraction = (index + done / len(terrains)) / s.repeats
             bench.report_progress(f"mpc and environment on {family}", _PLAYING * fraction)
-            one = play_in_turn(policy, terrain, episode_seed("evaluation", s.seed, index))
+            one = play_in_turn(policy, terrain, EvaluationSeeds.of(s.seed, terrain.terrain)(index))
             found = Round(
                 found.seconds + one.seconds,
                 found.simulated + one.simulated,
@@ -134,13 +134,15 @@ def _first_decision(policy: MpcPolicy, config: EnvConfig) -> float:
 def _predictions(bench: Bench, terrains: list[EnvConfig]) -> dict[str, Any]:
     """Return the prediction errors by controller and measure."""
     s = bench.settings
-    seeds = [episode_seed("evaluation", s.seed, index) for index in range(s.episodes)]
     quantities: dict[str, Any] = {}
     controllers = dict.fromkeys((s.controller, "random"))
     for index, name in enumerate(controllers):
         done = _PLAYING + (1 - _PLAYING) * index / len(controllers)
         bench.report_progress(f"predictions of {name}'s decisions", done)
-        found = [prediction_errors(terrain, name, seeds) for terrain in terrains]
+        found = [
+            prediction_errors(one, name, EvaluationSeeds.of(s.seed, one.terrain).first(s.episodes))
+            for one in terrains
+        ]
         for measure, unit in MEASURES.items():
             values = [value for errors in found for value in errors[measure]]
             key = f"prediction.{name}.{measure}"

@@ -22,7 +22,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.world import GuardedWorld
 from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.planar import bare, planar
 from flipperctl.sim.planar.world import PlanarWorld
 
@@ -172,9 +172,8 @@ def measure(bench: Bench) -> dict[str, Any]:
     clocks = Clocks(config)
     names = ("reset", "decision", "bare", "world", "sensing", "rewards")
     recordings = []
-    for index in range(s.episodes):
+    for seed in EvaluationSeeds.of(s.seed, config.terrain).first(s.episodes):
         bench.report_progress("recording episodes", 0.0)
-        seed = episode_seed("evaluation", s.seed, index)
         recordings.append(record(config, s.controller, seed))
     rounds: list[dict[str, float]] = []
     contacts: list[int] = []

@@ -18,7 +18,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, play
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.planar import planar
 
 SHIPPED = "generalist"
@@ -90,8 +90,7 @@ def _play_both(bench: Bench, config: EnvConfig, source: PolicySource) -> list[tu
     envs = [FlipperEnv(config=c) for c in (config, with_overrides(config, finer))]
     policy = source.build(config)
     pairs = []
-    for index in range(s.starts):
-        seed = episode_seed("evaluation", s.seed, index)
+    for seed in EvaluationSeeds.of(s.seed, config.terrain).first(s.starts):
         coarse, fine = (play(env, policy, seed) for env in envs)
         pairs.append((coarse, fine))
     return pairs

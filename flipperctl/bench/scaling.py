@@ -28,7 +28,7 @@ from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.rollout import collect
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest
 
 ABOUT = "decisions collected a second (ε-greedy on the network, no updates), over workers, in turn"
@@ -67,7 +67,7 @@ class InProcessCollector:
         collector = collect.InProcessCollector(
             env,
             policy,
-            lambda: episode_seed("training", config.seed, next(numbers)),
+            lambda: training_seed(config.seed, next(numbers)),
             frames=config.network.frames,
         )
         while True:
@@ -97,7 +97,7 @@ class WorkersCollector:
 
     def _request(self) -> RolloutRequest:
         self._requested += 1
-        seed = episode_seed("training", self._seed, self._requested)
+        seed = training_seed(self._seed, self._requested)
         return RolloutRequest(self._requested, seed, EPSILON, 0, 0, self._weights)
 
     def collect(self, decisions: int) -> int:

@@ -15,7 +15,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import success_rate
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import validation_seed
 
 
 @dataclass
@@ -107,5 +107,5 @@ class Validation:
     def __call__(self, module: torch.nn.Module) -> float:
         """Return the success rate, the fraction of episodes that reach the finish [-]."""
         policy = TrainedPolicy(module)
-        seeds = (episode_seed("validation", self._seed, i) for i in range(self._episodes))
+        seeds = (validation_seed(self._seed, i) for i in range(self._episodes))
         return success_rate([play(self._env, policy, seed) for seed in seeds])

@@ -113,7 +113,7 @@ def bench(
     from flipperctl.cli.console import console
 
     for table in tables(document):
-        console().print(table)
+        table.print(console())
 
 
 def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:

@@ -9,9 +9,9 @@ from typing import Any
 
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from flipperctl.cli.console import console
+from flipperctl.cli.tables import Table
 
 _PLAIN_EVERY = 10.0  # [s]
 
@@ -65,19 +65,16 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
     """Yield one table per measure: medians with quartiles, then ratios."""
     limit = document["settings"]["limit"]
     for name, found in document["measures"].items():
-        table = Table(title=f"{name}: {found['about']}", title_justify="left", min_width=60)
-        table.add_column("quantity")
-        for heading in ("median", "quartiles", "unit"):
-            table.add_column(heading, justify="right" if heading != "unit" else "left")
+        headings = ("quantity", "median", "quartiles", "unit")
+        table = Table(headings, f"{name}: {found['about']}", right=["median", "quartiles"])
         for what, q in found["quantities"].items():
             late = f"not within {limit:g} s" if name == "solve" else "–"
             median = late if q["median"] is None else number(q["median"])
-            table.add_row(escape(what), median, _range(q), escape(q["unit"]))
-        if found["ratios"]:
-            table.add_section()
+            table.add(what, median, _range(q), q["unit"])
+        table.end_section()
         for what, r in found["ratios"].items():
             ratio = "–" if r["ratio"] is None else number(r["ratio"])
-            table.add_row(escape(what), ratio, _range(r), "×")
+            table.add(what, ratio, _range(r), "×")
         yield table
 
 

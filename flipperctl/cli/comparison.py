@@ -6,7 +6,6 @@ import contextlib
 import csv
 import io
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,34 +103,31 @@ def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
 
 
 def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))
-    table = Table(title=f"{quote_path(folder)}: {len(runs)} runs", title_justify="left")
-    for key in keys:
-        table.add_column(escape(key))
-    for heading in ("success", HEADING, PAPERS_HEADING, "t_cost [s]", "decisions", "seconds"):
-        table.add_column(escape(heading), justify="right")
-    table.add_column("folder", overflow="fold")
+    numbers = ("success", HEADING, PAPERS_HEADING, "t_cost [s]", "decisions", "seconds")
+    title = f"{quote_path(folder)}: {len(runs)} runs"
+    table = Table([*keys, *numbers, "folder"], title, right=numbers, words=["folder"])
     for run in runs[:_ROWS]:
         row = run.row()
-        table.add_row(
-            *(escape(run.swept.get(key, "")) for key in keys),
+        table.add(
+            *(run.swept.get(key, "") for key in keys),
             _number(row["success_rate"], ".1%"),
             _number(row["pitch_variation_100hz"], ".3f"),
             _number(row["pitch_variation"], ".3f"),
             _number(row["t_cost"], ".1f"),
             _number(row["decisions"], "d"),
             _number(row["seconds"], ".0f"),
-            escape(run.folder.name) + ("" if run.state == "finished" else f" ({run.state})"),
+            run.folder.name + ("" if run.state == "finished" else f" ({run.state})"),
         )
-    console = Console(stderr=True, width=None if sys.stderr.isatty() else 160)
-    console.print(table)
+    out = console(stderr=True)
+    table.print(out)
     left = len(runs) - _ROWS
     more = f"{left} more runs and the table" if left > 0 else "the table"
-    console.print(f"{more}: {quote_path(folder / FILE)}", highlight=False, markup=False)
+    text = f"{more}: {quote_path(folder / FILE)}"
+    out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def _number(value: float | None, form: str) -> str:

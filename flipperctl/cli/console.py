@@ -23,13 +23,16 @@ class PlainConsole(Console):
         return super().render_str(spell_plainly(text, self.encoding), **options)
 
 
-def console(*, stderr: bool = False) -> Console:
-    """Return a console with the width of COLUMNS, else of the terminal, else of its tables."""
+def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
+    """Return a console with the width of COLUMNS, else of the terminal, else ``natural``.
+
+    The latter is that of the tables unless a table has long sentences.
+    """
     file = sys.stderr if stderr else sys.stdout
     columns = os.environ.get("COLUMNS", "")
     wanted = int(columns) if columns.isdecimal() else 0
     on_terminal = file is not None and file.isatty()
-    return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else NATURAL))
+    return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
 
 
 def plain(text: str, of: Console) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,8 +73,8 @@ def run(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Controllers, such as okada,level,planner, that try in turn the episodes not "
-            "crossed; success is then also reported over the episodes that any of them crosses.",
+            help="References, such as okada,level,planner: each tries the episodes that no "
+            "earlier one crossed; success is also reported over those that any of them crosses.",
         ),
     ] = None,
     episodes: Episodes = None,
@@ -144,7 +143,7 @@ def run(
     else:
         # The table names a run as it was typed; files and JSON name the checkpoint in it.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
-        _print(replace(result, controller=typed))
+        _print(result, typed)
     _report_written(folder, film, record)
 
 
@@ -177,17 +176,17 @@ def _check_film(path: Path, scenes: int) -> None:
     check_film(path)
 
 
-def _print(result: EvaluationResult) -> None:
+def _print(result: EvaluationResult, label: str) -> None:
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
     from flipperctl.cli.eval_tables import comparisons, search_lines, table
 
-    console().print(table(result))
-    for comparison in comparisons(result):
-        console().print(comparison)
+    out = console()
+    for shown in (table(result, label), *comparisons(result)):
+        shown.print(out)
     for line in search_lines(result):
-        console().print(line, highlight=False, markup=False, soft_wrap=True)
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
     for line in condition_lines(
         (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
     ):
-        console().print(line, highlight=False, markup=False, soft_wrap=True)
+        out.print(line, highlight=False, markup=False, soft_wrap=True)

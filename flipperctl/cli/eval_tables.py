@@ -6,41 +6,62 @@ baseline.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 
-from rich.markup import escape
-from rich.table import Table
-
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
+from flipperctl.cli.tables import Table
 from flipperctl.env.measures import Measure
+from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.episode import further_measures
 from flipperctl.evaluation.results import (
     BaselineResult,
     Differences,
     EvaluationResult,
-    Interval,
+    PairedSuccess,
     SceneResult,
     Summary,
 )
-from flipperctl.evaluation.tables import FEWEST, interval_text
+from flipperctl.evaluation.tables import interval_text
+
+_PASSABLE = ("passable", "of these", "beyond")
+_FAILED = f"{HEADING} where not reached"
 
 
-def table(result: EvaluationResult) -> Table:
-    """Return a table with a row per scene, and a dim row for each part of a mix."""
-    found = Table(title=result.controller, title_justify="left")
+def table(result: EvaluationResult, label: str) -> Table:
+    """Return a table with a row per scene, and a dim row for each part of a mix.
+
+    ``label`` is the policy's. A column that is empty in every row is left out.
+    """
     passable = any(scene.summary.passable for scene in result.scenes)
-    success = ["success", *(["passable", "of these"] if passable else [])]
-    for heading in ("terrain", "episodes", *success, "outcomes", HEADING, PAPERS_HEADING):
-        found.add_column(escape(heading))
-    for heading in ("t_cost [s]", "largest pitch [rad]", "flipper travel [rad]"):
-        found.add_column(escape(heading))
-    for measure in _further():
-        found.add_column(escape(measure.heading))
+    failed = any(scene.summary.not_reached for scene in result.scenes)
+    headings = [
+        *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
+        *(HEADING, PAPERS_HEADING, *((_FAILED,) if failed else ()), "t_cost [s]"),
+        *("largest pitch [rad]", "flipper travel [rad]"),
+        *(measure.heading for measure in _further()),
+    ]
+    several = len({scene.controller for scene in result.scenes}) > 1
+    found = Table(headings, label, words=["outcomes"])
+
+    def cells(name: str, summary: Summary) -> list[str]:
+        return [
+            *(name, str(summary.episodes), interval_text(summary.success, 3)),
+            *(_passable_cells(summary) if passable else ()),
+            _outcomes(summary),
+            interval_text(summary.pitch_variation_100hz),
+            interval_text(summary.pitch_variation),
+            *((_failed_text(summary),) if failed else ()),
+            interval_text(summary.t_cost, 1),
+            interval_text(summary.max_pitch),
+            interval_text(summary.flipper_travel),
+            *(interval_text(summary.further[m.name], m.digits) for m in _further()),
+        ]
+
     for name, scene in _named(result):
-        found.add_row(*_cells(name, scene.summary))
-        for label, part in scene.summary.parts.items():
-            found.add_row(*_cells(f"  {label}", part), style="dim")
+        shown = f"{name}, {scene.controller}" if several else name
+        found.add(*cells(shown, scene.summary))
+        for part, summary in scene.summary.parts.items():
+            found.add(*cells(f"  {part}", summary), dim=True)
     return found
 
 
@@ -52,17 +73,17 @@ def comparisons(result: EvaluationResult) -> Iterator[Table]:
 
 def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     baseline = compared[0][1].controller
-    title = f"difference to {baseline} on the same episodes, where both reached the finish"
-    found = Table(title=title, title_justify="left")
-    swings = (f"Δ {HEADING}", f"Δ {PAPERS_HEADING}")
-    theirs = (f"{baseline}: success", f"{baseline}: {HEADING}")
-    for heading in ("terrain", "pairs", *theirs, *swings, "Δ t_cost [s]"):
-        found.add_column(escape(heading))
+    title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
+    headings = [
+        *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
+        *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
+    ]
+    found = Table(headings, title)
     for name, other in compared:
-        found.add_row(*_difference_cells(name, other.summary, other.difference))
+        found.add(*_difference_cells(name, other.summary, other.difference))
         for label, part in other.difference.parts.items():
             cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
-            found.add_row(*cells, style="dim")
+            found.add(*cells, dim=True)
     return found
 
 
@@ -80,38 +101,33 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
             yield f"search on {name}, means: {'; '.join(parts)}"
 
 
+def gap_cells(found: PairedSuccess) -> list[str]:
+    """Return a difference of success, how many draws one alone crossed, and the p-value."""
+    p = "<0.001" if found.p_holm < 0.001 else f"{found.p_holm:.3f}"
+    return [interval_text(found, 3, sign="+"), f"{found.won}, {found.lost}", p]
+
+
 def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
-    """Yield each scene and its terrain, with the conditions' hash if the terrain has several."""
-    counts = Counter(scene.terrain for scene in result.scenes)
-    for scene in result.scenes:
-        alone = counts[scene.terrain] == 1
-        yield scene.terrain if alone else f"{scene.terrain} {scene.conditions.hash}", scene
+    """Yield each scene and its name."""
+    names = scene_names([(scene.terrain, scene.conditions) for scene in result.scenes])
+    return zip(names, result.scenes, strict=True)
 
 
-def _cells(name: str, summary: Summary) -> list[str]:
+def _passable_cells(summary: Summary) -> list[str]:
     fair = summary.passable
+    if fair is None:
+        return [""] * len(_PASSABLE)
+    return [str(fair.episodes), interval_text(fair.success, 3), str(fair.beyond)]
+
+
+def _outcomes(summary: Summary) -> str:
     counts = summary.outcomes.container()
-    reached, episodes = summary.outcomes.reached, summary.episodes
-    return [
-        name,
-        str(episodes),
-        _rate_text(summary.success),
-        *([str(fair.episodes), _rate_text(fair.success)] if fair else []),
-        " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count),
-        interval_text(summary.pitch_variation_100hz, reached),
-        interval_text(summary.pitch_variation, reached),
-        interval_text(summary.t_cost, reached, 1),
-        interval_text(summary.max_pitch, episodes),
-        interval_text(summary.flipper_travel, reached),
-        *(
-            interval_text(
-                summary.further[measure.name],
-                reached if measure.reached_only else episodes,
-                measure.digits,
-            )
-            for measure in _further()
-        ),
-    ]
+    return " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count)
+
+
+def _failed_text(summary: Summary) -> str:
+    failed = summary.not_reached
+    return interval_text(failed.pitch_variation_100hz if failed else None)
 
 
 def _further() -> list[type[Measure]]:
@@ -121,18 +137,13 @@ def _further() -> list[type[Measure]]:
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
     swing = difference.pitch_variation_100hz
-    pairs = swing.episodes if swing else 0
     return [
         name,
-        str(pairs),
-        _rate_text(other.success),
-        interval_text(other.pitch_variation_100hz, other.outcomes.reached),
-        interval_text(swing, pairs),
-        interval_text(difference.pitch_variation, pairs),
-        interval_text(difference.t_cost, pairs, 1),
+        interval_text(other.success, 3),
+        *gap_cells(difference.success),
+        str(swing.episodes if swing else 0),
+        interval_text(other.pitch_variation_100hz),
+        interval_text(swing),
+        interval_text(difference.pitch_variation),
+        interval_text(difference.t_cost, 1),
     ]
-
-
-def _rate_text(success: Interval | None) -> str:
-    """Return a success rate, whose interval is known from the first episode on."""
-    return interval_text(success, FEWEST, 3)

@@ -5,45 +5,37 @@ In: a ranking for each scene. Out: a table with a row per policy, and lines of t
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from rich.markup import escape
-from rich.table import Table
-
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
-from flipperctl.evaluation.ranking import (
-    FEWEST_DRAWS,
-    Contradiction,
-    SceneRanking,
-    Verdict,
-)
+from flipperctl.cli.tables import Table
+from flipperctl.evaluation.conditions import scene_names
+from flipperctl.evaluation.intervals import FEWEST
+from flipperctl.evaluation.ranking import Contradiction, SceneRanking, Verdict
 from flipperctl.evaluation.results import Interval
+from flipperctl.evaluation.tables import interval_text
 
 
 def table(scenes: Sequence[SceneRanking]) -> Table:
     """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
     title = "means over the draws that every policy crossed; returns without shaping"
-    found = Table(title=title, title_justify="left")
     labels = list(dict.fromkeys(ranking.rewards for s in scenes for ranking in s.rankings))
     headings = ("terrain", "draws", "policy", "success", HEADING, PAPERS_HEADING, "t_cost [s]")
-    for heading in (*headings, *(f"return, {label}" for label in labels)):
-        found.add_column(escape(heading))
+    found = Table([*headings, *(f"return, {label}" for label in labels)], title)
     for name, scene in _named(scenes):
         returns = {ranking.rewards: ranking.returns for ranking in scene.rankings}
-        for at, (label, policy) in enumerate(scene.policies.items()):
-            first = at == 0
-            found.add_row(
-                name if first else "",
-                f"{scene.common} of {scene.episodes}" if first else "",
-                escape(label),
+        for label, policy in scene.policies.items():
+            found.add(
+                name,
+                f"{scene.common} of {scene.episodes}",
+                label,
                 f"{policy.success_rate:.1%}",
                 _mean(policy.pitch_variation_100hz, 2),
                 _mean(policy.pitch_variation, 2),
                 _mean(policy.t_cost, 1),
-                *(_mean(returns[name][label], 2) if name in returns else "" for name in labels),
-                end_section=at == len(scene.policies) - 1,
+                *(_mean(returns[one][label], 2) if one in returns else "" for one in labels),
             )
+        found.end_section()
     return found
 
 
@@ -58,8 +50,8 @@ def verdict_lines(scenes: Sequence[SceneRanking]) -> Iterator[str]:
     for label, scenes_by_verdict in verdicts.items():
         words = {
             Verdict.CONTRADICTS: "CONTRADICTS θ̂_R on",
-            Verdict.AGREES: "agrees with θ̂_R on",
-            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST_DRAWS} common draws) on",
+            Verdict.AGREES: "no contradiction to θ̂_R on",
+            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common draws) on",
         }
         parts = [
             f"{words[v]} {', '.join(named)}" for v in words if (named := scenes_by_verdict.get(v))
@@ -68,24 +60,19 @@ def verdict_lines(scenes: Sequence[SceneRanking]) -> Iterator[str]:
 
 
 def _named(scenes: Sequence[SceneRanking]) -> Iterator[tuple[str, SceneRanking]]:
-    """Yield each scene and its terrain, with the conditions' hash if the terrain has several."""
-    counts = Counter(scene.terrain for scene in scenes)
-    for scene in scenes:
-        alone = counts[scene.terrain] == 1
-        yield scene.terrain if alone else f"{scene.terrain} {scene.conditions.hash}", scene
+    """Yield each scene and its name."""
+    names = scene_names([(scene.terrain, scene.conditions) for scene in scenes])
+    return zip(names, scenes, strict=True)
 
 
 def _describe(found: Contradiction) -> str:
     term, part = next(iter(found.terms.items()))
+    gain = interval_text(found.return_difference)
+    swing = interval_text(found.pitch_variation_100hz_difference)
     return (
-        f"{found.paid} is paid {_interval(found.return_difference)} more than {found.calm}, but "
-        f"its θ̂_R is {_interval(found.pitch_variation_100hz_difference)} rad larger; "
-        f"the term {term} pays it {part:+.2f}"
+        f"{found.paid} is paid {gain} more than {found.calm}, but its θ̂_R is {swing} rad larger "
+        f"(p {found.p_holm:.2g}); the term {term} pays it {part:+.2f}"
     )
-
-
-def _interval(found: Interval) -> str:
-    return f"{found.mean:.2f} [{found.low:.2f}, {found.high:.2f}]"
 
 
 def _mean(found: Interval | None, digits: int) -> str:

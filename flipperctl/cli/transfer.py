@@ -25,16 +25,15 @@ from flipperctl.cli.options import (
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from flipperctl.evaluation.results import Interval, Summary
+    from flipperctl.cli.tables import Table
+    from flipperctl.evaluation.results import Summary
     from flipperctl.evaluation.scenes import Scene
     from flipperctl.evaluation.transfer import TransferResult
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
 Each episode is played in the default engine and in sim=mujoco, or the engine that sim=… names, with
-the same ground, start and sampled physics. The gaps are paired by seed, with 95 % bootstrap
+the same ground, start and sampled physics. The gaps are paired by seed, with 95 %
 intervals. Each failure in 3-D is played again for its cause: overturned (by pitch), roll, heading
 (turned away or off the ground), traction (reached with twice the friction), or stuck.
 
@@ -83,7 +82,7 @@ def run(
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes, with_engine
     from flipperctl.evaluation.engines import in_default_engine
-    from flipperctl.evaluation.transfer import transfer
+    from flipperctl.evaluation.transfer import correct_scenes, transfer
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import make_folder, write_json
 
@@ -96,8 +95,10 @@ def run(
     if film:
         _film(film, asked, only or 0)
     chosen = None if only is None else [only]
-    with EpisodeWorkers(asked[0][0].eval.jobs) as workers:
-        found = [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
+    with EpisodeWorkers() as workers:
+        found = correct_scenes(
+            [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
+        )
     document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
     if folder:
         write_json(folder / "transfer.json", document)
@@ -111,76 +112,72 @@ def run(
 def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
     from flipperctl.cli.compose import only_one
     from flipperctl.report.drawn_film import film
-    from flipperctl.rollout.seeds import episode_seed
+    from flipperctl.rollout.seeds import EvaluationSeeds
 
     config, source = only_one(asked)
-    film(config, source, episode_seed("evaluation", config.eval.seed, episode), path)
+    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
+    film(config, source, seeds(episode), path)
 
 
 def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
+    from flipperctl.evaluation.conditions import scene_names
 
     out = console()
-    out.print(_table(found))
+    names = scene_names([(one.terrain, one.conditions) for one in found])
+    named = list(zip(names, found, strict=True))
+    _table(named).print(out)
     lines = condition_lines((one.terrain, one.seed, one.conditions) for one in found)
-    for line in (*lines, *_failures(found, policy, overrides)):
+    for line in (*lines, *_failures(named, policy, overrides)):
         out.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _table(found: list[TransferResult]) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
+def _table(named: list[tuple[str, TransferResult]]) -> Table:
+    from flipperctl.cli.eval_tables import gap_cells
     from flipperctl.cli.swing import HEADING
+    from flipperctl.cli.tables import Table
+    from flipperctl.evaluation.tables import interval_text
 
-    first, second = found[0].engines
-    title = f"{found[0].controller} in {second} against {first}, the same episodes"
-    table = Table(title=title, title_justify="left")
-    for heading in (
-        *("terrain", "episodes", f"success in {first}", f"in {second}", "Δ success", "kept"),
-        *(HEADING, f"Δ {HEADING}", "Δ t_cost [s]", "failures"),
-    ):
-        table.add_column(escape(heading))
-    for one in found:
-        swing = one.gap.pitch_variation_100hz
-        pairs = swing.episodes if swing else 0
-        table.add_row(
-            one.terrain,
+    one = named[0][1]
+    first, second = one.engines
+    title = f"{one.controller} in {second} against {first}, the same episodes"
+    headings = (
+        *("terrain", "episodes", f"success in {first}", f"in {second}", "Δ success", "won, lost"),
+        *("p (Holm)", "kept", HEADING, f"Δ {HEADING}", "Δ t_cost [s]", "failures"),
+    )
+    table = Table(headings, title, words=["failures"])
+    for name, one in named:
+        table.add(
+            name,
             str(one.other.episodes),
             f"{one.default.success_rate:.3f}",
             f"{one.other.success_rate:.3f}",
-            _interval(one.success_gap, one.other.episodes, 3),
+            *gap_cells(one.success_gap),
             "–" if one.kept is None else f"{one.kept:.1%}",
             f"{_swing(one.default)} → {_swing(one.other)}",
-            _interval(swing, pairs, 2),
-            _interval(one.gap.t_cost, pairs, 1),
+            interval_text(one.gap.pitch_variation_100hz, sign="+"),
+            interval_text(one.gap.t_cost, 1, sign="+"),
             ", ".join(f"{cause} {count}" for cause, count in one.causes.items()) or "none",
         )
     return table
 
 
 def _failures(
-    found: list[TransferResult], policy: list[str], overrides: Sequence[str]
+    named: list[tuple[str, TransferResult]], policy: list[str], overrides: Sequence[str]
 ) -> Iterator[str]:
     """Yield a line for each failure, and the command that plays it again."""
     others = [o for o in overrides if not o.startswith("terrain=")]
-    for one in found:
+    for name, one in named:
         for f in one.failures:
             yield (
-                f"{one.terrain}, episode {f.episode}: {f.cause} ({f.outcome} after {f.time:.1f} s "
+                f"{name}, episode {f.episode}: {f.cause} ({f.outcome} after {f.time:.1f} s "
                 f"at x {f.x:.2f} m, pitch {f.pitch:.2f}, roll {f.roll:.2f}, yaw {f.yaw:.2f} rad, "
                 f"{f.side:.2f} m aside; {f.default_outcome} in {one.engines[0]})"
             )
             again = [*policy, f"terrain={one.terrain}", *others]
             seed = ["--seed", str(one.seed), "--only", str(f.episode)]
             yield f"  {command('transfer', *again, *seed)}"
-
-
-def _interval(found: Interval | None, pairs: int, digits: int) -> str:
-    from flipperctl.evaluation.tables import interval_text
-
-    return interval_text(found, pairs, digits, sign="+")
 
 
 def _swing(summary: Summary) -> str:

@@ -1,9 +1,11 @@
 """The composed configuration as frozen pydantic models.
 
 ``sections`` holds the settings, ``randomise`` the ranges sampled for each episode, ``models``
-whole configurations; ``resolver`` builds them from names and overrides.
+whole configurations; ``resolver`` builds them from names and overrides, and ``identity`` says which
+plugins are the same.
 """
 
+from flipperctl.config.identity import identity
 from flipperctl.config.models import (
     DEFAULT_ENGINE,
     PAPER_REWARDS,
@@ -38,6 +40,7 @@ __all__ = [
     "Train",
     "TrainConfig",
     "container",
+    "identity",
     "parse",
     "with_overrides",
 ]

@@ -19,7 +19,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 
 @dataclass(frozen=True)
@@ -85,14 +85,14 @@ def audit(
     """
     env = FlipperEnv(config=config)
     policy = source.build(config)
+    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
     paid: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
 
         def search(fraction: float, before: int = index) -> None:
             report(before + fraction)
 
-        seed = episode_seed("evaluation", config.eval.seed, index)
-        for decision in decisions(env, policy, seed, report_progress=search):
+        for decision in decisions(env, policy, seeds(index), report_progress=search):
             for name, value in decision.rewards.items():
                 paid[name].append(value)
         report(index + 1.0)

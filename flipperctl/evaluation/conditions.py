@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from flipperctl.api import ObservationLayout, Plugin, Settings
+from flipperctl.api import ObservationLayout, Settings
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container, resolver
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.config.identity import content_digest, read_files
 from flipperctl.messages import unit
 
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
@@ -53,6 +53,11 @@ class Conditions:
         if files := _digests(config):
             settings["files"] = files
         return cls(config.conditions, settings, defaults)
+
+    @property
+    def label(self) -> str:
+        """Name and hash, for rows and titles."""
+        return f"{self.name} {self.hash}"
 
     @property
     def hash(self) -> str:
@@ -106,29 +111,27 @@ class Conditions:
         )
 
 
+def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
+    """Return a name for each scene: its terrain; its conditions too where a terrain has several.
+
+    Scenes that are equal in both, as those of several ``controller.width``, have numbers.
+    """
+    counts = Counter(terrain for terrain, _ in scenes)
+    names = [
+        terrain if counts[terrain] == 1 else f"{terrain}, {found.label}"
+        for terrain, found in scenes
+    ]
+    return [
+        name if names.count(name) == 1 else f"{name} ({names[: index + 1].count(name)})"
+        for index, name in enumerate(names)
+    ]
+
+
 def _digests(config: EvalConfig) -> list[str | None]:
     """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
     plugins = (config.terrain, config.sim, config.perception)
     nested = [one for plugin in plugins for one in resolver.nested_plugins(plugin)]
-    return [_digest(file) for plugin in nested for file in _files_read(plugin)]
-
-
-def _files_read(plugin: Plugin) -> tuple[Path, ...]:
-    try:
-        found = tuple(plugin.files_read())
-    except BaseException as error:
-        raise fault(error, plugin, "files_read") from error
-    if not all(isinstance(file, Path) for file in found):
-        raise refusal(plugin, "files_read", f"returned {short_repr(found)}; allowed: Paths")
-    return found
-
-
-def _digest(file: Path) -> str | None:
-    try:
-        with file.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
-    except OSError:  # the plugin refuses the file in words of its own when it reads it
-        return None
+    return [content_digest(file) for plugin in nested for file in read_files(plugin)]
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:

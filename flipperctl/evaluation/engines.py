@@ -21,7 +21,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 PITCH_TOLERANCE = 0.05
 """Largest root mean square of the pitches' difference at equal times that counts as equal [rad]."""
@@ -158,9 +158,9 @@ def compare_engines(
     """
     first, second = FlipperEnv(config=in_default_engine(config)), FlipperEnv(config=config)
     policy = source.build(config)
-    found = []
+    seeds, found = EvaluationSeeds.of(config.eval.seed, config.terrain), []
     for index in range(config.eval.episodes):
-        seed = episode_seed("evaluation", config.eval.seed, index)
+        seed = seeds(index)
         actions, ours, row = _drive(first, policy, seed)
         _, theirs, other = _drive(second, _Repeat(actions), seed)
         found.append(_episode(index, (row, other), (ours, theirs)))

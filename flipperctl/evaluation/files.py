@@ -35,7 +35,7 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
             "conditions": scene.conditions.name,
             "conditions_hash": scene.conditions.hash,
         }
-        players = [(result.controller, scene.episodes)]
+        players = [(scene.controller, scene.episodes)]
         players += [(other.controller, other.episodes) for other in scene.baselines]
         for label, episodes in players:
             for episode in episodes:

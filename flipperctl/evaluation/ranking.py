@@ -2,25 +2,26 @@
 
 In: the episodes that each policy played with equal seeds, and one or several sets of reward terms.
 Out: a ``SceneRanking``. A reward contradicts the measure if it pays a policy more than another that
-swings less, with both paired differences beyond noise.
+swings less, with both paired differences beyond noise; ``decide`` corrects the tests of all pairs
+of policies, rewards and scenes for each other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import permutations
+from itertools import combinations
 from typing import Any
 
 from flipperctl.api import RewardTerm, Shaping
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.intervals import FEWEST, holm, interval, mean_p
 from flipperctl.evaluation.results import Interval
-from flipperctl.evaluation.statistics import interval
 
-FEWEST_DRAWS = 5
-"""Smallest number of draws for a verdict; the bootstrap of fewer is too narrow [-]."""
+_SIGNIFICANT = 0.05
+"""Largest corrected p-value of a contradiction [-]."""
 
 Played = Mapping[str, Sequence[EpisodeResult]]
 """The episodes of each policy by its label, all with the same seeds in the same order."""
@@ -30,9 +31,10 @@ class Verdict(StrEnum):
     """Whether a reward's ranking fits that by θ̂_R."""
 
     AGREES = "agrees"
+    """No contradiction was found; a small one may need more draws."""
     CONTRADICTS = "contradicts"
     UNDECIDED = "undecided"
-    """Fewer than ``FEWEST_DRAWS`` draws were crossed by every policy."""
+    """Fewer than ``FEWEST`` draws were crossed by every policy, or ``decide`` was not called."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,10 @@ class Contradiction:
     """θ̂_R at 100 Hz of ``paid`` minus that of ``calm``, draw by draw [rad]."""
     terms: Mapping[str, float]
     """Each term's part of the mean difference of the returns, largest first [-]."""
+    p: float
+    """The larger p-value of both differences, by paired t-tests [-]."""
+    p_holm: float
+    """The same, corrected for all pairs of policies, rewards and scenes (Holm) [-]."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -81,6 +87,8 @@ class Contradiction:
             "return_difference": self.return_difference.container(),
             "pitch_variation_100hz_difference": self.pitch_variation_100hz_difference.container(),
             "terms": dict(self.terms),
+            "p": self.p,
+            "p_holm": self.p_holm,
         }
 
 
@@ -95,6 +103,8 @@ class RewardRanking:
     """Return by policy, highest first, without potential-based shaping [-]; None without draws."""
     contradictions: tuple[Contradiction, ...]
     """Largest difference of θ̂_R first."""
+    tests: int
+    """Number of pairs of policies that were tested."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -169,6 +179,7 @@ def rank(
 ) -> RewardRanking:
     """Rank the policies by the return of ``terms`` and compare with θ̂_R at 100 Hz.
 
+    The contradictions are candidates until ``decide`` has corrected their p-values.
     ``prefix`` stands before the terms' names in the episodes' rewards. Potential-based shaping is
     left out: its discounted sum is the same for every behaviour, but the plain sum is not.
     """
@@ -181,42 +192,67 @@ def rank(
     returns = {label: _mean(episodes, paid) for label, episodes in common.items()}
     ordered = sorted(returns.items(), key=lambda item: -item[1].mean if item[1] else 0.0)
     draws = len(next(iter(common.values())))
-    if draws < FEWEST_DRAWS:
-        return RewardRanking(label, Verdict.UNDECIDED, dict(ordered), ())
-    found = [
-        contradiction
-        for more, less in permutations(common, 2)
-        if (contradiction := _contradiction(more, less, common, paid, names, prefix))
-    ]
-    found.sort(key=lambda c: -c.pitch_variation_100hz_difference.mean)
-    verdict = Verdict.CONTRADICTS if found else Verdict.AGREES
-    return RewardRanking(label, verdict, dict(ordered), tuple(found))
+    if draws < FEWEST:
+        return RewardRanking(label, Verdict.UNDECIDED, dict(ordered), (), 0)
+    pairs = list(combinations(common, 2))
+    tested = (_contradiction(pair, common, paid, names, prefix) for pair in pairs)
+    found = sorted(
+        (one for one in tested if one is not None),
+        key=lambda one: -one.pitch_variation_100hz_difference.mean,
+    )
+    return RewardRanking(label, Verdict.UNDECIDED, dict(ordered), tuple(found), len(pairs))
+
+
+def decide(scenes: Sequence[SceneRanking]) -> list[SceneRanking]:
+    """Return the rankings with verdicts; contradictions that may be noise are left out.
+
+    Their p-values are corrected for all tests of all scenes together. A pair whose differences have
+    opposite signs has a p-value of 1.
+    """
+    rankings = [ranking for scene in scenes for ranking in scene.rankings]
+    found = [one.p for ranking in rankings for one in ranking.contradictions]
+    others = sum(ranking.tests for ranking in rankings) - len(found)
+    corrected = iter(holm([*found, *[1.0] * others]))
+    decided = iter([_decided(ranking, corrected) for ranking in rankings])
+    return [replace(s, rankings=tuple(next(decided) for _ in s.rankings)) for s in scenes]
+
+
+def _decided(ranking: RewardRanking, corrected: Iterator[float]) -> RewardRanking:
+    every = [replace(one, p_holm=next(corrected)) for one in ranking.contradictions]
+    kept = tuple(one for one in every if one.p_holm <= _SIGNIFICANT)
+    verdict = Verdict.UNDECIDED
+    if ranking.tests:
+        verdict = Verdict.CONTRADICTS if kept else Verdict.AGREES
+    return replace(ranking, verdict=verdict, contradictions=kept)
 
 
 def _contradiction(
-    more: str,
-    less: str,
+    pair: tuple[str, str],
     common: Played,
     paid: Callable[[EpisodeResult], float],
     names: Sequence[str],
     prefix: str,
 ) -> Contradiction | None:
-    """Return the contradiction if ``more`` is paid more than ``less`` and swings more."""
-    pairs = list(zip(common[more], common[less], strict=True))
+    """Return the contradiction if one of two policies is paid more on average and swings more."""
 
-    def difference(value: Callable[[EpisodeResult], float]) -> Interval:
-        return interval([value(one) - value(other) for one, other in pairs])
+    def differences(value: Callable[[EpisodeResult], float]) -> list[float]:
+        return [value(one) - value(other) for one, other in drawn]
 
-    swing = difference(_swing)
-    if swing.low <= 0 or (gain := difference(paid)).low <= 0:
+    drawn = list(zip(*(common[label] for label in pair), strict=True))
+    if sum(differences(_swing)) < 0:
+        pair, drawn = pair[::-1], [(other, one) for one, other in drawn]
+    swing, gain = differences(_swing), differences(paid)
+    if not (sum(swing) > 0 and sum(gain) > 0):
         return None
     parts = {
-        name: sum(a.rewards[prefix + name] - b.rewards[prefix + name] for a, b in pairs)
-        / len(pairs)
+        name: sum(a.rewards[prefix + name] - b.rewards[prefix + name] for a, b in drawn)
+        / len(drawn)
         for name in names
     }
     terms = dict(sorted(parts.items(), key=lambda item: -item[1]))
-    return Contradiction(more, less, gain, swing, terms)
+    # Both differences must be beyond noise, so the less certain one decides.
+    p = max(mean_p(swing), mean_p(gain))
+    return Contradiction(*pair, interval(gain), interval(swing), terms, p, p)
 
 
 def _swing(episode: EpisodeResult) -> float:

@@ -21,10 +21,11 @@ class Interval:
     """A mean or a rate and its 95 % interval, in the unit of the values."""
 
     mean: float
-    low: float
-    high: float
+    low: float | None
+    """Lower end; None if there are too few values for an interval, as the upper end then is."""
+    high: float | None
 
-    def container(self) -> dict[str, float]:
+    def container(self) -> dict[str, Any]:
         """Return the numbers by name."""
         return asdict(self)
 
@@ -43,6 +44,22 @@ class PairedDifference(Interval):
 
     episodes: int
     """Number of seeds with which both reached the finish."""
+
+
+@dataclass(frozen=True)
+class PairedSuccess(Interval):
+    """The difference of two success rates on the same draws, a policy's minus its baseline's."""
+
+    episodes: int
+    """Number of draws."""
+    won: int
+    """Number of draws that the policy alone crossed."""
+    lost: int
+    """Number of draws that the baseline alone crossed."""
+    p: float
+    """Two-sided p-value of McNemar's exact test [-]."""
+    p_holm: float
+    """The same, corrected for all such comparisons that are shown together (Holm) [-]."""
 
 
 @dataclass(frozen=True)
@@ -67,13 +84,15 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Passable:
-    """Success over the episodes that some policy is known to cross."""
+    """Success over the episodes that a reference crosses; the policy has no influence on which."""
 
     episodes: int
     """Number of these episodes."""
     success_rate: float | None
     """Fraction of them that the policy crossed, 0 to 1; None if there is no such episode."""
     success: Interval | None
+    beyond: int
+    """Number of further episodes, which the policy crossed and no reference did."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -81,7 +100,28 @@ class Passable:
             "episodes": self.episodes,
             "success_rate": self.success_rate,
             "success": _data(self.success),
+            "beyond": self.beyond,
         }
+
+
+@dataclass(frozen=True)
+class NotReached:
+    """Measures over the episodes that did not reach the finish, from their start to their end."""
+
+    episodes: int
+    """Number of these episodes."""
+    duration: Measure
+    """Time to the end of the episode [s]."""
+    pitch_variation: Measure
+    """θ̂_R at decisions [rad]."""
+    pitch_variation_100hz: Measure
+    """θ̂_R at samples 10 ms apart [rad]."""
+    flipper_travel: Measure
+    """Angle that both flipper pairs turned [rad]."""
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -115,6 +155,8 @@ class Summary:
     """Further measures by name, in their own units."""
     parts: Mapping[str, Summary]
     """Where several kinds of terrain were sampled, the summary of each by label; else empty."""
+    not_reached: NotReached | None = None
+    """Measures of the other episodes; None if all reached the finish."""
     search: Mapping[str, float | Mapping[str, int]] = field(default_factory=dict)
     """What a policy reported about its searches, by name: the mean of numbers over all episodes,
     and how often each word occurred."""
@@ -133,6 +175,7 @@ class Summary:
             "flipper_travel": _data(self.flipper_travel),
             **{name: _data(found) for name, found in self.further.items()},
             **({"passable": self.passable.container()} if self.passable else {}),
+            "not_reached": self.not_reached.container() if self.not_reached else None,
             "max_pitch": self.max_pitch.container(),
             "return": self.episode_return.container(),
             **({"search": dict(self.search)} if self.search else {}),
@@ -144,6 +187,8 @@ class Summary:
 class Differences:
     """A policy minus its baseline, seed by seed; None if no seed let both reach the finish."""
 
+    success: PairedSuccess
+    """Success over all seeds [-]."""
     t_cost: PairedDifference | None
     """Time from start to finish [s]."""
     pitch_variation: PairedDifference | None
@@ -156,6 +201,7 @@ class Differences:
     def container(self) -> dict[str, Any]:
         """Return plain data."""
         return {
+            "success": self.success.container(),
             "t_cost": _data(self.t_cost),
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
@@ -185,6 +231,8 @@ class BaselineResult:
 class SceneResult:
     """A policy on one terrain under one set of conditions."""
 
+    controller: str
+    """Label of the policy."""
     summary: Summary
     seed: int
     """Seed of the evaluation."""
@@ -201,6 +249,7 @@ class SceneResult:
         """Return plain data, without the single episodes."""
         return {
             **self.summary.container(),
+            "controller": self.controller,
             "seed": self.seed,
             "conditions": self.conditions.container(),
             **_baselines(self.baselines),
@@ -209,11 +258,14 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """A policy on all its scenes."""
+    """Policies on their scenes; mostly one policy on several."""
 
-    controller: str
-    """Label of the policy."""
     scenes: tuple[SceneResult, ...]
+
+    @property
+    def controller(self) -> str:
+        """Label of the policy; several are separated by commas."""
+        return ", ".join(dict.fromkeys(scene.controller for scene in self.scenes))
 
     def container(self) -> dict[str, Any]:
         """Return plain data, without the single episodes."""
@@ -227,7 +279,7 @@ class EvaluationResult:
         return json.dumps(self.container(), indent=2)
 
 
-def _data(interval: Interval | None) -> dict[str, float] | None:
+def _data(interval: Interval | None) -> dict[str, Any] | None:
     return None if interval is None else interval.container()
 
 

@@ -17,7 +17,7 @@ from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, decisions, play
 from flipperctl.rollout.recording import EpisodeRecorder
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 
 class EpisodeRunner:
@@ -43,12 +43,12 @@ class EpisodeRunner:
         self._env = FlipperEnv(config=config)
         self._report_progress = report_progress
         self._policy = source.build(config)
-        self._seed = seed
+        self._seeds = EvaluationSeeds.of(seed, config.terrain)
         self._record = record
 
     def play(self, index: int) -> EpisodeResult:
         """Play one episode, counted from 0, to its end."""
-        seed = episode_seed("evaluation", self._seed, index)
+        seed = self._seeds(index)
         if self._record:
             return self._recorded(index, seed)
         row = play(self._env, self._policy, seed, report_progress=self._report_progress)
@@ -71,6 +71,6 @@ class EpisodeRunner:
 
     def transitions(self, index: int) -> tuple[list[Transition], Profile]:
         """Play one episode; return its T transitions, and the ground."""
-        seed = episode_seed("evaluation", self._seed, index)
+        seed = self._seeds(index)
         made = decisions(self._env, self._policy, seed, report_progress=self._report_progress)
         return [d.transition for d in made], self._env.profile

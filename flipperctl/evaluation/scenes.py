@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 
 from flipperctl.config import EvalConfig
+from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
@@ -40,11 +41,11 @@ def evaluate(
     progress: Progress = no_progress,
     record: bool = False,
 ) -> EvaluationResult:
-    """Evaluate one policy on each scene, with as many processes as the first one asks for.
+    """Evaluate a policy on each scene, in as many processes as the scene asks for.
 
-    ``baselines`` play the same episodes for comparison. ``references`` try in turn the episodes
-    that the policy did not cross, to find out which can be crossed at all. ``record``: whether the
-    policy's results hold its decisions.
+    ``baselines`` play the same episodes for comparison. ``references`` find out which episodes can
+    be crossed at all: each tries those that no earlier one crossed, whatever the policy did.
+    ``record``: whether the policy's results hold its decisions.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
@@ -52,39 +53,84 @@ def evaluate(
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    with EpisodeWorkers(scenes[0][0].eval.jobs) as workers:
+    with EpisodeWorkers() as workers:
         results = [
-            _evaluate_scene(c, s, baselines, references, workers, progress, record)
-            for c, s in scenes
+            _evaluate_scene(_Stage(config, workers, progress), s, baselines, references, record)
+            for config, s in scenes
         ]
-    return EvaluationResult(scenes[0][1].label(), tuple(results))
+    return EvaluationResult(tuple(_corrected(results)))
+
+
+class _Stage:
+    """A scene's episodes, played by one policy after the other and by none of them twice."""
+
+    def __init__(self, config: EvalConfig, workers: EpisodeWorkers, progress: Progress) -> None:
+        self.config = config
+        self.terrain = config.terrain.plugin_name
+        self._workers, self._progress = workers, progress
+        self._played: list[tuple[PolicySource, list[EpisodeResult]]] = []
+
+    def play(
+        self, source: PolicySource, label: str, *, record: bool = False
+    ) -> list[EpisodeResult]:
+        """Return all episodes of a policy."""
+        known = self._known(source)
+        if known is None:
+            known = play_scene(
+                self.config, source, label, self._workers, self._progress, record=record
+            )
+            self._played.append((source, known))
+        return known
+
+    def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str]:
+        """Return the first reference that crosses each episode, by index; empty if none does."""
+        found = dict.fromkeys(range(self.config.eval.episodes), "")
+        for reference in references:
+            name = reference.label()
+            left = [index for index, label in found.items() if not label]
+            played = self._known(reference)
+            if played is None:
+                label = f"{self.terrain}, {name} on what no reference crossed yet"
+                played = play_scene(
+                    self.config, reference, label, self._workers, self._progress, left
+                )
+            found |= {e.episode: name for e in played if e.reached and not found[e.episode]}
+        return found
+
+    def _known(self, source: PolicySource) -> list[EpisodeResult] | None:
+        return next((episodes for who, episodes in self._played if who == source), None)
 
 
 def _evaluate_scene(
-    config: EvalConfig,
+    stage: _Stage,
     source: PolicySource,
     baselines: Sequence[PolicySource],
     references: Sequence[PolicySource],
-    workers: EpisodeWorkers,
-    progress: Progress,
     record: bool,
 ) -> SceneResult:
-    terrain = config.terrain.plugin_name
-    episodes = play_scene(config, source, terrain, workers, progress, record=record)
+    terrain = stage.terrain
+    episodes = stage.play(source, terrain, record=record)
+    others = [(b.label(), stage.play(b, f"{terrain}, {b.label()}")) for b in baselines]
     if references:
-        episodes = _crossed_by_references(config, source, references, episodes, workers, progress)
-    others = []
-    for baseline in baselines:
-        label = baseline.label()
-        played = play_scene(config, baseline, f"{terrain}, {label}", workers, progress)
-        others.append(compare(terrain, episodes, label, played))
+        crossed_by = stage.crossed_by(references)
+        episodes = [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
     return SceneResult(
+        source.label(),
         summarise(terrain, episodes),
-        config.eval.seed,
-        Conditions.of(config),
-        tuple(others),
+        stage.config.eval.seed,
+        Conditions.of(stage.config),
+        tuple(compare(terrain, episodes, label, played) for label, played in others),
         tuple(episodes),
     )
+
+
+def _corrected(scenes: Sequence[SceneResult]) -> Iterator[SceneResult]:
+    """Yield the scenes with the tests of all their comparisons corrected for each other."""
+    every = [baseline.difference for scene in scenes for baseline in scene.baselines]
+    corrected = iter(correct_together(every))
+    for scene in scenes:
+        baselines = (replace(b, difference=next(corrected)) for b in scene.baselines)
+        yield replace(scene, baselines=tuple(baselines))
 
 
 def compare(
@@ -100,25 +146,6 @@ def compare(
     )
 
 
-def _crossed_by_references(
-    config: EvalConfig,
-    source: PolicySource,
-    references: Sequence[PolicySource],
-    episodes: Sequence[EpisodeResult],
-    workers: EpisodeWorkers,
-    progress: Progress,
-) -> list[EpisodeResult]:
-    """Return the episodes with ``crossed_by`` set: the policy's label, a reference's, or empty."""
-    crossed_by = {e.episode: source.label() if e.reached else "" for e in episodes}
-    for reference in references:
-        left = [index for index, label in crossed_by.items() if not label]
-        label = f"{config.terrain.plugin_name}, {reference.label()} on what was not crossed"
-        for result in play_scene(config, reference, label, workers, progress, left):
-            if result.reached:
-                crossed_by[result.episode] = reference.label()
-    return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
-
-
 def play_scene(
     config: EvalConfig,
     source: PolicySource,
@@ -129,8 +156,12 @@ def play_scene(
     *,
     record: bool = False,
 ) -> list[EpisodeResult]:
-    """Let workers play the episodes with these indices, or all, and show the progress."""
+    """Let ``config.eval.jobs`` workers play the episodes with these indices, or all.
+
+    The progress is shown under the label.
+    """
     settings = config.eval
+    workers.use(settings.jobs)
     chosen = range(settings.episodes) if indices is None else indices
     results: list[EpisodeResult] = []
     with progress(label, len(chosen)) as report:

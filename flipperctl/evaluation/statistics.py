@@ -1,74 +1,28 @@
-"""Means and rates with 95 % intervals, the summary of episodes, and differences at equal seeds."""
+"""The summary of episodes, and the differences of two policies' episodes at equal seeds."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from flipperctl.api import Outcome
 from flipperctl.evaluation.episode import EpisodeResult, further_measures
+from flipperctl.evaluation.intervals import interval, paired_success, proportion
 from flipperctl.evaluation.results import (
     Differences,
     Interval,
     Measure,
+    NotReached,
     Outcomes,
     PairedDifference,
     Passable,
     Summary,
 )
 
-RESAMPLES = 10_000
-"""Number of resamples of the bootstrap [-]."""
-Z = 1.959964
-"""97.5 % quantile of the standard normal distribution [-]."""
-
 Row = Mapping[str, Any]
 """A flat row of ``rollout.episode.play``."""
 Pair = tuple[EpisodeResult, EpisodeResult]
-
-
-def interval(values: Sequence[float]) -> Interval:
-    """Return the mean of (K,) values, with the 2.5 and 97.5 % percentiles of the resampled mean.
-
-    The resampling is seeded, so equal values give equal intervals (Efron 1979).
-
-    Raises:
-        ValueError: there are no values.
-    """
-    if len(values) == 0:
-        raise ValueError("an interval needs at least one value")
-    array = np.asarray(values, dtype=np.float64)
-    rng = np.random.default_rng(0)
-    # In slices, so that 10,000 resamples of a long list need little memory.
-    means = np.concatenate(
-        [rng.choice(array, (100, len(array))).mean(axis=1) for _ in range(RESAMPLES // 100)]
-    )
-    low, high = np.quantile(means, (0.025, 0.975))
-    return Interval(float(array.mean()), float(low), float(high))
-
-
-def proportion(count: int, total: int) -> Interval:
-    """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
-
-    The bootstrap of equal outcomes is a point, as if five of five proved certainty; the score
-    interval of five of five begins at 0.566.
-
-    Raises:
-        ValueError: there are no outcomes.
-    """
-    if total == 0:
-        raise ValueError("a rate needs at least one outcome")
-    rate, spread = count / total, Z**2 / total
-    centre = (rate + spread / 2) / (1 + spread)
-    half = Z * math.sqrt(rate * (1 - rate) / total + spread / (4 * total)) / (1 + spread)
-    # The ends of 0 and 1 are exact; rounding would pass them by a last digit.
-    low = centre - half if count > 0 else 0.0
-    high = centre + half if count < total else 1.0
-    return Interval(rate, low, high)
 
 
 def reached(rows: Sequence[Row]) -> list[Row]:
@@ -124,8 +78,9 @@ def _summary(
             m.name: _measure([e.further[m.name] for e in (good if m.reached_only else episodes)])
             for m in further_measures()
         },
-        passable=_passable(episodes, len(good)),
+        passable=_passable(episodes),
         parts=parts,
+        not_reached=_not_reached([e for e in episodes if not e.reached]),
         search=_search(episodes),
     )
 
@@ -145,14 +100,28 @@ def _success(episodes: Sequence[EpisodeResult]) -> Interval:
     return proportion(sum(e.reached for e in episodes), len(episodes))
 
 
-def _passable(episodes: Sequence[EpisodeResult], reached: int) -> Passable | None:
+def _passable(episodes: Sequence[EpisodeResult]) -> Passable | None:
     if all(e.crossed_by is None for e in episodes):
         return None
-    # An episode that no policy is known to cross is no evidence against this one.
+    # An episode that no reference crosses is no evidence against the policy.
     fair = [e for e in episodes if e.crossed_by]
+    beyond = sum(e.reached for e in episodes if not e.crossed_by)
     if not fair:
-        return Passable(0, None, None)
-    return Passable(len(fair), reached / len(fair), _success(fair))
+        return Passable(0, None, None, beyond)
+    success = _success(fair)
+    return Passable(len(fair), success.mean, success, beyond)
+
+
+def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
+    if not failed:
+        return None
+    return NotReached(
+        len(failed),
+        duration=measure([e.t_cost for e in failed]),
+        pitch_variation=measure([e.pitch_variation for e in failed]),
+        pitch_variation_100hz=measure([e.pitch_variation_100hz for e in failed]),
+        flipper_travel=measure([e.flipper_travel for e in failed]),
+    )
 
 
 def measure(values: Sequence[float]) -> Measure:
@@ -170,19 +139,31 @@ def _measure(values: Sequence[float]) -> Measure | None:
 
 
 def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
-    """Return the mean differences of the paper's measures, ours minus theirs, at equal seeds."""
+    """Return the mean differences of success and of the paper's measures, ours minus theirs.
+
+    Episodes of equal seeds are compared.
+
+    Raises:
+        ValueError: no seeds are equal.
+    """
     parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
     return _differences(paired(ours, theirs), parts)
 
 
 def paired(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> list[Pair]:
-    """Return the pairs of episodes of equal seeds in which both reached the finish."""
-    others = {e.seed: e for e in theirs if e.reached}
-    return [(e, others[e.seed]) for e in ours if e.reached and e.seed in others]
+    """Return the pairs of episodes of equal seeds."""
+    others = {e.seed: e for e in theirs}
+    return [(e, others[e.seed]) for e in ours if e.seed in others]
 
 
-def _differences(pairs: Sequence[Pair], parts: Mapping[str, Differences]) -> Differences:
+def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Differences:
+    pairs = [(mine, other) for mine, other in played if mine.reached and other.reached]
     return Differences(
+        success=paired_success(
+            sum(mine.reached and not other.reached for mine, other in played),
+            sum(other.reached and not mine.reached for mine, other in played),
+            len(played),
+        ),
         t_cost=_difference(pairs, lambda e: e.t_cost),
         pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
         pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),

@@ -14,13 +14,11 @@ from typing import Any
 from flipperctl.evaluation.results import EvaluationResult, Interval, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
 
-FEWEST = 2
-"""Smallest number of episodes whose mean has an interval [-]."""
-
 _DIGITS = 4
 """Decimals of ``table.csv``."""
 _HEADINGS = (
     "scene",
+    "conditions",
     "method",
     "$n$",
     "reached",
@@ -29,6 +27,8 @@ _HEADINGS = (
     r"$\hat\theta_R$ at 100\,Hz [rad]",
     r"$\hat\theta_R$ at decisions [rad]",
     "largest pitch [rad]",
+    "flipper travel [rad]",
+    r"$\hat\theta_R$ where not reached [rad]",
 )
 _ESCAPES = str.maketrans(
     {
@@ -47,22 +47,22 @@ class Cell:
     name: str
     """Key of the mean in the JSON of ``eval``."""
     mean: Interval | None
-    episodes: int
-    """Number of episodes of the mean."""
     digits: int
     """Decimals of its text."""
 
 
-def interval_text(found: Interval | None, episodes: int, digits: int = 2, *, sign: str = "") -> str:
+def interval_text(found: Interval | None, digits: int = 2, *, sign: str = "") -> str:
     """Return ``mean [low, high]``.
 
-    A mean over fewer than ``FEWEST`` episodes is followed by ``[–]``, and ``–`` stands for None.
+    A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
     ``sign`` is that of a format specification: ``+`` shows the sign of positive numbers, too.
     """
     if found is None:
         return "–"
+    if found.low is None or found.high is None:
+        return f"{found.mean:{sign}.{digits}f} [–]"
     mean, low, high = (f"{n:{sign}.{digits}f}" for n in (found.mean, found.low, found.high))
-    return f"{mean} [–]" if episodes < FEWEST else f"{mean} [{low}, {high}]"
+    return f"{mean} [{low}, {high}]"
 
 
 def write_tables(folder: Path, result: EvaluationResult) -> None:
@@ -85,18 +85,19 @@ def latex(result: EvaluationResult) -> str:
             for scene in result.scenes
         ),
         "% 95 % intervals; needs \\usepackage{booktabs}",
-        r"\begin{tabular}{ll" + "r" * (len(_HEADINGS) - 2) + "}",
+        r"\begin{tabular}{lll" + "r" * (len(_HEADINGS) - 3) + "}",
         r"\toprule",
         _latex_row(_HEADINGS),
     ]
     for scene in result.scenes:
         lines.append(r"\midrule")
-        for method, summary in _methods(result, scene):
-            texts = [interval_text(c.mean, c.episodes, c.digits) for c in _cells(summary)]
+        names = scene.terrain, scene.conditions.label
+        for method, summary in _methods(scene):
+            texts = [interval_text(c.mean, c.digits) for c in _cells(summary)]
             numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
             # A dash that every font has; the names may hold others.
             numbers = [number.replace("–", "--") for number in numbers]
-            lines.append(_latex_row([_escape(scene.terrain), _escape(method), *numbers]))
+            lines.append(_latex_row([*map(_escape, (*names, method)), *numbers]))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
@@ -111,7 +112,7 @@ def _escape(text: str) -> str:
 
 def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
     for scene in result.scenes:
-        for method, summary in _methods(result, scene):
+        for method, summary in _methods(scene):
             row: dict[str, Any] = {
                 "scene": scene.terrain,
                 "method": method,
@@ -130,26 +131,32 @@ def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
 
 def _csv_cells(cell: Cell) -> dict[str, float | None]:
     """Return the mean and the ends of its interval, each None where there is none."""
-    mean, known = cell.mean, cell.episodes >= FEWEST
+    found = cell.mean
+    ends = (found.mean, found.low, found.high) if found else (None, None, None)
+    names = (cell.name, f"{cell.name}_low", f"{cell.name}_high")
     return {
-        cell.name: round(mean.mean, _DIGITS) if mean else None,
-        f"{cell.name}_low": round(mean.low, _DIGITS) if mean and known else None,
-        f"{cell.name}_high": round(mean.high, _DIGITS) if mean and known else None,
+        name: None if end is None else round(end, _DIGITS)
+        for name, end in zip(names, ends, strict=True)
     }
 
 
-def _methods(result: EvaluationResult, scene: SceneResult) -> list[tuple[str, Summary]]:
+def _methods(scene: SceneResult) -> list[tuple[str, Summary]]:
     baselines = [(other.controller, other.summary) for other in scene.baselines]
-    return [(result.controller, scene.summary), *baselines]
+    return [(scene.controller, scene.summary), *baselines]
 
 
 def _cells(summary: Summary) -> list[Cell]:
-    reached, episodes = summary.outcomes.reached, summary.episodes
+    failed = summary.not_reached
     return [
-        # The interval of a rate is known from its first episode on.
-        Cell("success", summary.success, max(episodes, FEWEST), 3),
-        Cell("t_cost", summary.t_cost, reached, 1),
-        Cell("pitch_variation_100hz", summary.pitch_variation_100hz, reached, 2),
-        Cell("pitch_variation", summary.pitch_variation, reached, 2),
-        Cell("max_pitch", summary.max_pitch, episodes, 2),
+        Cell("success", summary.success, 3),
+        Cell("t_cost", summary.t_cost, 1),
+        Cell("pitch_variation_100hz", summary.pitch_variation_100hz, 2),
+        Cell("pitch_variation", summary.pitch_variation, 2),
+        Cell("max_pitch", summary.max_pitch, 2),
+        Cell("flipper_travel", summary.flipper_travel, 2),
+        Cell(
+            "not_reached_pitch_variation_100hz",
+            failed.pitch_variation_100hz if failed else None,
+            2,
+        ),
     ]

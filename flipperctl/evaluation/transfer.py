@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -18,12 +18,13 @@ from flipperctl.api import Outcome, RobotState
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
+from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.results import Differences, Interval, Summary
+from flipperctl.evaluation.results import Differences, PairedSuccess, Summary
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
-from flipperctl.evaluation.statistics import differences, interval, summarise
+from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
@@ -95,13 +96,17 @@ class TransferResult:
     """Those of the other engine."""
     default: Summary
     other: Summary
-    success_gap: Interval
-    """Success in the other engine minus that in the default one, paired by seed [-]."""
     kept: float | None
     """Fraction of the episodes crossed in the default engine that are crossed in the other one."""
     gap: Differences
-    """The other engine minus the default one, where both reached the finish."""
+    """The other engine minus the default one: success, and measures where both reached the
+    finish."""
     failures: tuple[Failure, ...]
+
+    @property
+    def success_gap(self) -> PairedSuccess:
+        """Success in the other engine minus that in the default one, paired by seed [-]."""
+        return self.gap.success
 
     @property
     def causes(self) -> dict[str, int]:
@@ -159,11 +164,16 @@ def transfer(
         Conditions.of(config),
         summarise(terrain, ours),
         summarise(terrain, theirs),
-        interval([float(other.reached) - float(first.reached) for first, other in pairs]),
         sum(crossed) / len(crossed) if crossed else None,
         differences(theirs, ours),
         tuple(explain(config, source, *pair) for pair in pairs if not pair[1].reached),
     )
+
+
+def correct_scenes(found: Sequence[TransferResult]) -> list[TransferResult]:
+    """Return the results with the tests of success corrected for the number of scenes."""
+    gaps = correct_together([one.gap for one in found])
+    return [replace(one, gap=gap) for one, gap in zip(found, gaps, strict=True)]
 
 
 def explain(

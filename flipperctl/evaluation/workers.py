@@ -42,7 +42,7 @@ class _Task:
 class EpisodeWorkers:
     """``count`` processes, which start with the first episodes; a process that dies is replaced."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int = 1) -> None:
         self.count = count
         self._pool: WorkerPool | None = None
         self._numbers = itertools.count()
@@ -77,6 +77,12 @@ class EpisodeWorkers:
         waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
         for index in indices:
             yield _result(pool, task, waiting.popleft(), index)
+
+    def use(self, count: int) -> None:
+        """Change the number of processes; those of another number are stopped."""
+        if count != self.count:
+            self.close()
+            self.count = count
 
     def close(self) -> None:
         """Stop the processes; episodes that have not begun are not played."""

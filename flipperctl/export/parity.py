@@ -19,7 +19,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ExportError
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 TOLERANCE = 1e-4
 """Largest difference of a Q-value that counts as rounding, relative to the largest |Q|."""
@@ -46,9 +46,9 @@ def rollout_observations(
     """Return ``count`` or more inputs of the network from its own episodes, (M, F · (N + 3))."""
     env = FlipperEnv(config=config.environment())
     policy = _RecordingPolicy(module, config.network.frames)
-    episode = 0
+    seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
     while len(policy.inputs) < count:
-        play(env, policy, episode_seed("evaluation", config.seed, episode))
+        play(env, policy, seeds(episode))
         episode += 1
     return np.stack(policy.inputs)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from flipperctl.evaluation.conditions import Conditions, scene_names
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.report.episode import episode_figure
@@ -19,12 +21,17 @@ def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_p
         OutputError: a picture cannot be written.
         WriteError: writing failed half way.
     """
-    names = picture_names([config.terrain.plugin_name for config, _ in scenes])
-    for name, (config, source) in zip(names, scenes, strict=True):
+    conditions = [Conditions.of(config) for config, _ in scenes]
+    terrains = [config.terrain.plugin_name for config, _ in scenes]
+    names = picture_names(list(zip(terrains, conditions, strict=True)))
+    for name, found, (config, source) in zip(names, conditions, scenes, strict=True):
         terrain = config.terrain.plugin_name
         with progress(f"{terrain}, picture", 1) as report:
             states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
-        title = f"{source.label()} on {terrain}, episode 1 of {config.eval.episodes}"
+        title = (
+            f"{source.label()} on {terrain}, conditions {found.label}, "
+            f"episode 1 of {config.eval.episodes}"
+        )
         figure = episode_figure(states, profile, config.robot, title)
         save(figure, folder / name)
 
@@ -44,10 +51,6 @@ def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> No
         save_film(path, made, profile, config.robot, title, lambda part: report(1 + part))
 
 
-def picture_names(terrains: Sequence[str]) -> list[str]:
-    """Return a file name a scene: its terrain, with a number from its second scene on."""
-    counts = [terrains[:index].count(terrain) for index, terrain in enumerate(terrains)]
-    return [
-        f"{terrain}_{before + 1}.png" if before else f"{terrain}.png"
-        for terrain, before in zip(terrains, counts, strict=True)
-    ]
+def picture_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
+    """Return a file name a scene: its terrain, and its conditions where a terrain has several."""
+    return ["_".join(re.findall(r"\w+", name)) + ".png" for name in scene_names(scenes)]

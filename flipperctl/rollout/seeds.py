@@ -1,22 +1,77 @@
-"""Seeds of episodes, in three separate streams: training, validation and evaluation."""
+"""Seeds of episodes in three streams whose ranges do not overlap, and exploration's generator.
+
+Training seeds are 32-bit numbers. Validation and evaluation seeds have the stream's number in front
+of 50 random bits; all are below 2^53, so that every reader of JSON keeps their last digit.
+"""
 
 from __future__ import annotations
 
-from typing import Literal
+import hashlib
+import json
+from dataclasses import dataclass
 
 import numpy as np
 
-_STREAMS = {"training": 1, "validation": 2, "evaluation": 3}
+from flipperctl.api import Terrain
+from flipperctl.config import identity
+
+_TRAINING, _VALIDATION, _EVALUATION, _EXPLORATION = 1, 2, 3, 4
+_RANDOM_BITS = 50
 
 
-def episode_seed(
-    stream: Literal["training", "validation", "evaluation"], seed: int, episode: int
-) -> int:
-    """Return the seed of one episode; equal arguments give equal episodes on every machine."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(_STREAMS[stream], episode))
-    return int(sequence.generate_state(1, np.uint32)[0])
+def training_seed(seed: int, episode: int) -> int:
+    """Return the seed of a training episode, below 2^32; ``seed`` is that of the training."""
+    return int(_sequence(seed, _TRAINING, episode).generate_state(1, np.uint32)[0])
+
+
+def validation_seed(seed: int, episode: int) -> int:
+    """Return the seed of a validation episode, from 2^51 on; ``seed`` is that of validations."""
+    return _long_seed(_VALIDATION, seed, episode)
+
+
+@dataclass(frozen=True)
+class EvaluationSeeds:
+    """The seeds of an evaluation's episodes on one terrain, from 3 · 2^50 on.
+
+    Equal arguments give equal episodes on every machine. The seeds of two terrains differ, so that
+    episodes on several terrains are independent samples. Physics, sensing, start, engine and policy
+    have no influence, so that all of them meet the same ground.
+    """
+
+    seed: int
+    """Seed of the evaluation."""
+    terrain: tuple[int, ...]
+    """Four 32-bit words of the SHA-256 of the terrain's ``config.identity``."""
+
+    @classmethod
+    def of(cls, seed: int, terrain: Terrain) -> EvaluationSeeds:
+        """Return the seeds of an evaluation on a terrain.
+
+        Raises:
+            PluginError: the terrain's own code failed.
+        """
+        text = json.dumps(identity(terrain), sort_keys=True, separators=(",", ":"))
+        digest = hashlib.sha256(text.encode()).digest()
+        return cls(seed, tuple(np.frombuffer(digest[:16], "<u4").tolist()))
+
+    def __call__(self, episode: int) -> int:
+        """Return the seed of an episode, counted from 0."""
+        return _long_seed(_EVALUATION, self.seed, *self.terrain, episode)
+
+    def first(self, count: int) -> list[int]:
+        """Return the seeds of the first episodes."""
+        return [self(episode) for episode in range(count)]
 
 
 def exploration_rng(seed: int, episode: int) -> np.random.Generator:
     """Return the generator with which a worker explores in one training episode."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4, episode)))
+    return np.random.default_rng(_sequence(seed, _EXPLORATION, episode))
+
+
+def _long_seed(stream: int, seed: int, *key: int) -> int:
+    (word,) = _sequence(seed, stream, *key).generate_state(1, np.uint64)
+    return (stream << _RANDOM_BITS) | (int(word) >> (64 - _RANDOM_BITS))
+
+
+def _sequence(seed: int, stream: int, *key: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(stream, *key))

@@ -18,7 +18,7 @@ from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest, Stop, Weights
 from flipperctl.training.progress import Progress
 
@@ -100,7 +100,7 @@ class EpisodeSource:
 
     def _next_seed(self) -> int:
         self._progress.started += 1
-        return episode_seed("training", self._config.seed, self._progress.started - 1)
+        return training_seed(self._config.seed, self._progress.started - 1)
 
     def _next_request(self) -> RolloutRequest:
         progress = self._progress

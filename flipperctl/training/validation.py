@@ -14,7 +14,7 @@ from flipperctl.evaluation.statistics import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row, play
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import validation_seed
 
 
 class Validator:
@@ -24,7 +24,7 @@ class Validator:
         self._env, self._agent, self._frames = env, agent, config.network.frames
         settings = config.train
         self._seeds = [
-            episode_seed("validation", settings.validation_seed, index)
+            validation_seed(settings.validation_seed, index)
             for index in range(settings.validation_episodes)
         ]
         self.history: list[Validation] = []

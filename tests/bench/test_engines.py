@@ -49,7 +49,7 @@ def test_the_engine_alone_and_the_environment_simulate_the_same_time(
 def test_the_chosen_engine_keeps_its_settings() -> None:
     bench = small_bench()
     config = with_overrides(bench.config, {"sim": {"name": "planar", "friction": 0.9}})
-    clocks, _ = engines._clocks(replace(bench, config=config), [5])
+    clocks, _ = engines._clocks(replace(bench, config=config))
     settings = {name: clock._env.config.sim.model_dump() for name, clock in clocks.items()}
     assert settings["planar.flat"]["friction"] == 0.9
     assert settings["mujoco.flat"]["friction"] == 1.0

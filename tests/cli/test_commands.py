@@ -118,10 +118,13 @@ def test_eval_json_is_one_document_on_stdout(run: Path, tmp_path: Path) -> None:
 
 
 def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
-    arguments = ["terrain=flat", "--episodes", "2", "--baseline", "level", "--json"]
+    arguments = ["terrain=flat", "--episodes", "5", "--baseline", "level", "--json"]
     done = call("eval", "--controller", "level", *arguments, cwd=tmp_path)
     difference = json.loads(done.out)["scenes"][0]["baseline"]["difference"]
-    assert difference["t_cost"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 2}
+    assert difference["t_cost"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 5}
+    success = difference["success"]
+    assert (success["won"], success["lost"], success["p"]) == (0, 0, 1.0)
+    assert (success["low"], success["high"]) == pytest.approx((-0.4345, 0.4345), abs=1e-4)
     table = call("eval", "--controller", "okada", *arguments[:-1], cwd=tmp_path)
     assert "difference to level" in table.out
     assert "[s]" in table.out  # units are no markup

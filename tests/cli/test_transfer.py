@@ -26,7 +26,12 @@ def test_the_gap_is_paired_and_stands_beside_both_summaries(tmp_path: Path) -> N
     found = scene("terrain=step", "--episodes", "3", "--output", "out", cwd=tmp_path)
     assert found["engines"] == ["planar", "mujoco"]
     assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
-    assert found["success_gap"] == {"mean": 0.0, "low": 0.0, "high": 0.0}
+    # Three equal pairs prove no equality: |Δ| ≤ z² / (3 + z²) = 0.5615.
+    assert found["success_gap"] == found["gap"]["success"] == {
+        "mean": 0.0, "low": pytest.approx(-0.5615, abs=1e-4),
+        "high": pytest.approx(0.5615, abs=1e-4),
+        "episodes": 3, "won": 0, "lost": 0, "p": 1.0, "p_holm": 1.0,
+    }  # fmt: skip
     assert (found["kept"], found["failures"], found["causes"]) == (1.0, [], {})
     gap = found["gap"]["t_cost"]
     assert gap["episodes"] == 3

@@ -21,7 +21,7 @@ from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool
-from flipperctl.rollout.seeds import episode_seed
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 LEVEL = PolicySource(settings={"name": "level"})
 OKADA = PolicySource(settings={"name": "okada"})
@@ -37,7 +37,7 @@ def test_two_processes_give_the_results_of_one() -> None:
         level = list(play_episodes(config, LEVEL, episodes=4, seed=3, workers=workers))
     assert level == list(play_episodes(config, LEVEL, episodes=4, seed=3))
     assert [result.episode for result in one] == [0, 1, 2, 3]
-    assert [result.seed for result in one] == [episode_seed("evaluation", 3, i) for i in range(4)]
+    assert [result.seed for result in one] == EvaluationSeeds.of(3, config.terrain).first(4)
 
 
 def test_chosen_episodes_are_those_of_the_whole_evaluation() -> None:
@@ -106,7 +106,7 @@ def test_a_trained_policy_drives_another_terrain_greedily(short_run: Path) -> No
     assert (result.terrain, result.outcome) == ("flat", Outcome.REACHED)
     assert result.t_cost == pytest.approx(20.0, abs=0.5)
     policy = PolicySource(file).build(config)
-    row = play(FlipperEnv(config=config), policy, episode_seed("evaluation", 5, 0))
+    row = play(FlipperEnv(config=config), policy, EvaluationSeeds.of(5, config.terrain)(0))
     assert list(result.row().items()) == [("episode", 0), *row.items()]
     assert EpisodeResult.of(0, row) == result
 
@@ -116,12 +116,6 @@ def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
         list(play_episodes(config, source, episodes=1, seed=0))
-
-
-def test_the_streams_of_seeds_never_meet() -> None:
-    streams = ("training", "validation", "evaluation")
-    seeds = [episode_seed(s, seed, i) for s in streams for seed in (0, 1) for i in range(500)]
-    assert len(set(seeds)) == len(seeds)
 
 
 def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> None:

@@ -1,8 +1,10 @@
 """The documents of an evaluation are those that 0.1 wrote, byte by byte.
 
 ``recorded/`` holds what these commands wrote before results had types, the path of the policy cut
-to its name; a change of a key or a number there breaks the readers of these documents. Only the
-ends of the intervals of success rates are those of 0.2, which are Wilson's.
+to its name; a change of a key or a number there breaks the readers of these documents. Since then,
+only ends of intervals have changed (success rates are Wilson's, means Student's, null for fewer
+than five values), and fields were added: ``controller`` and ``not_reached`` of a scene, ``beyond``
+of ``passable``, ``success`` of a ``difference``.
 
 - ``mix``: ``eval --controller level --baseline okada --passable okada,random terrain=mix
   'terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1},wave]' sim.friction=0.8
@@ -57,7 +59,8 @@ def scene(document: dict[str, Any], rows: list[dict[str, str]], controller: str)
     terrain = document["terrain"]
     other = compare(terrain, episodes, label, others)
     summary = summarise(terrain, episodes)
-    return SceneResult(summary, document["seed"], conditions, (other,), tuple(episodes))
+    seed = document["seed"]
+    return SceneResult(controller, summary, seed, conditions, (other,), tuple(episodes))
 
 
 @pytest.mark.parametrize("name", ["mix", "two"])
@@ -71,7 +74,7 @@ def test_the_files_are_those_that_were_recorded(name: str, tmp_path: Path) -> No
         key = (entry["terrain"], entry["conditions"]["hash"])
         own = [row for row in rows if (row["scene"], row["conditions_hash"]) == key]
         scenes.append(scene(entry, own, document["controller"]))
-    result = EvaluationResult(document["controller"], tuple(scenes))
+    result = EvaluationResult(tuple(scenes))
     assert result.to_json() + "\n" == text
     files.write(tmp_path, result)
     for file in ("summary.json", "episodes.csv"):

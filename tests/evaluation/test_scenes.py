@@ -8,9 +8,10 @@ import pytest
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.intervals import holm, paired_success, proportion
 from flipperctl.evaluation.results import Outcomes, PairedDifference, Passable
 from flipperctl.evaluation.scenes import evaluate
-from flipperctl.evaluation.statistics import proportion
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 LEVEL, OKADA, RANDOM = (
@@ -32,11 +33,11 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     assert (step.terrain, flat.terrain) == ("step", "flat")
     assert step.seed == flat.seed == 4
     assert step.conditions == Conditions.of(STEP)
-    assert step.episodes[0].seed == flat.episodes[0].seed
+    assert step.episodes[0].seed != flat.episodes[0].seed
 
     assert step.summary.outcomes == Outcomes(reached=0, overturned=0, stuck=2, timeout=0)
     assert [e.crossed_by for e in step.episodes] == ["okada", "okada"]
-    assert step.summary.passable == Passable(2, 0.0, proportion(0, 2))
+    assert step.summary.passable == Passable(2, 0.0, proportion(0, 2), 0)
     step_okada, step_random = step.baselines
     assert step_random.controller == "random"
     assert step_okada.controller == "okada"
@@ -45,12 +46,46 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     played = play_episodes(STEP, OKADA, episodes=2, seed=4)
     assert step_okada.episodes == tuple(played)
 
-    assert [e.crossed_by for e in flat.episodes] == ["level", "level"]
-    assert flat.summary.passable == Passable(2, 1.0, proportion(2, 2))
+    assert [e.crossed_by for e in flat.episodes] == ["random", "random"]
+    assert flat.summary.passable == Passable(2, 1.0, proportion(2, 2), 0)
     flat_okada, flat_random = flat.baselines
     assert flat_random.controller == "random"
-    assert flat_okada.difference.t_cost == PairedDifference(0.0, 0.0, 0.0, 2)
+    assert flat_okada.difference.t_cost == PairedDifference(0.0, None, None, 2)
     assert [e.crossed_by for e in flat_okada.episodes] == [None, None]
+
+
+def test_which_draws_are_passable_does_not_depend_on_the_policy() -> None:
+    for references in ([RANDOM], [RANDOM, OKADA], [LEVEL]):
+        judged = [
+            evaluate([(STEP, source)], references=references).scenes[0]
+            for source in (LEVEL, OKADA, RANDOM)
+        ]
+        found = [[e.crossed_by for e in scene.episodes] for scene in judged]
+        assert found == [found[0]] * 3
+        # okada crosses both draws, whether or not a reference does.
+        okada = judged[1].summary.passable
+        assert okada is not None
+        assert okada.episodes + okada.beyond == 2
+
+
+def test_each_scene_has_its_own_policy_and_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs: list[int] = []
+    monkeypatch.setattr(EpisodeWorkers, "use", lambda self, count: jobs.append(count))
+    two = STEP.model_copy(update={"eval": STEP.eval.model_copy(update={"jobs": 2})})
+    found = evaluate([(two, LEVEL), (FLAT, OKADA)], baselines=[RANDOM])
+    assert jobs == [2, 2, 1, 1]
+    assert [scene.controller for scene in found.scenes] == ["level", "okada"]
+    assert found.controller == "level, okada"
+    alone = [evaluate([one]).scenes[0] for one in ((STEP, LEVEL), (FLAT, OKADA))]
+    assert [s.episodes for s in found.scenes] == [s.episodes for s in alone]
+
+
+def test_the_tests_of_all_scenes_are_corrected_together() -> None:
+    found = evaluate([(STEP, LEVEL), (FLAT, LEVEL)], baselines=[OKADA, RANDOM])
+    gaps = [b.difference.success for scene in found.scenes for b in scene.baselines]
+    assert gaps[0].p == paired_success(0, 2, 2).p == 0.5
+    assert [gap.p_holm for gap in gaps] == holm([gap.p for gap in gaps])
+    assert gaps[0].p_holm == 1.0
 
 
 def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
@@ -64,17 +99,16 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
         reported.append(done)
         yield done.append
 
-    for config in (STEP, FLAT):
-        evaluate([(config, LEVEL)], baselines=[OKADA], references=[OKADA], progress=progress)
+    evaluate([(STEP, LEVEL)], baselines=[OKADA], references=[RANDOM, OKADA], progress=progress)
+    evaluate([(FLAT, LEVEL)], references=[LEVEL, OKADA], progress=progress)
     assert opened == [
         ("step", 2),
-        ("step, okada on what was not crossed", 2),
         ("step, okada", 2),
+        ("step, random on what no reference crossed yet", 2),
         ("flat", 2),
-        ("flat, okada on what was not crossed", 0),
-        ("flat, okada", 2),
+        ("flat, okada on what no reference crossed yet", 0),
     ]
-    assert [done for done in reported if done] == [[1, 2]] * 5
+    assert [done for done in reported if done] == [[1, 2]] * 4
 
 
 def test_without_references_no_episode_says_who_crossed_it() -> None:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from flipperctl.api import Profile, RobotGeometry, RobotState
 from flipperctl.env.render import BELT
 from flipperctl.errors import OutputError, WriteError
+from flipperctl.evaluation.conditions import Conditions
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
 from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
@@ -258,5 +259,12 @@ def test_a_failure_half_way_leaves_what_was_there(
 
 
 def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:
-    names = picture_names(["flat", "step", "flat", "flat"])
-    assert names == ["flat.png", "step.png", "flat_2.png", "flat_3.png"]
+    nominal, varied = (Conditions(name, {}, {}) for name in ("nominal", "varied"))
+    scenes = [("flat", nominal), ("step", nominal), ("flat", varied), ("flat", nominal)]
+    hashes = nominal.hash, varied.hash
+    assert picture_names(scenes) == [
+        f"flat_nominal_{hashes[0]}_1.png",
+        "step.png",
+        f"flat_varied_{hashes[1]}.png",
+        f"flat_nominal_{hashes[0]}_2.png",
+    ]

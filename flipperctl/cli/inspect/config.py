@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -88,26 +87,26 @@ def _print(found: Iterable[dict[str, Any]]) -> None:
     """Print a table per section; values that differ from the default are bold."""
     from itertools import groupby
 
-    from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    console = Console(width=None if sys.stdout.isatty() else 120)
+    from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
+
+    out = console(natural=120)
+    headings = ("setting", "value", "default", "bounds", "unit", "meaning")
     for section, settings in groupby(found, key=lambda s: str(s["section"])):
-        table = Table(box=None, padding=(0, 2), header_style="dim")
-        for heading in ("setting", "value", "default", "bounds", "unit", "meaning"):
-            table.add_column(heading, overflow="fold")
+        table = Table(headings, words=["value", "default", "bounds", "meaning"], boxed=False)
         for s in settings:
             value, default = _format_value(s["value"]), _format_value(s["default"])
             path = s["path"].removeprefix(f"{section}.")
-            table.add_row(
-                Text(path),
+            table.add(
+                path,
                 Text(value, "" if value == default else "bold"),
-                *map(Text, (default, s["bounds"], s["unit"], str(s["description"]))),
+                *(default, s["bounds"], s["unit"], str(s["description"])),
             )
-        console.print(Text(section or "top level", "bold"))
-        console.print(table)
-        console.print()
+        out.print(Text(section or "top level", "bold"))
+        table.print(out)
+        out.print()
 
 
 def _format_value(value: object) -> str:

@@ -63,25 +63,21 @@ def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dic
 
 
 def _print(rows: Sequence[dict[str, Any]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
+    from rich.text import Text
 
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
     output = console()
-    table = Table(box=None, padding=(0, 2), header_style="dim")
-    for heading in ("plugin", "check", "ok"):
-        table.add_column(heading)
-    table.add_column(escape("time [s]"), justify="right")
+    headings = ("plugin", "check", "ok", "time [s]")
+    table = Table(headings, right=["time [s]"], words=["check"], boxed=False)
     last = ""
     for row in rows:
         plugin = f"{row['kind']} {row['name']}"
-        state = "skipped" if row["skipped"] else "yes" if row["ok"] else "[bold red]no[/]"
-        table.add_row(
-            "" if plugin == last else plugin, row["check"], state, f"{row['seconds']:.2f}"
-        )
+        state = "skipped" if row["skipped"] else "yes" if row["ok"] else Text("no", "bold red")
+        table.add("" if plugin == last else plugin, row["check"], state, f"{row['seconds']:.2f}")
         last = plugin
-    output.print(table)
+    table.print(output)
     for row in rows:
         if row["message"]:
             output.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)

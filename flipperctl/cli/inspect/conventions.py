@@ -89,20 +89,18 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
 
 
 def _print(found: list[Probe]) -> None:
-    from rich.table import Table
-
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
-    table = Table()
-    for heading in ("probed", "convention", "found", "expected", ""):
-        table.add_column(heading)
+    headings = ("probed", "convention", "found", "expected", "")
+    table = Table(headings, words=["convention"])
     for probe in found:
         unit = "" if probe.unit == "-" else f" {probe.unit}"
-        table.add_row(
+        table.add(
             probe.of,
             probe.meaning,
             f"{probe.found:.3f}{unit}",
             f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
             "holds" if probe.holds else "WRONG",
         )
-    console().print(table)
+    table.print(console())

@@ -79,26 +79,25 @@ def show(
 
 
 def _print(found: list[EngineComparison]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
+    from flipperctl.evaluation.conditions import scene_names
 
     first, second = found[0].engines
     title = f"{second} against {first}, the same actions of {found[0].controller}"
-    table = Table(title=title, title_justify="left")
-    for heading in (
+    headings = (
         *("terrain", "episodes", "equal outcomes", "both reached", "agree"),
         *("pitch RMS [rad] (largest)", "time (largest)", "θ̂_R"),
-    ):
-        table.add_column(escape(heading))
-    for scene in found:
-        table.add_row(*_cells(scene))
+    )
+    table = Table(headings, title)
+    named = list(zip(scene_names([(s.terrain, s.conditions) for s in found]), found, strict=True))
+    for name, scene in named:
+        table.add(name, *_cells(scene))
     out = console()
-    out.print(table)
+    table.print(out)
     conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
-    for line in (*conditions, *_disagreements(found)):
+    for line in (*conditions, *_disagreements(named)):
         out.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
@@ -113,11 +112,10 @@ def _cells(scene: EngineComparison) -> list[str]:
         f"{sum(e.agrees for e in scene.episodes)}/{total}",
     ]
     if not reached:
-        return [scene.terrain, *counts, "–", "–", "–"]
+        return [*counts, "–", "–", "–"]
     slowest = max((e.time_ratio for e in reached), key=abs)
     swing = mean(e.swings[1] for e in reached), mean(e.swings[0] for e in reached)
     return [
-        scene.terrain,
         *counts,
         f"{mean(e.pitch_rms for e in reached):.3f} ({max(e.pitch_rms for e in reached):.3f})",
         f"{mean(e.time_ratio for e in reached):+.1%} ({slowest:+.1%})",
@@ -125,8 +123,8 @@ def _cells(scene: EngineComparison) -> list[str]:
     ]
 
 
-def _disagreements(found: list[EngineComparison]) -> Iterator[str]:
-    for scene in found:
+def _disagreements(named: list[tuple[str, EngineComparison]]) -> Iterator[str]:
+    for name, scene in named:
         for e in scene.episodes:
             if e.agrees:
                 continue
@@ -134,7 +132,7 @@ def _disagreements(found: list[EngineComparison]) -> Iterator[str]:
             if e.parts_at is not None:
                 where = f"; they part at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
             yield (
-                f"{scene.terrain}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
+                f"{name}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
                 f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "
                 f"{e.pitch_rms:.3f} rad, {e.pitch_rms_along:.3f} rad at equal x{where}"
             )

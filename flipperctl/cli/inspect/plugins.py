@@ -89,10 +89,10 @@ def describe(kind: str, name: str) -> dict[str, Any]:
 
 
 def _print(found: list[dict[str, Any]]) -> None:
-    from rich.table import Table
     from rich.text import Text
 
     from flipperctl.cli.console import console, plain
+    from flipperctl.cli.tables import Table
 
     output = console()
 
@@ -104,13 +104,12 @@ def _print(found: list[dict[str, Any]]) -> None:
         output.print(text(plugin["name"], "bold") + text(kind) + text(plugin["summary"]))
         output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
         if plugin["fields"]:
-            table = Table(box=None, padding=(0, 2), show_header=True, header_style="dim")
-            for heading in ("  field", "default", "bounds", "unit", "meaning"):
-                table.add_column(heading)
+            headings = ("  field", "default", "bounds", "unit", "meaning")
+            table = Table(headings, words=["default", "bounds", "meaning"], boxed=False)
             for field in plugin["fields"]:
                 default = field["default"]
                 shown = f"{default:.4g}" if isinstance(default, float) else str(default)
                 cells = (f"  {field['name']}", shown, field["bounds"], field["unit"])
-                table.add_row(*map(text, (*cells, field["description"])))
-            output.print(table)
+                table.add(*cells, field["description"])
+            table.print(output)
         output.print()

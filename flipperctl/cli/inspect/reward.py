@@ -22,7 +22,8 @@ information. The episodes are those of an evaluation, with conditions=… as for
 
 --compare plays the same draws with several policies (controllers, checkpoints, generalist) and
 ranks them by return and by θ̂_R at 100 Hz. A reward that pays a policy more than another that swings
-less is reported, if both paired differences are beyond their 95 % bootstrap intervals.
+less is reported, if both paired differences are beyond noise (t-tests at 5 %, corrected by Holm for
+the number of comparisons).
 controller.<field> applies to each compared controller that has the field, eval.seed and eval.jobs
 choose draws and processes.
 
@@ -95,6 +96,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.reward_scenes import policies, reward_scenes
     from flipperctl.evaluation.compare_rewards import compare_rewards
+    from flipperctl.evaluation.ranking import decide
     from flipperctl.evaluation.workers import EpisodeWorkers
 
     sources, others = policies(names, overrides)
@@ -102,8 +104,9 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     for scene in scenes:
         for source in sources.values():
             source.build(scene.config)  # a wrong layout or robot is found before the first draw
-    with EpisodeWorkers(scenes[0].config.eval.jobs) as workers:
-        found = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
+    with EpisodeWorkers() as workers:
+        ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
+    found = decide(ranked)
     if as_json:
         print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
     else:
@@ -116,37 +119,32 @@ def _print_comparison(found: list[SceneRanking]) -> None:
     from flipperctl.cli.reward_tables import table, verdict_lines
 
     out = console()
-    out.print(table(found))
+    table(found).print(out)
     conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
     for line in (*conditions, *verdict_lines(found)):
         out.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _print(found: AuditResult) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     from flipperctl.cli.conditions import condition_lines
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
     title = (
         f"{found.controller} on {found.terrain}: {found.episodes} episodes, "
         f"{found.decisions} decisions, mean return {found.mean_return:.2f}"
     )
-    table = Table(title=title, title_justify="left")
-    table.add_column("term", no_wrap=True)
-    for heading in ("weight", "mean a decision", "lowest", "highest"):
-        table.add_column(escape(heading))
-    table.add_column("share of the return")
-    table.add_column("saturated")
+    headings = ("term", "weight", "mean a decision", "lowest", "highest", "share of the return")
+    table = Table([*headings, "saturated"], title)
     for name, term in found.terms.items():
-        table.add_row(
+        table.add(
             name,
             f"{term.weight:g}",
             *(f"{value:.4f}" for value in (term.mean, term.lowest, term.highest)),
             f"{term.share:.1%}",
             "–" if term.saturated is None else f"{term.saturated:.1%}",
         )
-    console().print(table)
+    out = console()
+    table.print(out)
     for line in condition_lines([(found.terrain, found.seed, found.conditions)]):
-        print(line)
+        out.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -93,22 +93,18 @@ def _resume_command(run: Path) -> str:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
         state = f"interrupted; resume with: {_resume_command(Path(found['run']))}"
-    table = Table(title=f"{found['run']}: {state}", title_justify="left")
     headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
-    for heading in headings:
-        table.add_column(escape(heading), justify="right")
+    table = Table(headings, f"{found['run']}: {state}", right=headings)
     for row in found["validations"]:
         swing = row["pitch_variation_100hz"]
-        table.add_row(
+        table.add(
             f"{row['decision']:.0f}",
             f"{row['success_rate']:.1%}",
             "–" if swing is None else f"{swing:.3f}",
@@ -116,4 +112,4 @@ def _print(found: dict[str, Any]) -> None:
             f"{row['t_cost']:.1f}",
             f"{row['return']:.2f}",
         )
-    console().print(table)
+    table.print(console())

@@ -105,20 +105,19 @@ def describe(profile: Profile) -> dict[str, Any]:
 
 
 def _print(name: str, numbers: list[dict[str, Any]]) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
     from flipperctl.cli.console import console
+    from flipperctl.cli.tables import Table
 
-    table = Table(title=name, title_justify="left")
-    headings = ("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]")
-    for heading in (*headings, "largest face [m]", "steepest slope [°]", "points"):
-        table.add_column(escape(heading), justify="right")
+    headings = (
+        *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),
+        *("largest face [m]", "steepest slope [°]", "points"),
+    )
+    table = Table(headings, name, right=headings)
     keys = ("length", "lowest", "highest", "climb", "largest_face", "steepest_slope_degrees")
     cells = [(*(f"{row[key]:.3f}" for key in keys), str(len(row["points"]))) for row in numbers]
     seeds = [str(row["seed"]) for row in numbers]
     if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
         seeds, cells = ["any"], cells[:1]  # nothing about the terrain is random
     for seed, row in zip(seeds, cells, strict=True):
-        table.add_row(seed, *row)
-    console().print(table)
+        table.add(seed, *row)
+    table.print(console())

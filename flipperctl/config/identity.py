@@ -1,0 +1,81 @@
+"""What makes two plugins the same: names, settings that are not defaults, contents of files.
+
+In: a plugin. Out: plain data that is equal wherever a file lies, however its path is written, and
+whatever settings with defaults a later version adds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from flipperctl import guard
+from flipperctl.api import Plugin
+from flipperctl.config.resolver import container
+
+
+def identity(plugin: Plugin) -> dict[str, Any]:
+    """Return the plugin's registered name, its settings that differ from the defaults, its files.
+
+    A setting that names files that the plugin reads (same last component of the path) is left out;
+    the SHA-256 of each file enters instead. Plugins in settings are described in the same way.
+
+    Raises:
+        PluginError: a setting cannot be written as JSON.
+        PluginFailedError: ``files_read`` failed.
+    """
+    files, plain = read_files(plugin), container(plugin)
+    names = {file.name for file in files}
+    settings = {}
+    for name, field in type(plugin).model_fields.items():
+        value = getattr(plugin, name)
+        default = field.get_default(call_default_factory=True, validated_data={})
+        if value != default and not _names_files(value, names):
+            settings[name] = _describe(value, plain[name])
+    found = {"name": plugin.plugin_name, "settings": settings}
+    return found | ({"files": [content_digest(file) for file in files]} if files else {})
+
+
+def read_files(plugin: Plugin) -> tuple[Path, ...]:
+    """Return the files that the plugin reads.
+
+    Raises:
+        PluginFailedError: ``files_read`` failed, or returned something else than paths.
+    """
+    try:
+        found = tuple(plugin.files_read())
+    except BaseException as error:
+        raise guard.fault(error, plugin, "files_read") from error
+    if not all(isinstance(file, Path) for file in found):
+        text = f"returned {guard.short_repr(found)}; allowed: Paths"
+        raise guard.refusal(plugin, "files_read", text)
+    return found
+
+
+def content_digest(file: Path) -> str | None:
+    """Return the SHA-256 of a file's content; None if it cannot be read, which its reader says."""
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def _names_files(value: object, names: set[str]) -> bool:
+    """Return whether the value is a path, or a list of paths, of files with these names."""
+    parts = value if isinstance(value, tuple | list) else (value,)
+    paths = [part for part in parts if isinstance(part, str | Path) and Path(part).name in names]
+    return 0 < len(paths) == len(parts)
+
+
+def _describe(value: object, plain: Any) -> Any:
+    """Return the plain data of a value, with the identity of each plugin in it."""
+    if isinstance(value, Plugin):
+        return identity(value)
+    if isinstance(value, tuple | list):
+        return [_describe(v, p) for v, p in zip(value, plain, strict=True)]
+    if isinstance(value, Mapping):
+        return {k: _describe(v, p) for (k, v), p in zip(value.items(), plain.values(), strict=True)}
+    return plain

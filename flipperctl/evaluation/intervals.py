@@ -1,0 +1,145 @@
+"""95 % intervals and exact tests: means, rates, differences of paired rates, many comparisons.
+
+In: numbers or counts. Out: an ``Interval`` or a p-value. ``evaluation.coverage`` simulates how
+often the intervals contain the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from flipperctl.evaluation.results import Interval, PairedSuccess
+
+FEWEST = 5
+"""Smallest number of values whose mean has an interval [-]."""
+Z = 1.959964
+"""97.5 % quantile of the standard normal distribution [-]."""
+_HALVINGS = 60
+"""Halvings of an interval of length 1 after which its ends are equal in double precision [-]."""
+
+
+def interval(values: Sequence[float]) -> Interval:
+    """Return the mean of (K,) values with the 95 % interval of Student's t (Student 1908).
+
+    It is exact for normal data; ``evaluation.coverage`` says what it is for others. Fewer than
+    ``FEWEST`` values have no interval: its ends are None.
+
+    Raises:
+        ValueError: there are no values.
+    """
+    if len(values) == 0:
+        raise ValueError("an interval needs at least one value")
+    array = np.asarray(values, dtype=np.float64)
+    mean, count = float(array.mean()), len(array)
+    if count < FEWEST:
+        return Interval(mean, None, None)
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(count - 1, 0.975) * array.std(ddof=1) / math.sqrt(count))
+    return Interval(mean, mean - half, mean + half)
+
+
+def mean_p(values: Sequence[float]) -> float:
+    """Return the two-sided p-value of a mean of 0 by Student's t; 1 for fewer than ``FEWEST``."""
+    array = np.asarray(values, dtype=np.float64)
+    if len(array) < FEWEST or not array.any():
+        return 1.0
+    deviation = float(array.std(ddof=1))
+    if deviation == 0:
+        return 0.0
+    from scipy.special import stdtr
+
+    ratio = abs(float(array.mean())) / deviation * math.sqrt(len(array))
+    return 2 * float(stdtr(len(array) - 1, -ratio))
+
+
+def proportion(count: int, total: int) -> Interval:
+    """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
+
+    It is known from the first outcome on: that of five of five begins at 0.566.
+
+    Raises:
+        ValueError: there are no outcomes.
+    """
+    if total == 0:
+        raise ValueError("a rate needs at least one outcome")
+    rate, spread = count / total, Z**2 / total
+    centre = (rate + spread / 2) / (1 + spread)
+    half = Z * math.sqrt(rate * (1 - rate) / total + spread / (4 * total)) / (1 + spread)
+    # The ends of 0 and 1 are exact; rounding would pass them by a last digit.
+    low = centre - half if count > 0 else 0.0
+    high = centre + half if count < total else 1.0
+    return Interval(rate, low, high)
+
+
+def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
+    """Return the success rate of a policy minus that of another, over ``total`` equal draws.
+
+    ``won`` and ``lost``: numbers of draws that the policy alone crossed, and the other alone. The
+    95 % interval is the score interval for paired proportions (Tango 1998), which is no point where
+    both are 0: that of five draws is [-0.434, 0.434]. ``p`` is that of McNemar's exact test: the
+    probability, if both are equally good, that the draws that one alone crossed are split as
+    unevenly as here, or more so. ``comparisons.correct_together`` corrects ``p_holm``.
+
+    Raises:
+        ValueError: there are no draws.
+    """
+    if total == 0:
+        raise ValueError("a difference needs at least one pair")
+    p = mcnemar_p(won, lost)
+    low = _difference_with_score(won, lost, total, Z) if lost < total else -1.0
+    high = _difference_with_score(won, lost, total, -Z) if won < total else 1.0
+    return PairedSuccess((won - lost) / total, low, high, total, won, lost, p, p_holm=p)
+
+
+def mcnemar_p(won: int, lost: int) -> float:
+    """Return the two-sided p-value of McNemar's exact test from the counts of paired_success."""
+    if won == lost:
+        return 1.0
+    from scipy.special import bdtr
+
+    return min(1.0, 2 * float(bdtr(min(won, lost), won + lost, 0.5)))
+
+
+def _difference_with_score(won: int, lost: int, total: int, score: float) -> float:
+    """Return the difference of paired rates at which the score statistic has this value.
+
+    The statistic falls with the difference, from above to below 0 at the difference that was found.
+    """
+    low, high = (-1.0, (won - lost) / total) if score > 0 else ((won - lost) / total, 1.0)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if _score(won, lost, total, middle) > score:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+def _score(won: int, lost: int, total: int, difference: float) -> float:
+    """Return Tango's statistic (1998): the error of ``difference`` in standard errors."""
+    # The constrained maximum-likelihood estimate of the rate of draws that the other alone crosses.
+    b = -won - lost + (2 * total - won + lost) * difference
+    c = -lost * difference * (1 - difference)
+    rate = (math.sqrt(max(0.0, b * b - 8 * total * c)) - b) / (4 * total)
+    variance = total * (2 * rate + difference * (1 - difference))
+    error = won - lost - total * difference
+    if variance <= 0:
+        return math.copysign(math.inf, error) if error else 0.0
+    return error / math.sqrt(variance)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values of M comparisons, each corrected for the others (Holm 1979).
+
+    Among those of 0.05 or less, the probability of any false one is at most 5 %.
+    """
+    found, largest = [1.0] * len(p_values), 0.0
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    for rank, at in enumerate(order):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[at]))
+        found[at] = largest
+    return found
