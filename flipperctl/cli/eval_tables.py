@@ -28,7 +28,10 @@ from flipperctl.evaluation.tables import FEWEST, interval_text
 
 def table(result: EvaluationResult) -> Table:
     """Return a table with a row per scene, and a dim row for each part of a mix."""
-    found = Table(title=result.controller, title_justify="left")
+    title = result.controller
+    if result.interruption is not None:
+        title = f"{title} ({result.interruption.text})"
+    found = Table(title=escape(title), title_justify="left")
     passable = any(scene.summary.passable for scene in result.scenes)
     success = ["success", *(["passable", "of these"] if passable else [])]
     for heading in ("terrain", "episodes", *success, "outcomes", HEADING, PAPERS_HEADING):
@@ -45,9 +48,13 @@ def table(result: EvaluationResult) -> Table:
 
 
 def comparisons(result: EvaluationResult) -> Iterator[Table]:
-    """Yield a table of the paired differences to each baseline."""
+    """Yield a table of the paired differences to each baseline.
+
+    After an interruption, the last scene may lack baselines.
+    """
     for index, _ in enumerate(result.scenes[0].baselines):
-        yield _comparison([(n, scene.baselines[index]) for n, scene in _named(result)])
+        have = [(n, scene) for n, scene in _named(result) if index < len(scene.baselines)]
+        yield _comparison([(name, scene.baselines[index]) for name, scene in have])
 
 
 def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:

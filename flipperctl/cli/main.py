@@ -67,6 +67,8 @@ def _run(arguments: list[str]) -> int:
             return 0
         command = typer.main.get_command(app)
         code = command.main(args=arguments, prog_name="flipperctl", standalone_mode=False)
+        if code == InterruptedRunError.exit_code:  # Typer's answer to Ctrl-C, without a word
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else 0
     except FlipperctlError as error:
         if debug:

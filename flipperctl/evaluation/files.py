@@ -15,6 +15,10 @@ from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.tables import write_tables
 from flipperctl.files import write_csv, write_json
 
+SUMMARY = "summary.json"
+NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")
+"""What ``write`` writes."""
+
 
 def write(folder: Path, result: EvaluationResult) -> None:
     """Write all files into an existing folder, each completely or not at all.
@@ -24,7 +28,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
         WriteError: writing failed half way; an earlier file is untouched.
     """
     write_csv(folder / "episodes.csv", list(episode_rows(result)))
-    write_json(folder / "summary.json", result.container())
+    write_json(folder / SUMMARY, result.container())
     write_tables(folder, result)
 
 
@@ -46,6 +50,8 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
 def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResult) -> None:
     """Write the policy's episodes on all scenes, which were evaluated with ``record``.
 
+    The result may lack the last scenes.
+
     Raises:
         ConfigError: the scenes have several observation layouts.
         OutputError: the file cannot be written.
@@ -53,6 +59,15 @@ def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResul
     """
     parts = [
         (config, [e.recorded for e in scene.episodes if e.recorded is not None])
-        for (config, _), scene in zip(scenes, result.scenes, strict=True)
+        for (config, _), scene in zip(scenes, result.scenes, strict=False)
     ]
     recording.write(path, result.controller, parts)
+
+
+def picture_names(terrains: Sequence[str]) -> list[str]:
+    """Return a file name a scene: its terrain, with a number from its second scene on."""
+    counts = [terrains[:index].count(terrain) for index, terrain in enumerate(terrains)]
+    return [
+        f"{terrain}_{before + 1}.png" if before else f"{terrain}.png"
+        for terrain, before in zip(terrains, counts, strict=True)
+    ]

@@ -11,10 +11,16 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 
 from flipperctl.config import EvalConfig
+from flipperctl.errors import InterruptedRunError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
+from flipperctl.evaluation.results import (
+    BaselineResult,
+    EvaluationResult,
+    Interruption,
+    SceneResult,
+)
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -39,25 +45,45 @@ def evaluate(
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
     record: bool = False,
+    stop: Callable[[], bool] = lambda: False,
 ) -> EvaluationResult:
     """Evaluate one policy on each scene, with as many processes as the first one asks for.
 
     ``baselines`` play the same episodes for comparison. ``references`` try in turn the episodes
     that the policy did not cross, to find out which can be crossed at all. ``record``: whether the
-    policy's results hold its decisions.
+    policy's results hold its decisions. Once ``stop``, called before each episode, returns True,
+    the evaluation ends with what is finished.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
+        InterruptedRunError: it was stopped before an episode was finished.
         ValueError: there are no scenes.
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    with EpisodeWorkers(scenes[0][0].eval.jobs) as workers:
+    with EpisodeWorkers(scenes[0][0].eval.jobs, stop) as workers:
         results = [
             _evaluate_scene(c, s, baselines, references, workers, progress, record)
             for c, s in scenes
         ]
-    return EvaluationResult(scenes[0][1].label(), tuple(results))
+    interruption = None
+    if workers.interrupted:
+        interruption = _interruption([config for config, _ in scenes], results, 1 + len(baselines))
+    finished = tuple(result for result in results if result is not None)
+    return EvaluationResult(scenes[0][1].label(), finished, interruption)
+
+
+def _interruption(
+    configs: Sequence[EvalConfig], results: Sequence[SceneResult | None], players: int
+) -> Interruption:
+    """Return what is finished of the episodes of the policy and its baselines."""
+    planned = players * sum(config.eval.episodes for config in configs)
+    finished = sum(result.finished for result in results if result is not None)
+    if not finished:
+        raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
+    pairs = zip(configs, results, strict=True)
+    missing = [config.terrain.plugin_name for config, result in pairs if result is None]
+    return Interruption(finished, planned, tuple(missing))
 
 
 def _evaluate_scene(
@@ -68,16 +94,19 @@ def _evaluate_scene(
     workers: EpisodeWorkers,
     progress: Progress,
     record: bool,
-) -> SceneResult:
+) -> SceneResult | None:
+    """Return the result of a scene; None if it was stopped before an episode was finished."""
     terrain = config.terrain.plugin_name
     episodes = play_scene(config, source, terrain, workers, progress, record=record)
+    if not episodes:
+        return None
     if references:
         episodes = _crossed_by_references(config, source, references, episodes, workers, progress)
     others = []
     for baseline in baselines:
         label = baseline.label()
-        played = play_scene(config, baseline, f"{terrain}, {label}", workers, progress)
-        others.append(compare(terrain, episodes, label, played))
+        if played := play_scene(config, baseline, f"{terrain}, {label}", workers, progress):
+            others.append(compare(terrain, episodes, label, played))
     return SceneResult(
         summarise(terrain, episodes),
         config.eval.seed,
@@ -108,7 +137,10 @@ def _crossed_by_references(
     workers: EpisodeWorkers,
     progress: Progress,
 ) -> list[EpisodeResult]:
-    """Return the episodes with ``crossed_by`` set: the policy's label, a reference's, or empty."""
+    """Return the episodes with ``crossed_by`` set: the policy's label, a reference's, or empty.
+
+    It stays unset if the references were stopped: an episode that none has tried tells nothing.
+    """
     crossed_by = {e.episode: source.label() if e.reached else "" for e in episodes}
     for reference in references:
         left = [index for index, label in crossed_by.items() if not label]
@@ -116,6 +148,8 @@ def _crossed_by_references(
         for result in play_scene(config, reference, label, workers, progress, left):
             if result.reached:
                 crossed_by[result.episode] = reference.label()
+    if workers.interrupted:
+        return list(episodes)
     return [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
 
 
@@ -129,10 +163,16 @@ def play_scene(
     *,
     record: bool = False,
 ) -> list[EpisodeResult]:
-    """Let workers play the episodes with these indices, or all, and show the progress."""
+    """Let workers play the episodes with these indices, or all, and show the progress.
+
+    There are fewer results, and ``workers.interrupted`` is set, if ``workers.stop`` returns True.
+    """
     settings = config.eval
     chosen = range(settings.episodes) if indices is None else indices
     results: list[EpisodeResult] = []
+    if chosen and workers.stop():
+        workers.interrupted = True
+        return results
     with progress(label, len(chosen)) as report:
 
         def search(fraction: float) -> None:
@@ -149,4 +189,5 @@ def play_scene(
         ):
             results.append(result)
             report(len(results))
+    workers.interrupted |= len(results) < len(chosen)
     return results

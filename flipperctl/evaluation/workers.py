@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import logging
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -40,8 +40,12 @@ class _Task:
 class EpisodeWorkers:
     """``count`` processes, which start with the first episodes; a process that dies is replaced."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, stop: Callable[[], bool] = lambda: False) -> None:
+        """``stop`` is called before each episode; once it returns True, no further one begins."""
         self.count = count
+        self.stop = stop
+        self.interrupted = False
+        """Whether episodes were left out because of ``stop``."""
         self._pool: WorkerPool | None = None
         self._numbers = itertools.count()
 
@@ -54,6 +58,8 @@ class EpisodeWorkers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if self._pool is not None and kind is not None and issubclass(kind, KeyboardInterrupt):
+            self._pool.kill()  # the user does not want to wait for the episodes that run
         self.close()
 
     def play(
@@ -65,7 +71,10 @@ class EpisodeWorkers:
         *,
         record: bool = False,
     ) -> Iterator[EpisodeResult]:
-        """Yield the results of these episodes, in order; see ``play_episodes``."""
+        """Yield the results of these episodes, in order; see ``play_episodes``.
+
+        After a stop, those that are finished are yielded up to the first that is not.
+        """
         document = container(config.environment())
         paths = plugins.configured_paths()
         task = _Task(next(self._numbers), document, source, seed, record, paths)
@@ -74,6 +83,8 @@ class EpisodeWorkers:
         pool = self._pool
         waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
         for index in indices:
+            if self.stop() and not waiting[0].future.done():
+                return
             yield _result(pool, task, waiting.popleft(), index)
 
     def close(self) -> None:

@@ -123,6 +123,12 @@ class WorkerPool:
         """Return the process identifiers of the workers that run."""
         return [pid for executor in self._executors for pid in (executor._processes or {})]
 
+    def kill(self) -> None:
+        """Kill all processes in the middle of what they do; the pool can only be closed then."""
+        for executor in self._executors:
+            for process in list((executor._processes or {}).values()):
+                process.kill()
+
     def close(self) -> None:
         """Stop all processes, each after the call that it works on."""
         for executor in self._executors:
