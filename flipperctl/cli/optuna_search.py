@@ -24,7 +24,8 @@ from pydantic import ValidationError
 
 from flipperctl.cli.comparison import compare, job_result
 from flipperctl.cli.search import SearchSettings, search_space
-from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
+from flipperctl.cli.sweep_stop import stopping
+from flipperctl.cli.sweeps import SweepLauncher, command_to_go_on, uses_default_naming
 from flipperctl.cli.training import quote_path
 from flipperctl.errors import (
     ConfigError,
@@ -75,8 +76,9 @@ def prepare(
     launcher: Launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
-    jobs = SweepLauncher(launcher, named=uses_default_naming(config))
-    return OptunaSearch(settings, jobs, Path(config.hydra.sweep.dir))
+    folder = Path(config.hydra.sweep.dir)
+    jobs = SweepLauncher(launcher, folder, named=uses_default_naming(config))
+    return OptunaSearch(settings, jobs, folder)
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ class OptunaSearch:
         self.jobs.swept = list(space)
         with hold(make_folder(self.folder), "sweep"):
             try:
-                self._search(study, space, fixed)
+                with stopping(self.folder) as self.jobs.stop:
+                    self._search(study, space, fixed)
             finally:
                 compare(self.folder, self.jobs.runs)
             self._conclude(study)
@@ -123,6 +126,8 @@ class OptunaSearch:
             jobs = [[*fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
             returns = self.jobs.launch(jobs, initial_job_idx=trials[0].number)
             self._record_results(study, trials, returns)
+            if self.jobs.stop():  # between two jobs
+                raise self._interrupted(study)
 
     def _study(self, arguments: Sequence[str]) -> Study:
         import optuna
@@ -172,12 +177,14 @@ class OptunaSearch:
         for trial in trials[len(returns) :]:
             _stop(study, trial.number)
         for problem in filter(None, problems):
-            if self.settings.storage and isinstance(problem, InterruptedRunError):
-                done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
-                raise InterruptedRunError(
-                    f"interrupted; {done}. The same command resumes the search"
-                ) from problem
+            if isinstance(problem, InterruptedRunError):
+                raise self._interrupted(study) from problem
             raise problem
+
+    def _interrupted(self, study: Study) -> InterruptedRunError:
+        done = f"{len(_finished(study))} of {self.settings.n_trials} trials are finished"
+        again = command_to_go_on(self.folder)
+        return InterruptedRunError(f"interrupted; {done}. Go on with: {again}")
 
     def _record_result(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -91,10 +92,11 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     _check(overrides, compose=check)
     errors: list[BaseException] = []
     paths = loader.configured_paths()  # a worker on a running cluster has another environment
+    sweeper = os.getpid()
 
     def task(composed: Any) -> float | None:
         try:
-            return _task(composed, paths)
+            return _task(composed, paths, sweeper)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
@@ -161,21 +163,38 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _task(composed: Any, paths: list[str]) -> float | None:
-    """Run one job of Hydra; a launcher's worker process loads the plugins itself."""
+def _task(composed: Any, paths: list[str], sweeper: int) -> float | None:
+    """Run one job of Hydra; a launcher's worker process loads the plugins itself.
+
+    ``sweeper`` is the process of the command, which may be another one.
+    """
     from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
 
     from flipperctl import plugins as loader
     from flipperctl.cli.compose import parse_training
     from flipperctl.cli.search import objective
-    from flipperctl.cli.training import start
+    from flipperctl.cli.sweep_stop import stop_of
+    from flipperctl.cli.training import start, start_or_go_on
+    from flipperctl.errors import InterruptedRunError
 
     loader.load(paths)
     config = parse_training(composed)
     _check_device(config)
-    directory = Path(HydraConfig.get().runtime.output_dir)
-    best = start(config, directory, lambda: _keep_hydra_files(composed, directory))["best"]
-    return objective(best, config.train.validation_episodes)
+    hydra = HydraConfig.get()
+    directory = Path(hydra.runtime.output_dir)
+
+    def keep() -> None:
+        _keep_hydra_files(composed, directory)
+
+    if hydra.mode is RunMode.MULTIRUN:
+        stop = stop_of(Path(hydra.runtime.cwd, hydra.sweep.dir), sweeper)
+        if stop():
+            raise InterruptedRunError(f"{directory.name} was not begun")
+        summary = start_or_go_on(config, directory, keep, stop)
+    else:
+        summary = start(config, directory, keep)
+    return objective(summary["best"], config.train.validation_episodes)
 
 
 def _keep_hydra_files(composed: Any, directory: Path) -> None:

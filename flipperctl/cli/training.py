@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.cli.interrupts import interrupts
 from flipperctl.cli.progress import progress
 from flipperctl.cli.swing import swing_text
 from flipperctl.config import TrainConfig, container, with_overrides
@@ -43,11 +42,52 @@ def start(
                 f"{directory} already holds a run; resume it with: flipperctl train --resume "
                 f"{quote_path(directory)}, or choose another hydra.run.dir"
             )
-        run_folder.clear_leftovers(directory)
-        trainer = Trainer(config, directory)
-        make_folder(directory / checkpoint.BEST.parent)
-        keep_more()
-        return _train(trainer, None)
+        return _begin(config, directory, keep_more)
+
+
+def start_or_go_on(
+    config: TrainConfig,
+    directory: Path,
+    keep_more: Callable[[], None],
+    stop: Callable[[], bool],
+) -> dict[str, Any]:
+    """Train one run of a sweep, from where an earlier start of the sweep left it.
+
+    A finished run is left alone. ``stop``, called between episodes, ends the run as Ctrl-C does.
+
+    Raises:
+        InterruptedRunError: the run was stopped; all is saved.
+        RunHeldError: another process is training in it.
+        OutputError: it holds a run with other settings.
+    """
+    make_folder(directory)
+    with hold(directory):
+        if not run_folder.holds_run(directory):
+            return _begin(config, directory, keep_more, stop)
+        saved, earlier = run_folder.read(directory)
+        if differing := run_folder.differing_settings(earlier, config):
+            raise OutputError(
+                f"{directory} already holds a run with other settings "
+                f"({', '.join(differing[:3])}{' …' if len(differing) > 3 else ''}); "
+                "choose another hydra.sweep.dir"
+            )
+        if (summary := run_folder.finished(directory, config.train.decisions)) is not None:
+            print(f"{quote_path(directory)} is finished", file=sys.stderr)
+            return summary
+        return _go_on(config, directory, saved, stop)
+
+
+def _begin(
+    config: TrainConfig,
+    directory: Path,
+    keep_more: Callable[[], None],
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    keep_more()
+    return _train(trainer, None, stop)
 
 
 def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
@@ -64,29 +104,39 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
         saved, config = run_folder.read(directory)
         config = with_overrides(config, changes)
         check(config)
-        run_folder.clear_leftovers(directory)
-        trainer = Trainer(config, directory)
-        make_folder(directory / checkpoint.BEST.parent)
-        if saved is None:
-            print(
-                f"{directory} was stopped before its first checkpoint; it begins again "
-                "with the same configuration and seed",
-                file=sys.stderr,
-            )
-        else:
-            trainer.restore(saved)
-        spent = trainer.progress.decision >= config.train.decisions
-        if spent and run_folder.is_finished(directory, trainer.progress.decision):
-            print(
-                f"nothing left to do: {directory} has used its budget of "
-                f"{config.train.decisions} decisions; give a larger train.decisions=… to continue",
-                file=sys.stderr,
-            )
-            return
-        _train(trainer, trainer.progress.decision)
+        _go_on(config, directory, saved)
 
 
-def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
+def _go_on(
+    config: TrainConfig,
+    directory: Path,
+    saved: Checkpoint | None,
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    if saved is None:
+        print(
+            f"{directory} was stopped before its first checkpoint; it begins again "
+            "with the same configuration and seed",
+            file=sys.stderr,
+        )
+    else:
+        trainer.restore(saved)
+    decision = trainer.progress.decision
+    summary = run_folder.finished(directory, decision)
+    if decision >= config.train.decisions and summary is not None:
+        print(
+            f"nothing left to do: {directory} has used its budget of "
+            f"{config.train.decisions} decisions; give a larger train.decisions=… to continue",
+            file=sys.stderr,
+        )
+        return summary
+    return _train(trainer, decision, stop)
+
+
+def _train(trainer: Trainer, resume_at: int | None, stop: Callable[[], bool]) -> dict[str, Any]:
     config, directory = trainer.config, trainer.directory
     write_bytes(directory / run_folder.CONFIG, OmegaConf.to_yaml(container(config)).encode())
     trainer.listeners += [
@@ -97,8 +147,8 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
         progress(config.train.decisions, trainer.progress.decision),
     ]
     try:
-        with _interrupts() as stop:
-            summary = trainer.run(stop)
+        with interrupts("finishing the episode and saving …") as interrupted:
+            summary = trainer.run(lambda: interrupted() or stop())
     except (FlipperctlError, OSError) as error:
         if directory.is_dir():
             raise
@@ -128,30 +178,3 @@ def quote_path(directory: Path) -> str:
     here = Path.cwd()
     short = directory.relative_to(here) if directory.is_relative_to(here) else directory
     return shlex.quote(str(short))
-
-
-@contextmanager
-def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C was pressed or SIGTERM was sent.
-
-    The first signal asks the trainer to stop after the episode; a second one stops at once.
-    """
-    asked = False
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-        print("\nfinishing the episode and saving …", file=sys.stderr)
-
-    signals = (signal.SIGINT, signal.SIGTERM)
-    try:
-        before = {number: signal.signal(number, ask) for number in signals}
-    except ValueError:  # not in the main thread: the launcher handles signals
-        before = {}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -44,7 +44,7 @@ def search(
     """The jobs of this start, and all trials of the study."""
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
-    jobs = SweepLauncher(launcher, named=False)
+    jobs = SweepLauncher(launcher, folder, named=False)
     OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder).run(overrides)
     return launcher.jobs, trials(folder)
 
