@@ -14,17 +14,7 @@ pytestmark = pytest.mark.slow
     [
         ["kills", "--count", "3", "--early", "2", "--fast", "0"],
         ["races", "--count", "3", "--fast", "0"],
-        [
-            "killed_sweeps",
-            "--count",
-            "3",
-            "--joblib",
-            "0",
-            "--stops",
-            "SIGKILL",
-            "SIGINT",
-            "SIGTERM",
-        ],
+        ["killed_sweeps", "--count", "2", "--joblib", "0", "--stops", "SIGKILL", "SIGINT"],
     ],
     ids=["kills", "races", "killed sweeps"],
 )
