@@ -105,7 +105,7 @@ class SweepLauncher:
             stopped = self.stop() or isinstance(error, KeyboardInterrupt)
             cause = InterruptedRunError("interrupted") if stopped else error
             self.runs += [
-                unreturned_run(first + i, swept[i], self._folder / name, cause)
+                unreturned_run(first + i, swept[i], self._folder.absolute() / name, cause)
                 for i, name in enumerate(names)
             ]
             if stopped and isinstance(error, Exception):

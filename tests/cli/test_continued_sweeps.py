@@ -85,6 +85,8 @@ def test_the_printed_command_goes_on_to_the_same_results(
     assert error.startswith("error: interrupted; 1 of 3 runs are finished. Go on with: ")
     (folder,) = (tmp_path / "runs" / "multirun").iterdir()
     assert states(folder) == [("1", "finished"), ("2", "interrupted")]
+    with (folder / "sweep.csv").open(newline="") as file:
+        assert all(Path(row["folder"]).is_absolute() for row in csv.DictReader(file))
     monkeypatch.undo()
 
     first = (folder / "0_seed=1" / "summary.json").stat().st_mtime_ns

