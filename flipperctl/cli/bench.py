@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,12 +83,12 @@ def bench(
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
     from flipperctl.cli.bench_output import tables
-    from flipperctl.files import make_folder, write_json
+    from flipperctl.cli.result_folder import result_folder
+    from flipperctl.files import write_json
 
     loader.load(plugins or ())
     overrides = with_flags(overrides, SECTION.rstrip("."), repeats=repeats)
     config, settings = compose_bench(overrides, small=small)
-    folder = make_folder(output) if output else None
     document: dict[str, Any] = {
         "machine": machine(),
         "settings": settings.model_dump(mode="json"),
@@ -97,16 +97,19 @@ def bench(
     }
     commands = startup_commands(context)
     training_overrides = tuple(o for o in overrides if not o.startswith(SECTION))
-    for measure in measures:
-        with _progress(measure) as report:
-            found = _measure(measure, Bench(config, settings, report, training_overrides), commands)
-        document["measures"][measure] = {**found, "load_average": load()}
-        for text in found.get("missing", ()):
-            print(f"{measure}: {text}", file=sys.stderr)
-        if folder:
-            write_json(
-                folder / "bench.json", document
-            )  # after each, since the next may take an hour
+    with ExitStack() as stack:
+        folder = None
+        if output:
+            folder = stack.enter_context(result_folder(output, "bench", ["bench.json"]))
+        for measure in measures:
+            with _progress(measure) as report:
+                bench = Bench(config, settings, report, training_overrides)
+                found = _measure(measure, bench, commands)
+            document["measures"][measure] = {**found, "load_average": load()}
+            for text in found.get("missing", ()):
+                print(f"{measure}: {text}", file=sys.stderr)
+            if folder:  # after each, since the next may take an hour
+                folder.replace(lambda part: write_json(part / "bench.json", document))
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
         return

@@ -6,7 +6,7 @@ import contextlib
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,9 @@ from hydra.core.utils import JobReturn
 
 from flipperctl.cli.follow_up import quote_path
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
-from flipperctl.errors import InterruptedRunError
+from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.files import write_csv
-from flipperctl.training.run_folder import SUMMARY
+from flipperctl.training.run_folder import SUMMARY, holds_run
 
 FILE = "sweep.csv"
 _ROWS = 40
@@ -38,10 +38,12 @@ class SweepRun:
 
     @property
     def state(self) -> str:
-        """One of finished, interrupted and failed; the error has its own column."""
+        """One of finished, interrupted, not begun and failed; the error has its own column."""
         if self.summary.get("finished"):
             return "finished"
-        return "interrupted" if isinstance(self.error, InterruptedRunError) else "failed"
+        if not isinstance(self.error, InterruptedRunError):
+            return "failed"
+        return "interrupted" if holds_run(self.folder) else "not begun"
 
     def row(self) -> dict[str, Any]:
         """Return the row of ``sweep.csv``; the measures are those of the best validation."""
@@ -77,11 +79,24 @@ def sweep_run(job: JobReturn, number: int, swept: dict[str, str]) -> SweepRun:
     """Return the run that a job trained."""
     composed: Any = job.hydra_cfg
     folder = Path(composed.hydra.runtime.output_dir)
+    return SweepRun(number, swept, folder, job_result(job)[1], _summary(folder))
+
+
+def unreturned_run(
+    number: int, swept: dict[str, str], folder: Path, error: BaseException
+) -> SweepRun:
+    """Return a run whose launcher was ended by ``error`` before it returned, from its folder."""
+    summary = _summary(folder)
+    failure = error if isinstance(error, Exception) else FlipperctlError(repr(error))
+    return SweepRun(number, swept, folder, None if summary.get("finished") else failure, summary)
+
+
+def _summary(folder: Path) -> dict[str, Any]:
     try:
-        summary = json.loads((folder / SUMMARY).read_text())
+        found = json.loads((folder / SUMMARY).read_text())
     except (OSError, ValueError):  # the run failed before it wrote one, or is on another machine
-        summary = {}
-    return SweepRun(number, swept, folder, job_result(job)[1], summary)
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
@@ -89,8 +104,13 @@ def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
     if not runs:
         return
     rows = _earlier_rows(folder / FILE, runs) + [run.row() for run in runs]
-    write_csv(folder / FILE, rows)
+    write_csv(folder / FILE, sorted(rows, key=_job_number))
     _print(folder, runs)
+
+
+def _job_number(row: Mapping[str, Any]) -> int:
+    number = str(row.get("job", ""))
+    return int(number) if number.isdecimal() else 0
 
 
 def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:

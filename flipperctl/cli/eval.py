@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +24,6 @@ from flipperctl.cli.options import (
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.results import EvaluationResult
     from flipperctl.policies.source import PolicySource
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
@@ -103,11 +102,12 @@ def run(
     require_one_policy(checkpoint, controller, overrides)
     from flipperctl import plugins as loader
     from flipperctl.checkpoint.recording import require_one_layout
+    from flipperctl.cli.eval_output import EvalOutput
+    from flipperctl.cli.interrupts import interrupts
     from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
-    from flipperctl.evaluation import files
     from flipperctl.evaluation.scenes import evaluate
-    from flipperctl.files import check_writable, make_folder
+    from flipperctl.files import check_writable
 
     loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
@@ -116,45 +116,27 @@ def run(
     references = _sources(passable, "--passable")
     if film:
         _check_film(film, len(found))
-    folder = make_folder(output) if output else None
     if record:
         check_writable(record)
         require_one_layout(record, [config for config, _ in found])
-    result = evaluate(
-        found,
-        baselines=against,
-        references=references,
-        progress=episodes_progress,
-        record=record is not None,
-    )
-    if record:
-        files.write_recording(record, found, result)
-    if folder:
-        from flipperctl.report.scenes import draw_scenes
-
-        files.write(folder, result)
-        draw_scenes(folder, found, episodes_progress)
-    if film:
-        from flipperctl.report.scenes import film_scene
-
-        film_scene(film, found[0], episodes_progress)
-    if as_json:
-        print(result.to_json())
-    else:
+    with ExitStack() as stack:
+        written = EvalOutput(found, output, film, record, stack)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        result = evaluate(
+            found,
+            baselines=against,
+            references=references,
+            progress=episodes_progress,
+            record=record is not None,
+            stop=stop,
+        )
         # The table names a run as it was typed; files and JSON name the checkpoint in it.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
-        _print(result, typed)
-    _report_written(folder, film, record)
-
-
-def _report_written(folder: Path | None, film: Path | None, record: Path | None) -> None:
-    """Print a line on stderr for each folder or file that was written."""
-    if folder:
-        names = "episodes.csv, summary.json, table.csv, table.tex and a picture of each scene"
-        print(f"wrote {names} to {folder}", file=sys.stderr)
-    for file in (film, record):
-        if file:
-            print(f"wrote {file}", file=sys.stderr)
+        try:
+            written.show(result, None if as_json else typed)
+        finally:  # a closed pipe costs no file
+            written.write(result)
+        written.draw(result, stop)
 
 
 def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
@@ -174,19 +156,3 @@ def _check_film(path: Path, scenes: int) -> None:
     if scenes != 1:
         raise RequestError(f"--film shows one scene; {scenes} are evaluated")
     check_film(path)
-
-
-def _print(result: EvaluationResult, label: str) -> None:
-    from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
-    from flipperctl.cli.eval_tables import comparisons, search_lines, table
-
-    out = console()
-    for shown in (table(result, label), *comparisons(result)):
-        shown.print(out)
-    for line in search_lines(result):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
-    for line in condition_lines(
-        (scene.terrain, scene.seed, scene.conditions) for scene in result.scenes
-    ):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -32,6 +32,7 @@ def table(result: EvaluationResult, label: str) -> Table:
 
     ``label`` is the policy's. A column that is empty in every row is left out.
     """
+    title = label if result.interruption is None else f"{label} ({result.interruption.text})"
     passable = any(scene.summary.passable for scene in result.scenes)
     failed = any(scene.summary.not_reached for scene in result.scenes)
     headings = [
@@ -41,7 +42,7 @@ def table(result: EvaluationResult, label: str) -> Table:
         *(measure.heading for measure in _further()),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
-    found = Table(headings, label, words=["outcomes"])
+    found = Table(headings, title, words=["outcomes"])
 
     def cells(name: str, summary: Summary) -> list[str]:
         return [
@@ -66,9 +67,13 @@ def table(result: EvaluationResult, label: str) -> Table:
 
 
 def comparisons(result: EvaluationResult) -> Iterator[Table]:
-    """Yield a table of the paired differences to each baseline."""
+    """Yield a table of the paired differences to each baseline.
+
+    After an interruption, the last scene may lack baselines.
+    """
     for index, _ in enumerate(result.scenes[0].baselines):
-        yield _comparison([(n, scene.baselines[index]) for n, scene in _named(result)])
+        have = [(n, scene) for n, scene in _named(result) if index < len(scene.baselines)]
+        yield _comparison([(name, scene.baselines[index]) for name, scene in have])
 
 
 def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:

@@ -13,7 +13,7 @@ from typer.exceptions import TyperException
 from flipperctl import entry
 from flipperctl.cli.command import App
 from flipperctl.cli.streams import log_to_stderr, plain_streams
-from flipperctl.errors import RequestError
+from flipperctl.errors import InterruptedRunError, RequestError
 
 COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
@@ -68,4 +68,6 @@ def _run(arguments: list[str]) -> int:
         return RequestError.exit_code
     except typer.Abort as error:
         raise KeyboardInterrupt from error
+    if code == InterruptedRunError.exit_code:  # Typer's answer to Ctrl-C, without a word
+        raise KeyboardInterrupt
     return code if isinstance(code, int) else 0

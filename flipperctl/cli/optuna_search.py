@@ -27,7 +27,8 @@ from pydantic import ValidationError
 from flipperctl.cli.comparison import compare, job_result
 from flipperctl.cli.follow_up import command
 from flipperctl.cli.search import SearchSettings, search_space
-from flipperctl.cli.sweeps import SweepLauncher, uses_default_naming
+from flipperctl.cli.sweep_stop import stopping
+from flipperctl.cli.sweeps import SweepLauncher, command_to_go_on, uses_default_naming
 from flipperctl.cli.trial_owner import claim, signs_of_life
 from flipperctl.cli.trials import FAILED, fail_abandoned, finished, running, stop, suggest
 from flipperctl.errors import (
@@ -109,7 +110,8 @@ class OptunaSearch:
         self.jobs.swept = list(space)
         with hold(make_folder(self.folder), "sweep"):
             try:
-                self._search(study, space, fixed)
+                with stopping(self.folder) as self.jobs.stop:
+                    self._search(study, space, fixed)
             finally:
                 compare(self.folder, self.jobs.runs)
             self._conclude(study)
@@ -128,12 +130,18 @@ class OptunaSearch:
                 if others != awaited:
                     _print_message(f"waiting for {others} trials of another search")
                 awaited = others
+                self._raise_if_stopped(study)
                 time.sleep(_POLL)
                 continue
             asked = [self._ask(study, space) for _ in range(size)]
             trials = [trial for trial in asked if trial is not None]
             if trials:
                 self._train(study, trials, fixed)
+            self._raise_if_stopped(study)
+
+    def _raise_if_stopped(self, study: Study) -> None:
+        if self.jobs.stop():  # between two jobs
+            raise self._interrupted(study)
 
     def _ask(self, study: Study, space: dict[str, BaseDistribution]) -> Trial | None:
         """Return a new trial of this process; None if others have begun the last ones meanwhile.
@@ -236,12 +244,14 @@ class OptunaSearch:
         for trial in trials[len(returns) :]:
             stop(study, trial.number)
         for problem in filter(None, problems):
-            if self.settings.storage and isinstance(problem, InterruptedRunError):
-                done = f"{len(finished(study))} of {self.settings.n_trials} trials are finished"
-                raise InterruptedRunError(
-                    f"interrupted; {done}. The same command resumes the search"
-                ) from problem
+            if isinstance(problem, InterruptedRunError):
+                raise self._interrupted(study) from problem
             raise problem
+
+    def _interrupted(self, study: Study) -> InterruptedRunError:
+        done = f"{len(finished(study))} of {self.settings.n_trials} trials are finished"
+        again = command_to_go_on(self.folder)
+        return InterruptedRunError(f"interrupted; {done}. Go on with: {again}")
 
     def _record_result(self, study: Study, trial: Trial, job: JobReturn) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""

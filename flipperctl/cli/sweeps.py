@@ -6,8 +6,11 @@ and a table that compares them. Any of Hydra's launchers can train them.
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping, Sequence
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,8 +20,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli import ray_launcher
-from flipperctl.cli.comparison import SweepRun, compare, sweep_run
+from flipperctl.cli.comparison import SweepRun, compare, sweep_run, unreturned_run
 from flipperctl.cli.overrides import literal_override, parse_overrides
+from flipperctl.cli.sweep_stop import stopping
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import make_folder
 from flipperctl.training.lock import hold
@@ -58,9 +62,11 @@ class SweepLauncher:
 
     def __init__(self, launcher: Launcher, folder: Path, *, named: bool) -> None:
         """``folder``: that of the sweep; ``named``: whether runs are named after swept values."""
-        self._launcher, self._named = launcher, named
-        # A worker of a running cluster has another working directory.
-        self._folder = literal_override("hydra.sweep.dir", str(folder.absolute()))
+        self._launcher, self._folder, self._named = launcher, folder.absolute(), named
+        self.stop: Callable[[], bool] = lambda: False
+        """Called before each launch; once it returns True, no further job begins."""
+        self.jobs = 0
+        """Number of jobs that were asked for."""
         self.swept: list[str] = []
         """Keys that the sweep varies."""
         self.runs: list[SweepRun] = []
@@ -68,15 +74,18 @@ class SweepLauncher:
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Train each job; return the results of Hydra's launcher."""
+        """Train each job; return the results of Hydra's launcher, fewer after an interrupt."""
         from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
         # Hydra's basic launcher runs the jobs in sequence and would continue after Ctrl-C.
         size = 1 if isinstance(self._launcher, BasicLauncher) else len(job_overrides)
         returns: list[JobReturn] = []
+        self.jobs += len(job_overrides)
         for start in range(0, len(job_overrides), size):
             number = initial_job_idx + start
             jobs = job_overrides[start : start + size]
+            if self.stop():
+                break
             returns += self._launch(jobs, number)
             if isinstance(self.runs[-1].error, InterruptedRunError):
                 break
@@ -84,15 +93,28 @@ class SweepLauncher:
 
     def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
         swept = [self._swept_values(job) for job in jobs]
-        jobs = [[*job, self._folder] for job in jobs]
+        # A worker of a running cluster has another working directory.
+        jobs = [[*job, literal_override("hydra.sweep.dir", str(self._folder))] for job in jobs]
+        names: list[str] = []
         if self._named and self.swept:
             names = [folder_name(first + i, values) for i, values in enumerate(swept)]
             jobs = [
                 [*job, f"hydra.sweep.subdir='{name}'"]
                 for job, name in zip(jobs, names, strict=True)
             ]
-        ray_launcher.connect(self._launcher)
-        returns = self._launcher.launch(jobs, initial_job_idx=first)
+        try:
+            ray_launcher.connect(self._launcher)
+            returns = self._launcher.launch(jobs, initial_job_idx=first)
+        except BaseException as error:  # a second Ctrl-C, or a worker process that was killed
+            stopped = self.stop() or isinstance(error, KeyboardInterrupt)
+            cause = InterruptedRunError("interrupted") if stopped else error
+            self.runs += [
+                unreturned_run(first + i, swept[i], self._folder / name, cause)
+                for i, name in enumerate(names)
+            ]
+            if stopped and isinstance(error, Exception):
+                raise cause from error
+            raise
         self.runs += [
             sweep_run(job, first + i, values)
             for i, (job, values) in enumerate(zip(returns, swept, strict=True))
@@ -129,10 +151,11 @@ class ListSweep:
         self._sweeper.launcher = _RaisingLauncher(self._jobs)
 
     def run(self, arguments: list[str]) -> None:
-        """Train every combination.
+        """Train every combination, from where an earlier start in the same folder left it.
 
         Raises:
             FlipperctlError: the first of the jobs' errors, raised after all jobs have run.
+            InterruptedRunError: the sweep was stopped; the text has the command to go on with.
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
@@ -141,9 +164,26 @@ class ListSweep:
         ]
         with hold(make_folder(self._folder), "sweep"):
             try:
-                self._sweeper.sweep(arguments)
+                with stopping(self._folder) as self._jobs.stop:
+                    self._sweeper.sweep(arguments)
+            except (InterruptedRunError, KeyboardInterrupt) as error:
+                done = sum(run.state == "finished" for run in self._jobs.runs)
+                raise InterruptedRunError(
+                    f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
+                    f"Go on with: {command_to_go_on(self._folder)}"
+                ) from error
             finally:
                 compare(self._folder, self._jobs.runs)
+
+
+def command_to_go_on(folder: Path) -> str:
+    """Return the command that goes on with the sweep in ``folder``, which this process runs."""
+    words = [word for word in sys.argv[1:] if word != "--multirun"]
+    if not any(word.startswith("hydra.sweep.dir=") for word in words):
+        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
+        plain = re.fullmatch(r"[\w./-]+", short) is not None
+        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
+    return shlex.join(["flipperctl", "train", "-m", *words])
 
 
 class _RaisingLauncher:
@@ -156,7 +196,9 @@ class _RaisingLauncher:
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
         returns = self._jobs.launch(job_overrides, initial_job_idx=initial_job_idx)
-        for run in self._jobs.runs:
-            if run.error is not None:
-                raise run.error
+        errors = [run.error for run in self._jobs.runs if run.error is not None]
+        if self._jobs.stop() or any(isinstance(e, InterruptedRunError) for e in errors):
+            raise InterruptedRunError("interrupted")
+        if errors:
+            raise errors[0]
         return returns

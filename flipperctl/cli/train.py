@@ -102,12 +102,13 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     errors: list[BaseException] = []
     # A worker on a running cluster has another environment and another working directory.
     paths, typed, here = loader.configured_paths(), follow_up.plugin_paths(), Path.cwd()
+    sweeper = os.getpid()
 
     def task(composed: Any) -> float | None:
         try:
             if not HydraConfig.get().job.chdir and here.is_dir():
                 os.chdir(here)
-            return _task(composed, paths, typed, checked=checked)
+            return _task(composed, paths, typed, sweeper, checked=checked)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
             if several:
                 raise
@@ -197,19 +198,25 @@ def _shut_ray_down() -> None:
         ray.shutdown()
 
 
-def _task(composed: Any, paths: list[str], typed: list[str], *, checked: bool) -> float | None:
+def _task(
+    composed: Any, paths: list[str], typed: list[str], sweeper: int, *, checked: bool
+) -> float | None:
     """Run one job of Hydra; a launcher's worker process loads the plugins itself.
 
-    ``paths`` are those of all plugins, ``typed`` those of ``--plugins``. ``checked``: the command
-    has composed the configuration before, and printed its notices.
+    ``paths`` are those of all plugins, ``typed`` those of ``--plugins``. ``sweeper`` is the process
+    of the command, which may be another one. ``checked``: the command has composed the
+    configuration before, and printed its notices.
     """
     from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
 
     from flipperctl import plugins as loader
     from flipperctl.cli.compose import parse_training
     from flipperctl.cli.notices import print_notices
     from flipperctl.cli.search import objective
-    from flipperctl.cli.training import start
+    from flipperctl.cli.sweep_stop import stop_of
+    from flipperctl.cli.training import start, start_or_go_on
+    from flipperctl.errors import InterruptedRunError
 
     loader.load(paths)
     follow_up.remember_plugins(typed)
@@ -217,9 +224,20 @@ def _task(composed: Any, paths: list[str], typed: list[str], *, checked: bool) -
     _check_device(config)
     if not checked:
         print_notices(config)
-    directory = Path(HydraConfig.get().runtime.output_dir)
-    best = start(config, directory, lambda: _keep_hydra_files(composed, directory))["best"]
-    return objective(best, config.train.validation_episodes)
+    hydra = HydraConfig.get()
+    directory = Path(hydra.runtime.output_dir)
+
+    def keep() -> None:
+        _keep_hydra_files(composed, directory)
+
+    if hydra.mode is RunMode.MULTIRUN:
+        stop = stop_of(Path(hydra.runtime.cwd, hydra.sweep.dir), sweeper)
+        if stop():
+            raise InterruptedRunError(f"{directory.name} was not begun")
+        summary = start_or_go_on(config, directory, keep, stop)
+    else:
+        summary = start(config, directory, keep)
+    return objective(summary["best"], config.train.validation_episodes)
 
 
 def _keep_hydra_files(composed: Any, directory: Path) -> None:

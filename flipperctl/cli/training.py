@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
-from flipperctl.cli.follow_up import command
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.cli.follow_up import command, quote_path
+from flipperctl.cli.interrupts import interrupts
 from flipperctl.cli.notices import print_notices
 from flipperctl.cli.progress import progress
 from flipperctl.cli.swing import swing_text
@@ -46,26 +46,75 @@ def start(
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
+    with _held(directory):
+        if run_folder.holds_run(directory):
+            raise OutputError(
+                f"{directory} already holds a run; resume it with: "
+                f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+            )
+        return _begin(config, directory, keep_more)
+
+
+def start_or_go_on(
+    config: TrainConfig,
+    directory: Path,
+    keep_more: Callable[[], None],
+    stop: Callable[[], bool],
+) -> dict[str, Any]:
+    """Train one run of a sweep, from where an earlier start of the sweep left it.
+
+    A finished run is left alone. ``stop``, called between episodes, ends the run as Ctrl-C does.
+
+    Raises:
+        InterruptedRunError: the run was stopped; all is saved.
+        RunHeldError: another process is training in it.
+        OutputError: it holds a run with other settings.
+        RequestError: the training cannot begin; nothing of it is left in the directory.
+    """
+    make_folder(directory)
+    with _held(directory):
+        if not run_folder.holds_run(directory):
+            return _begin(config, directory, keep_more, stop)
+        saved, earlier = run_folder.read(directory)
+        if differing := run_folder.differing_settings(earlier, config):
+            raise OutputError(
+                f"{directory} already holds a run with other settings "
+                f"({', '.join(differing[:3])}{' …' if len(differing) > 3 else ''}); "
+                "choose another hydra.sweep.dir"
+            )
+        if (summary := run_folder.finished(directory, config.train.decisions)) is not None:
+            print(f"{quote_path(directory)} is finished", file=sys.stderr)
+            return summary
+        return _go_on(config, directory, saved, stop)
+
+
+@contextlib.contextmanager
+def _held(directory: Path) -> Iterator[None]:
+    """Hold the directory; remove it behind a training that left nothing in it."""
     try:
         with hold(directory):
-            if run_folder.holds_run(directory):
-                raise OutputError(
-                    f"{directory} already holds a run; resume it with: "
-                    f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
-                )
-            run_folder.clear_leftovers(directory)
-            trainer = Trainer(config, directory)
-            make_folder(directory / checkpoint.BEST.parent)
-            keep_more()
-            try:
-                return _train(trainer, None)
-            except RequestError:
-                if trainer.progress.decision == 0:  # the corrected request may have the directory
-                    run_folder.discard(directory)
-                raise
+            yield
     finally:
         with contextlib.suppress(OSError):  # it holds files
             directory.rmdir()
+
+
+def _begin(
+    config: TrainConfig,
+    directory: Path,
+    keep_more: Callable[[], None],
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    keep_more()
+    try:
+        return _train(trainer, None, stop)
+    except RequestError:
+        if trainer.progress.decision == 0:  # the corrected request may have the directory
+            run_folder.discard(directory)
+        raise
 
 
 def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
@@ -83,30 +132,40 @@ def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig]
         config = with_overrides(config, changes)
         check(config)
         print_notices(config)
-        run_folder.clear_leftovers(directory)
-        trainer = Trainer(config, directory)
-        make_folder(directory / checkpoint.BEST.parent)
-        if saved is None:
-            print(
-                f"{directory} was stopped before its first checkpoint; it begins again "
-                "with the same configuration and seed",
-                file=sys.stderr,
-            )
-        else:
-            trainer.restore(saved)
-        spent = trainer.progress.decision >= config.train.decisions
-        if spent and run_folder.is_finished(directory, trainer.progress.decision):
-            print(
-                f"nothing left to do: {directory} has trained "
-                f"{trainer.progress.decision} decisions, and train.decisions is "
-                f"{config.train.decisions}; give a larger train.decisions=… to continue",
-                file=sys.stderr,
-            )
-            return
-        _train(trainer, trainer.progress.decision)
+        _go_on(config, directory, saved)
 
 
-def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
+def _go_on(
+    config: TrainConfig,
+    directory: Path,
+    saved: Checkpoint | None,
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    if saved is None:
+        print(
+            f"{directory} was stopped before its first checkpoint; it begins again "
+            "with the same configuration and seed",
+            file=sys.stderr,
+        )
+    else:
+        trainer.restore(saved)
+    decision = trainer.progress.decision
+    summary = run_folder.finished(directory, decision)
+    if decision >= config.train.decisions and summary is not None:
+        print(
+            f"nothing left to do: {directory} has trained {decision} decisions, and "
+            f"train.decisions is {config.train.decisions}; give a larger train.decisions=… to "
+            "continue",
+            file=sys.stderr,
+        )
+        return summary
+    return _train(trainer, decision, stop)
+
+
+def _train(trainer: Trainer, resume_at: int | None, stop: Callable[[], bool]) -> dict[str, Any]:
     config, directory = trainer.config, trainer.directory
     write_bytes(directory / run_folder.CONFIG, OmegaConf.to_yaml(container(config)).encode())
     metrics, terms = directory / run_folder.METRICS, list(config.rewards)
@@ -118,8 +177,8 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
         ]
     )
     try:
-        with _interrupts() as stop:
-            summary = trainer.run(stop)
+        with interrupts("finishing the episode and saving …") as interrupted:
+            summary = trainer.run(lambda: interrupted() or stop())
     except (FlipperctlError, OSError) as error:
         if directory.is_dir():
             raise
@@ -142,30 +201,3 @@ def _train(trainer: Trainer, resume_at: int | None) -> dict[str, Any]:
         file=sys.stderr,
     )
     return summary
-
-
-@contextlib.contextmanager
-def _interrupts() -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether Ctrl-C was pressed or SIGTERM was sent.
-
-    The first signal asks the trainer to stop after the episode; a second one stops at once.
-    """
-    asked = False
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
-            raise KeyboardInterrupt
-        asked = True
-        print("\nfinishing the episode and saving …", file=sys.stderr)
-
-    signals = (signal.SIGINT, signal.SIGTERM)
-    try:
-        before = {number: signal.signal(number, ask) for number in signals}
-    except ValueError:  # not in the main thread: the launcher handles signals
-        before = {}
-    try:
-        yield lambda: asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,34 +81,44 @@ def run(
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
+    from flipperctl.cli.compose import only_one
     from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.result_folder import result_folder
     from flipperctl.cli.scenes import scenes, with_engine
     from flipperctl.evaluation.engines import in_default_engine
     from flipperctl.evaluation.transfer import correct_scenes, transfer
     from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.files import make_folder, write_json
+    from flipperctl.files import write_json
+    from flipperctl.report.film import check_film
 
     loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:
         in_default_engine(config)  # a wrong engine is found before the first episode
-    folder = make_folder(output) if output else None
     if film:
-        _film(film, asked, only or 0)
+        check_film(film)
+        only_one(asked)
     chosen = None if only is None else [only]
-    with EpisodeWorkers() as workers:
+    with ExitStack() as stack:
+        folder = None
+        if output:
+            folder = stack.enter_context(result_folder(output, "transfer", ["transfer.json"]))
+        workers = stack.enter_context(EpisodeWorkers())
         found = correct_scenes(
             [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
         )
-    document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
-    if folder:
-        write_json(folder / "transfer.json", document)
-    if as_json:
-        print(json.dumps(document, indent=2))
-    else:
-        kind, name = ("checkpoint", checkpoint) if checkpoint else ("controller", controller)
-        _print(found, [f"--{kind}", str(name)], overrides or [])
+        document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
+        if as_json:
+            print(json.dumps(document, indent=2))
+        else:
+            option = "--checkpoint" if checkpoint else "--controller"
+            _print(found, [option, str(checkpoint or controller)], overrides or [])
+        sys.stdout.flush()
+        if folder:
+            folder.replace(lambda part: write_json(part / "transfer.json", document))
+        if film:
+            _film(film, asked, only or 0)
 
 
 def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:

@@ -30,6 +30,7 @@ def play_episodes(
     ``episodes`` is their number, counted from 0, or their indices. ``workers`` play them if there
     are several of both. ``report_progress`` is called with the finished fraction of an episode's
     search if this process plays all episodes. ``record``: whether the results hold their decisions.
+    Fewer are played if ``workers.stop`` returns True.
 
     Raises:
         FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
@@ -39,4 +40,7 @@ def play_episodes(
         yield from workers.play(config, source, indices, seed, record=record)
     elif indices:
         runner = EpisodeRunner(config, source, seed, report_progress, record=record)
-        yield from map(runner.play, indices)
+        for index in indices:
+            if workers is not None and workers.stop():
+                return
+            yield runner.play(index)

@@ -5,15 +5,22 @@ The episodes themselves, decision by decision, are a file of recorded episodes.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from flipperctl.checkpoint import recording
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.conditions import Conditions, scene_names
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.tables import write_tables
 from flipperctl.files import write_csv, write_json
+
+SUMMARY = "summary.json"
+NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")
+"""What ``write`` writes."""
 
 
 def write(folder: Path, result: EvaluationResult) -> None:
@@ -24,7 +31,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     write_csv(folder / "episodes.csv", list(episode_rows(result)))
-    write_json(folder / "summary.json", result.container())
+    write_json(folder / SUMMARY, result.container())
     write_tables(folder, result)
 
 
@@ -46,6 +53,8 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
 def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResult) -> None:
     """Write the policy's episodes on all scenes, which were evaluated with ``record``.
 
+    The result may lack the last scenes.
+
     Raises:
         ConfigError: the scenes have several observation layouts.
         OutputError: the file cannot be written.
@@ -53,6 +62,12 @@ def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResul
     """
     parts = [
         (config, [e.recorded for e in scene.episodes if e.recorded is not None])
-        for (config, _), scene in zip(scenes, result.scenes, strict=True)
+        for (config, _), scene in zip(scenes, result.scenes, strict=False)
     ]
     recording.write(path, result.controller, parts)
+
+
+def picture_names(scenes: Sequence[EvalConfig]) -> list[str]:
+    """Return a file name a scene: its terrain, and its conditions where a terrain has several."""
+    named = scene_names([(c.terrain.plugin_name, Conditions.of(c)) for c in scenes])
+    return ["_".join(re.findall(r"\w+", name)) + ".png" for name in named]

@@ -245,6 +245,11 @@ class SceneResult:
         """Name of the terrain plugin."""
         return self.summary.terrain
 
+    @property
+    def finished(self) -> int:
+        """Number of episodes of the policy and its baselines."""
+        return len(self.episodes) + sum(len(other.episodes) for other in self.baselines)
+
     def container(self) -> dict[str, Any]:
         """Return plain data, without the single episodes."""
         return {
@@ -257,10 +262,40 @@ class SceneResult:
 
 
 @dataclass(frozen=True)
+class Interruption:
+    """What an evaluation that was interrupted has finished; baselines count too."""
+
+    finished: int
+    """Number of finished episodes."""
+    planned: int
+    """Number of episodes that were asked for."""
+    not_begun: tuple[str, ...]
+    """Terrains of the scenes without a finished episode."""
+
+    @property
+    def text(self) -> str:
+        """One sentence for the user."""
+        begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
+        return f"{begun}; not begun: {', '.join(self.not_begun)}" if self.not_begun else begun
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "interrupted": True,
+            "finished_episodes": self.finished,
+            "planned_episodes": self.planned,
+            "not_begun": list(self.not_begun),
+        }
+
+
+@dataclass(frozen=True)
 class EvaluationResult:
     """Policies on their scenes; mostly one policy on several."""
 
     scenes: tuple[SceneResult, ...]
+    """Those with a finished episode."""
+    interruption: Interruption | None = None
+    """None if every episode was played."""
 
     @property
     def controller(self) -> str:
@@ -269,8 +304,10 @@ class EvaluationResult:
 
     def container(self) -> dict[str, Any]:
         """Return plain data, without the single episodes."""
+        stopped = self.interruption
         return {
             "controller": self.controller,
+            **({} if stopped is None else stopped.container()),
             "scenes": [scene.container() for scene in self.scenes],
         }
 

@@ -11,11 +11,17 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 
 from flipperctl.config import EvalConfig
+from flipperctl.errors import InterruptedRunError
 from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
+from flipperctl.evaluation.results import (
+    BaselineResult,
+    EvaluationResult,
+    Interruption,
+    SceneResult,
+)
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -40,25 +46,45 @@ def evaluate(
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
     record: bool = False,
+    stop: Callable[[], bool] = lambda: False,
 ) -> EvaluationResult:
     """Evaluate a policy on each scene, in as many processes as the scene asks for.
 
     ``baselines`` play the same episodes for comparison. ``references`` find out which episodes can
     be crossed at all: each tries those that no earlier one crossed, whatever the policy did.
-    ``record``: whether the policy's results hold its decisions.
+    ``record``: whether the policy's results hold its decisions. Once ``stop``, called before each
+    episode, returns True, the evaluation ends with what is finished.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
+        InterruptedRunError: it was stopped before an episode was finished.
         ValueError: there are no scenes.
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
-    with EpisodeWorkers() as workers:
+    with EpisodeWorkers(stop=stop) as workers:
         results = [
             _evaluate_scene(_Stage(config, workers, progress), s, baselines, references, record)
             for config, s in scenes
         ]
-    return EvaluationResult(tuple(_corrected(results)))
+    interruption = None
+    if workers.interrupted:
+        interruption = _interruption([config for config, _ in scenes], results, 1 + len(baselines))
+    finished = [result for result in results if result is not None]
+    return EvaluationResult(tuple(_corrected(finished)), interruption)
+
+
+def _interruption(
+    configs: Sequence[EvalConfig], results: Sequence[SceneResult | None], players: int
+) -> Interruption:
+    """Return what is finished of the episodes of the policy and its baselines."""
+    planned = players * sum(config.eval.episodes for config in configs)
+    finished = sum(result.finished for result in results if result is not None)
+    if not finished:
+        raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
+    pairs = zip(configs, results, strict=True)
+    missing = [config.terrain.plugin_name for config, result in pairs if result is None]
+    return Interruption(finished, planned, tuple(missing))
 
 
 class _Stage:
@@ -73,7 +99,7 @@ class _Stage:
     def play(
         self, source: PolicySource, label: str, *, record: bool = False
     ) -> list[EpisodeResult]:
-        """Return all episodes of a policy."""
+        """Return all episodes of a policy, or the first ones if the workers were stopped."""
         known = self._known(source)
         if known is None:
             known = play_scene(
@@ -82,8 +108,11 @@ class _Stage:
             self._played.append((source, known))
         return known
 
-    def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str]:
-        """Return the first reference that crosses each episode, by index; empty if none does."""
+    def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
+        """Return the first reference that crosses each episode, by index; empty if none does.
+
+        None if the references were stopped: an episode that none has tried tells nothing.
+        """
         found = dict.fromkeys(range(self.config.eval.episodes), "")
         for reference in references:
             name = reference.label()
@@ -95,7 +124,7 @@ class _Stage:
                     self.config, reference, label, self._workers, self._progress, left
                 )
             found |= {e.episode: name for e in played if e.reached and not found[e.episode]}
-        return found
+        return None if self._workers.interrupted else found
 
     def _known(self, source: PolicySource) -> list[EpisodeResult] | None:
         return next((episodes for who, episodes in self._played if who == source), None)
@@ -107,19 +136,21 @@ def _evaluate_scene(
     baselines: Sequence[PolicySource],
     references: Sequence[PolicySource],
     record: bool,
-) -> SceneResult:
+) -> SceneResult | None:
+    """Return the result of a scene; None if it was stopped before an episode was finished."""
     terrain = stage.terrain
     episodes = stage.play(source, terrain, record=record)
+    if not episodes:
+        return None
     others = [(b.label(), stage.play(b, f"{terrain}, {b.label()}")) for b in baselines]
-    if references:
-        crossed_by = stage.crossed_by(references)
+    if references and (crossed_by := stage.crossed_by(references)) is not None:
         episodes = [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
     return SceneResult(
         source.label(),
         summarise(terrain, episodes),
         stage.config.eval.seed,
         Conditions.of(stage.config),
-        tuple(compare(terrain, episodes, label, played) for label, played in others),
+        tuple(compare(terrain, episodes, label, played) for label, played in others if played),
         tuple(episodes),
     )
 
@@ -158,12 +189,16 @@ def play_scene(
 ) -> list[EpisodeResult]:
     """Let ``config.eval.jobs`` workers play the episodes with these indices, or all.
 
-    The progress is shown under the label.
+    The progress is shown under the label. There are fewer results, and ``workers.interrupted`` is
+    set, if ``workers.stop`` returns True.
     """
     settings = config.eval
     workers.use(settings.jobs)
     chosen = range(settings.episodes) if indices is None else indices
     results: list[EpisodeResult] = []
+    if chosen and workers.stop():
+        workers.interrupted = True
+        return results
     with progress(label, len(chosen)) as report:
 
         def search(fraction: float) -> None:
@@ -180,4 +215,5 @@ def play_scene(
         ):
             results.append(result)
             report(len(results))
+    workers.interrupted |= len(results) < len(chosen)
     return results

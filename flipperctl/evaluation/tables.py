@@ -78,7 +78,9 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 
 def latex(result: EvaluationResult) -> str:
     """Return a tabular for LaTeX with the package booktabs."""
+    stopped = result.interruption
     lines = [
+        *([] if stopped is None else [f"% {_escape(stopped.text)}"]),
         *(
             f"% {_escape(scene.terrain)}: seed {scene.seed}, conditions "
             f"{_escape(scene.conditions.name)} {scene.conditions.hash}"

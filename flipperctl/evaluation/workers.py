@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import logging
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from types import TracebackType
@@ -42,8 +42,12 @@ class _Task:
 class EpisodeWorkers:
     """``count`` processes, which start with the first episodes; a process that dies is replaced."""
 
-    def __init__(self, count: int = 1) -> None:
+    def __init__(self, count: int = 1, stop: Callable[[], bool] = lambda: False) -> None:
+        """``stop`` is called before each episode; once it returns True, no further one begins."""
         self.count = count
+        self.stop = stop
+        self.interrupted = False
+        """Whether episodes were left out because of ``stop``."""
         self._pool: WorkerPool | None = None
         self._numbers = itertools.count()
 
@@ -67,7 +71,10 @@ class EpisodeWorkers:
         *,
         record: bool = False,
     ) -> Iterator[EpisodeResult]:
-        """Yield the results of these episodes, in order; see ``play_episodes``."""
+        """Yield the results of these episodes, in order; see ``play_episodes``.
+
+        After a stop, those that are finished are yielded up to the first that is not.
+        """
         document = container(config.environment())
         paths = plugins.configured_paths()
         task = _Task(next(self._numbers), document, source, seed, record, paths)
@@ -76,6 +83,8 @@ class EpisodeWorkers:
         pool = self._pool
         waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
         for index in indices:
+            if self.stop() and not waiting[0].done():
+                return
             yield _result(pool, task, waiting.popleft(), index)
 
     def use(self, count: int) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from flipperctl.evaluation.conditions import Conditions, scene_names
+from flipperctl.errors import FlipperctlError, InterruptedRunError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.files import picture_names
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.report.episode import episode_figure
@@ -14,26 +15,45 @@ from flipperctl.report.figure import save
 from flipperctl.report.film import save_film
 
 
-def draw_scenes(folder: Path, scenes: Sequence[Scene], progress: Progress = no_progress) -> None:
+def draw_scenes(
+    folder: Path,
+    scenes: Sequence[Scene],
+    progress: Progress = no_progress,
+    stop: Callable[[], bool] = lambda: False,
+) -> None:
     """Play the first episode of each scene again and write its picture into the folder.
 
+    A picture that fails costs none of the others.
+
     Raises:
-        OutputError: a picture cannot be written.
-        WriteError: writing failed half way.
+        FlipperctlError: a picture could not be drawn or written; the text names all of these.
+        InterruptedRunError: ``stop``, called before each picture, returned True.
     """
-    conditions = [Conditions.of(config) for config, _ in scenes]
-    terrains = [config.terrain.plugin_name for config, _ in scenes]
-    names = picture_names(list(zip(terrains, conditions, strict=True)))
-    for name, found, (config, source) in zip(names, conditions, scenes, strict=True):
-        terrain = config.terrain.plugin_name
-        with progress(f"{terrain}, picture", 1) as report:
-            states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
-        title = (
-            f"{source.label()} on {terrain}, conditions {found.label}, "
-            f"episode 1 of {config.eval.episodes}"
-        )
-        figure = episode_figure(states, profile, config.robot, title)
-        save(figure, folder / name)
+    names = picture_names([config for config, _ in scenes])
+    failed: list[tuple[str, FlipperctlError]] = []
+    for index, (name, scene) in enumerate(zip(names, scenes, strict=True)):
+        if stop():
+            raise InterruptedRunError(f"interrupted: {', '.join(names[index:])} not drawn")
+        try:
+            _draw(folder / name, scene, progress)
+        except FlipperctlError as error:
+            failed.append((name, error))
+    if failed:
+        others = ", ".join(name for name, _ in failed[1:])
+        first = failed[0][1]
+        raise type(first)(f"{first}; nor were drawn: {others}") if others else first
+
+
+def _draw(path: Path, scene: Scene, progress: Progress) -> None:
+    config, source = scene
+    terrain = config.terrain.plugin_name
+    with progress(f"{terrain}, picture", 1) as report:
+        states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
+    title = (
+        f"{source.label()} on {terrain}, conditions {Conditions.of(config).label}, "
+        f"episode 1 of {config.eval.episodes}"
+    )
+    save(episode_figure(states, profile, config.robot, title), path)
 
 
 def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
@@ -49,8 +69,3 @@ def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> No
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
         title = f"{source.label()} on {terrain}"
         save_film(path, made, profile, config.robot, title, lambda part: report(1 + part))
-
-
-def picture_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
-    """Return a file name a scene: its terrain, and its conditions where a terrain has several."""
-    return ["_".join(re.findall(r"\w+", name)) + ".png" for name in scene_names(scenes)]

@@ -96,7 +96,7 @@ def _check_reachable(address: str | None) -> None:
         return
     socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
     if "://" not in str(address):  # ``ray.init`` would repeat a refused token for 20 s
-        from ray._raylet import GcsClient
+        from ray._raylet import GcsClient  # type: ignore[attr-defined]  # compiled, without stubs
 
         GcsClient(address=address)
 

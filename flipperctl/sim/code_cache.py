@@ -82,11 +82,12 @@ def _libraries() -> list[Path]:
 
 
 def _bases() -> Iterator[Path]:
-    if numba.config.CACHE_DIR:
-        yield Path(numba.config.CACHE_DIR)
+    if configured := vars(numba.config)["CACHE_DIR"]:
+        yield Path(configured)
         return
     yield PACKAGE / "__pycache__"
-    yield Path(AppDirs(appname="numba", appauthor=False).user_cache_dir) / "flipperctl"
+    user = AppDirs(appname="numba", appauthor=False)  # type: ignore[no-untyped-call]
+    yield Path(user.user_cache_dir) / "flipperctl"
     if (private := private_folder()) is not None:
         yield private
 

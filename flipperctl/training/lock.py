@@ -1,4 +1,4 @@
-"""The lock of a run directory: one process at a time works in it.
+"""The lock of a directory, of a run or of results: one process at a time works in it.
 
 In: the directory. Out: a context in which this process holds the lock; a second process fails at
 once with an error that names the holder. The lock is one of the operating system, which releases it
@@ -30,12 +30,13 @@ _PATIENCE = 1.0
 
 
 @contextmanager
-def hold(directory: Path, name: str = "run") -> Iterator[None]:
+def hold(directory: Path, name: str = "run", use: str = "being trained") -> Iterator[None]:
     """Hold the lock of an existing directory until the context ends or this process dies.
 
     ``name`` distinguishes the locks of one directory: a sweep and its only run may share one. The
     files ``.<name>.lock`` and ``.<name>.lock.json`` (a note on the holder) lie in the directory.
     The first stays there: if it were removed while another process opens it, two could hold it.
+    ``use`` is what the holder does with the directory, for the error's text.
 
     Raises:
         RunHeldError: another process holds the lock; nothing was written.
@@ -46,7 +47,7 @@ def hold(directory: Path, name: str = "run") -> Iterator[None]:
     try:
         lock = _acquire(path)
     except Timeout as error:
-        raise RunHeldError(_held_text(directory, path, note)) from error
+        raise RunHeldError(_held_text(directory, path, note, use)) from error
     except OSError as error:
         raise failure(path, error) from error
     try:
@@ -79,14 +80,14 @@ def holder() -> dict[str, Any]:
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
 
-def _held_text(directory: Path, path: Path, note: Path) -> str:
+def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
     found = _read_note(note)
     if found is None:
-        return f"{directory} is being trained by another process; wait for it, or stop it"
+        return f"{directory} is {use} by another process; wait for it, or stop it"
     soft = path.with_suffix(".softlock")
     advice = f" (if it is gone, delete {soft})" if soft.exists() else ""
     return (
-        f"{directory} is being trained by process {found['pid']} on {found['host']} since "
+        f"{directory} is {use} by process {found['pid']} on {found['host']} since "
         f"{found['since']}; wait for it, or stop it{advice}"
     )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from flipperctl import checkpoint
-from flipperctl.config import TrainConfig, parse
+from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import remove_partial
 from flipperctl.training import timing
@@ -98,14 +99,34 @@ def _read_mapping(path: Path) -> dict[str, Any] | None:
     return {str(key): value for key, value in plain.items()} if isinstance(plain, dict) else None
 
 
-def is_finished(directory: Path, decision: int) -> bool:
-    """Return whether ``summary.json`` says that the run finished at this decision."""
+def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
+    """Return a text for each setting that two configurations do not share, with both values."""
+    first, second = (dict(_leaves(container(config))) for config in (there, here))
+    return [
+        f"{key}: {first.get(key, 'none')} there, {second.get(key, 'none')} here"
+        for key in dict.fromkeys([*first, *second])
+        if first.get(key) != second.get(key)
+    ]
+
+
+def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of each setting."""
+    for key, value in node.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
+
+
+def finished(directory: Path, decision: int) -> dict[str, Any] | None:
+    """Return ``summary.json`` if it says that the run finished at this decision, else None."""
     try:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):
-        return False
-    found = summary if isinstance(summary, dict) else {}
-    return found.get("finished") is True and found.get("decisions") == decision
+        return None
+    found: dict[str, Any] = summary if isinstance(summary, dict) else {}
+    ends = found.get("finished") is True and found.get("decisions") == decision
+    return found if ends else None
 
 
 def clear_leftovers(directory: Path) -> None:

@@ -38,7 +38,8 @@ class HeightMap:
     @property
     def extent(self) -> FloatArray:
         """Extent in x and y, (2,) [m]."""
-        return np.ptp(self._corners(), axis=1)
+        extent: FloatArray = np.ptp(self._corners(), axis=1)
+        return extent
 
     def along(self, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at the line's points, (D,) [m]; NaN where unknown.
@@ -102,7 +103,8 @@ class HeightMap:
         """Return the places of the outermost cells, (2, 4) of x and y [m]."""
         last = np.array(self.shape) - 1
         corners = np.array([[0, 0], [0, last[1]], [last[0], 0], last])
-        return np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)
+        places: FloatArray = np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)
+        return places
 
     def _extent(self) -> str:
         corners = self._corners()

@@ -1,5 +1,6 @@
 """Sweeps beyond one process: each launcher trains with a plugin file, where the basic one would."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -61,9 +62,17 @@ def runs(folder: Path) -> set[str]:
 
 
 def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
-    done = sweep(folder, "terrain=floor", "seed=1,2", *JOBLIB)
+    words = ["terrain=floor", "seed=1,2", "hydra.sweep.dir=runs/multirun/one", *JOBLIB]
+    done = sweep(folder, *words)
     assert done.code == 0, done.err
     assert runs(folder) == {"0_seed=1", "1_seed=2"}
+    first, second = (folder / f"runs/multirun/one/{n}" for n in ("0_seed=1", "1_seed=2"))
+    before = (first / checkpoint.LAST).stat().st_mtime_ns
+    shutil.rmtree(second)
+    done = sweep(folder, *words)  # goes on, in the processes of the launcher too
+    assert done.code == 0, done.err
+    assert runs(folder) == {"0_seed=1", "1_seed=2"}
+    assert (first / checkpoint.LAST).stat().st_mtime_ns == before
 
 
 def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> None:

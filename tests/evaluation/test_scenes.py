@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 from flipperctl.config import EvalConfig
+from flipperctl.errors import InterruptedRunError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.intervals import holm, paired_success, proportion
@@ -121,3 +122,8 @@ def test_without_references_no_episode_says_who_crossed_it() -> None:
 def test_an_evaluation_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one scene"):
         evaluate([])
+
+
+def test_an_evaluation_that_is_stopped_before_its_first_episode_says_so() -> None:
+    with pytest.raises(InterruptedRunError, match="interrupted: none of 4 episodes is finished"):
+        evaluate([(FLAT, LEVEL)], baselines=[OKADA], stop=lambda: True)

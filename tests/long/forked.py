@@ -99,6 +99,11 @@ class Command:
         self.wait()
         return self.code == -signal.SIGKILL
 
+    def send(self, number: int, *, everyone: bool = False) -> None:
+        """Send a signal to the main process, or to its workers too, unless it has ended."""
+        if not self.ended():
+            (os.killpg if everyone else os.kill)(self.pid, number)
+
     def kill_group(self) -> None:
         """Kill the process and its workers."""
         with contextlib.suppress(ProcessLookupError):

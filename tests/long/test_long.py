@@ -1,4 +1,4 @@
-"""A few cases of ``python -m tests.long.kills`` and ``races``, which run hundreds."""
+"""A few cases of ``python -m tests.long.kills`` and its like, which run hundreds."""
 
 import subprocess
 import sys
@@ -14,8 +14,9 @@ pytestmark = pytest.mark.slow
     [
         ["kills", "--count", "3", "--early", "2", "--fast", "0"],
         ["races", "--count", "3", "--fast", "0"],
+        ["killed_sweeps", "--count", "2", "--joblib", "0", "--stops", "SIGKILL", "SIGINT"],
     ],
-    ids=["kills", "races"],
+    ids=["kills", "races", "killed sweeps"],
 )
 def test_kills_and_races_change_nothing(command: list[str]) -> None:
     name, *options = command

@@ -13,13 +13,14 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from flipperctl.api import Profile, RobotGeometry, RobotState
+from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.render import BELT
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.files import picture_names
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
 from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
-from flipperctl.report.scenes import picture_names
 from flipperctl.report.terrain import terrain_figure
 
 ROBOT = RobotGeometry()
@@ -259,12 +260,13 @@ def test_a_failure_half_way_leaves_what_was_there(
 
 
 def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:
-    nominal, varied = (Conditions(name, {}, {}) for name in ("nominal", "varied"))
-    scenes = [("flat", nominal), ("step", nominal), ("flat", varied), ("flat", nominal)]
-    hashes = nominal.hash, varied.hash
-    assert picture_names(scenes) == [
-        f"flat_nominal_{hashes[0]}_1.png",
+    flat = with_overrides(EvalConfig(terrain="flat"), {})
+    step = with_overrides(flat, {"terrain": "step"})
+    varied = with_overrides(flat, {"randomise.friction": [0.6, 1.0]})
+    nominal_hash, varied_hash = Conditions.of(flat).hash, Conditions.of(varied).hash
+    assert picture_names([flat, step, varied, flat]) == [
+        f"flat_nominal_{nominal_hash}_1.png",
         "step.png",
-        f"flat_varied_{hashes[1]}.png",
-        f"flat_nominal_{hashes[0]}_2.png",
+        f"flat_nominal_{varied_hash}.png",
+        f"flat_nominal_{nominal_hash}_2.png",
     ]

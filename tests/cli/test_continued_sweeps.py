@@ -1,0 +1,166 @@
+"""A sweep that was stopped goes on where it stopped, when the same words are typed again."""
+
+import csv
+import json
+import shlex
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.cli.sweep_stop import stop_of, stopping
+from flipperctl.training import run_folder
+from flipperctl.training.trainer import Trainer
+from tests.cli.call import EXACT, Done, call
+from tests.long.forked import differences, result
+
+pytestmark = pytest.mark.slow
+
+SHORT = {
+    **EXACT,
+    "train.decisions": 100,
+    "train.validate_every": 50,
+    "train.validation_episodes": 1,
+    "agent.learning_starts": 50,
+    "agent.batch_size": 32,
+}
+WORDS = ["terrain=step", *(f"{key}={value}" for key, value in SHORT.items()), "seed=1,2,3"]
+
+
+def sweep(folder: Path, *more: str) -> Done:
+    return call("train", "-m", *WORDS, *more, cwd=folder)
+
+
+def states(folder: Path) -> list[tuple[str, str]]:
+    with (folder / "sweep.csv").open(newline="") as file:
+        return [(row["seed"], row["state"]) for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep that was not stopped."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = sweep(folder, "hydra.sweep.dir=s w")
+    assert done.code == 0, done.err
+    return folder / "s w"
+
+
+@pytest.fixture
+def interrupt_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A function that arranges signals in a run, at the end of its first episode."""
+
+    def arrange(seed: int, *numbers: signal.Signals) -> None:
+        train = Trainer._train_episode
+
+        def signalled(self: Trainer, collector: object) -> None:
+            train(self, collector)
+            if self.config.seed == seed and self.progress.episode == 1:
+                for number in numbers:
+                    signal.raise_signal(number)
+
+        monkeypatch.setattr(Trainer, "_train_episode", signalled)
+
+    return arrange
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [(signal.SIGTERM,), (signal.SIGINT, signal.SIGINT)],
+    ids=["SIGTERM", "two Ctrl-C"],
+)
+def test_the_printed_command_goes_on_to_the_same_results(
+    numbers: tuple[signal.Signals, ...],
+    whole: Path,
+    interrupt_at: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    interrupt_at(2, *numbers)
+    done = sweep(tmp_path)
+    assert done.code == 130
+    error = done.err.splitlines()[-1]
+    assert error.startswith("error: interrupted; 1 of 3 runs are finished. Go on with: ")
+    (folder,) = (tmp_path / "runs" / "multirun").iterdir()
+    assert states(folder) == [("1", "finished"), ("2", "interrupted")]
+    with (folder / "sweep.csv").open(newline="") as file:
+        assert all(Path(row["folder"]).is_absolute() for row in csv.DictReader(file))
+    monkeypatch.undo()
+
+    first = (folder / "0_seed=1" / "summary.json").stat().st_mtime_ns
+    program, *words = shlex.split(error.partition("Go on with: ")[2])
+    assert program == "flipperctl"
+    done = call(*words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "0_seed=1 is finished" in done.err
+    assert "1_seed=2 is finished" not in done.err
+    assert (folder / "0_seed=1" / "summary.json").stat().st_mtime_ns == first
+    assert states(folder) == [("1", "finished"), ("2", "finished"), ("3", "finished")]
+    for name in ("0_seed=1", "1_seed=2", "2_seed=3"):
+        assert differences(folder / name, result(whole / name)) == []
+
+
+def test_a_run_without_a_checkpoint_begins_anew_and_one_at_its_end_is_closed(
+    whole: Path, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(whole, tmp_path / "s w"))
+    for name in ("best", "last"):
+        (folder / f"0_seed=1/checkpoints/{name}.safetensors").unlink()
+    for name in ("0_seed=1", "1_seed=2"):
+        (folder / name / "summary.json").unlink()
+    shutil.rmtree(folder / "2_seed=3")
+    done = sweep(tmp_path, "hydra.sweep.dir=s w")
+    assert done.code == 0, done.err
+    assert "0_seed=1 was stopped before its first checkpoint; it begins again" in done.err
+    for name in ("0_seed=1", "1_seed=2", "2_seed=3"):
+        assert differences(folder / name, result(whole / name)) == []
+
+
+def test_a_run_with_other_settings_is_refused_by_name(whole: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(whole, tmp_path / "s w"))
+    before = (folder / "0_seed=1" / checkpoint.LAST).read_bytes()
+    done = sweep(tmp_path, "hydra.sweep.dir=s w", "agent.gamma=0.9")
+    assert done.code == 2
+    error = done.err.splitlines()[-1]
+    assert "0_seed=1 already holds a run with other settings" in error
+    assert "agent.gamma: 0.99 there, 0.9 here" in error
+    assert (folder / "0_seed=1" / checkpoint.LAST).read_bytes() == before
+
+
+def test_a_failing_run_costs_none_of_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train = Trainer._train_episode
+
+    def fail(self: Trainer, collector: object) -> None:
+        train(self, collector)
+        if self.config.seed == 2:
+            raise OSError("the sensor burnt")
+
+    monkeypatch.setattr(Trainer, "_train_episode", fail)
+    done = sweep(tmp_path, "hydra.sweep.dir=s")
+    assert done.code == 1
+    assert "the sensor burnt" in done.err.splitlines()[-1]
+    expected = [("1", "finished"), ("2", "failed"), ("3", "finished")]
+    assert states(tmp_path / "s") == expected
+
+
+def test_the_mark_of_a_stop_is_seen_by_jobs_and_removed(tmp_path: Path) -> None:
+    with stopping(tmp_path) as asked:
+        stop = stop_of(tmp_path, 0)
+        assert not asked()
+        assert not stop()
+        signal.raise_signal(signal.SIGINT)
+        assert asked()
+        assert stop()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_differing_settings_have_both_values(whole: Path) -> None:
+    _, config = run_folder.read(whole / "0_seed=1")
+    other = config.model_copy(update={"seed": 7})
+    assert run_folder.differing_settings(config, config) == []
+    assert run_folder.differing_settings(config, other) == ["seed: 1 there, 7 here"]
+    assert json.loads((whole / "0_seed=1" / "summary.json").read_text())["seed"] == 1

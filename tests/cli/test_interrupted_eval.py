@@ -1,0 +1,174 @@
+"""Ctrl-C during ``eval``: what is finished is printed and written, and marked as interrupted."""
+
+import csv
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from flipperctl.checkpoint import recording
+from tests.cli.call import Done, call
+
+
+@pytest.fixture
+def interrupt(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """A function that arranges signals after a number of episodes of a progress label."""
+
+    def arrange(label: str, episodes: int, *numbers: signal.Signals) -> None:
+        @contextmanager
+        def progress(found: str, total: int) -> Iterator[Callable[[float], None]]:
+            def report(done: float) -> None:
+                if found == label and done == episodes:
+                    for number in numbers:
+                        signal.raise_signal(number)
+
+            yield report
+
+        monkeypatch.setattr("flipperctl.cli.progress.episodes_progress", progress)
+
+    return arrange
+
+
+def play(folder: Path, *arguments: str) -> Done:
+    return call("eval", "--controller", "level", "--episodes", "4", *arguments, cwd=folder)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_table_and_the_files_have_what_is_finished(
+    number: signal.Signals, interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    interrupt("flat", 3, number)
+    done = play(
+        *(tmp_path, "terrain=flat,step", "--output", "out", "--record", "e.safetensors"),
+        *("--baseline", "okada"),
+    )
+    assert done.code == 130
+    text = "interrupted: 3 of 16 episodes are finished; not begun: step"
+    assert f"level ({text})" in done.out
+    assert "finishing the episode; Ctrl-C again stops at once" in done.err
+    assert done.err.splitlines()[-1] == f"error: {text}"
+    out = tmp_path / "out"
+    names = {path.name for path in out.iterdir() if path.name[0] != "."}
+    assert names == {"episodes.csv", "summary.json", "table.csv", "table.tex"}
+    with (out / "episodes.csv").open(newline="") as file:
+        assert [row["episode"] for row in csv.DictReader(file)] == ["0", "1", "2"]
+    document = json.loads((out / "summary.json").read_text())
+    assert document["interrupted"] is True
+    assert (document["finished_episodes"], document["planned_episodes"]) == (3, 16)
+    assert document["not_begun"] == ["step"]
+    assert f"% {text}" in (out / "table.tex").read_text()
+    assert len(recording.read(tmp_path / "e.safetensors").episodes) == 3
+
+
+def test_a_baseline_is_compared_over_what_both_have(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    whole = json.loads(play(tmp_path, "terrain=flat", "--baseline", "okada", "--json").out)
+    assert "interrupted" not in whole
+    interrupt("flat, okada", 2, signal.SIGINT)
+    arguments = ["terrain=flat,step", "--baseline", "okada,patient", "--json"]
+    (tmp_path / "patient.py").write_text(PATIENT)
+    done = play(tmp_path, *arguments, "--plugins", "patient.py")
+    assert done.code == 130
+    document = json.loads(done.out)
+    assert (document["finished_episodes"], document["planned_episodes"]) == (6, 24)
+    (scene,) = document["scenes"]
+    assert scene["episodes"] == 4
+    assert "baselines" not in scene  # there is one: patient has not begun
+    assert (scene["baseline"]["controller"], scene["baseline"]["episodes"]) == ("okada", 2)
+    assert scene["baseline"]["difference"]["t_cost"]["episodes"] == 2
+    assert scene["t_cost"] == whole["scenes"][0]["t_cost"]
+
+
+PATIENT = '''
+from flipperctl.api import Controller, Perception, controller
+
+@controller("patient")
+class Patient(Controller):
+    """Holds still."""
+
+    def act(self, p: Perception) -> int:
+        return 4
+'''
+
+
+def test_tables_of_baselines_that_not_every_scene_has(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    interrupt("step", 2, signal.SIGINT)
+    done = play(tmp_path, "terrain=flat,step", "--baseline", "okada")
+    assert done.code == 130
+    policy, compared = done.out.split("difference to okada")
+    assert "step" in policy
+    assert "step" not in compared.split("conditions")[0]
+
+
+def test_references_that_were_stopped_tell_nothing(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    interrupt("plum, okada on what was not crossed", 1, signal.SIGINT)
+    done = play(tmp_path, "terrain=plum", "--passable", "okada", "--json", "--episodes", "12")
+    assert done.code == 130, done.err
+    assert "passable" not in json.loads(done.out)["scenes"][0]
+
+
+def test_a_second_ctrl_c_stops_at_once_and_leaves_the_earlier_files(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    assert play(tmp_path, "terrain=flat", "--output", "out").code == 0
+    before = (tmp_path / "out" / "summary.json").read_bytes()
+    interrupt("flat", 1, signal.SIGINT, signal.SIGINT)
+    done = play(tmp_path, "terrain=flat", "--output", "out")
+    assert (done.code, done.out) == (130, "")
+    assert done.err.splitlines()[-1] == "error: interrupted"
+    assert (tmp_path / "out" / "summary.json").read_bytes() == before
+
+
+def test_with_processes_what_they_have_finished_counts(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    interrupt("flat", 2, signal.SIGINT)
+    done = play(tmp_path, "terrain=flat,step", "--jobs", "2", "--json", "--episodes", "60")
+    assert done.code == 130, done.err
+    document = json.loads(done.out)
+    (scene,) = document["scenes"]
+    assert 2 <= scene["episodes"] == document["finished_episodes"] < 60
+    assert document["not_begun"] == ["step"]
+
+
+SLOW = """
+import time
+from flipperctl.api import Controller, Perception, controller
+
+CALLS = []
+
+@controller("slow")
+class Slow(Controller):
+    \"\"\"Thinks for a minute, but not in the first episodes.\"\"\"
+
+    def act(self, p: Perception) -> int:
+        CALLS.append(1)
+        if len(CALLS) > 60:
+            time.sleep(60)
+        return 4
+"""
+
+
+def test_a_second_ctrl_c_kills_what_the_processes_are_at(
+    interrupt: Callable[..., None], tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(SLOW)
+    interrupt("flat", 1, signal.SIGINT, signal.SIGINT)
+    begun = time.monotonic()
+    done = call(
+        *("eval", "--controller", "slow", "--plugins", "slow.py", "terrain=flat"),
+        *("--episodes", "40", "--jobs", "2"),
+        cwd=tmp_path,
+    )
+    assert (done.code, done.out) == (130, "")
+    assert done.err.splitlines()[-1] == "error: interrupted"
+    assert time.monotonic() - begun < 50
