@@ -113,7 +113,7 @@ def overrides(draw: st.DrawFn) -> Overrides:
     terms = draw(st.lists(st.sampled_from(registered_names("reward")), unique=True, max_size=4))
     for term in terms:
         pool += _plugin_settings(f"rewards.{term}", "reward", term)
-    teacher = draw(st.sampled_from([None] * 4 + registered_names("controller")))
+    teacher = draw(st.sampled_from([None] * 12 + registered_names("controller")))
     if teacher is not None:
         pool += _plugin_settings("teacher.controller", "controller", teacher)
     known = {setting.path: values for setting in pool if (values := setting.values()) is not None}
@@ -211,6 +211,7 @@ def _named(text: str, drawn: Overrides) -> str:
 def _strict() -> Iterator[None]:
     """Raise numpy's warnings of overflows and of numbers that are not finite."""
     with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # such as what libraries say once, at their import
         warnings.simplefilter("error", RuntimeWarning)
         yield
 

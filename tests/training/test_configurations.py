@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 
 
 @settings(
-    max_examples=20,
+    max_examples=12,
     phases=[Phase.generate],  # a smaller case of a fault takes minutes to find
     derandomize=True,
     database=None,
