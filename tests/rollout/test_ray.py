@@ -130,7 +130,8 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert summary["finished"] is True
     assert summary["decisions"] == 1500
     assert len(cluster.list_all_nodes()) == 1
-    assert summary["lost_episodes"] == len(killer.notes) >= 1
+    lost = [note for note in killer.notes if "a worker died" in note]  # one may wait for a CPU, too
+    assert summary["lost_episodes"] == len(lost) >= 1
     assert max(killer.lags) > 0
     labels = learner.replay.filled()["label"]  # they come with the rollouts that arrived
     assert (labels.sum(axis=1) == 1).all()
