@@ -96,9 +96,10 @@ def _check_reachable(address: str | None) -> None:
         return
     socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
     if "://" not in str(address):  # ``ray.init`` would repeat a refused token for 20 s
-        from ray._raylet import GcsClient  # type: ignore[attr-defined]  # compiled, without stubs
+        from ray import _raylet
 
-        GcsClient(address=address)
+        client: Any = _raylet
+        client.GcsClient(address=address)
 
 
 @contextlib.contextmanager

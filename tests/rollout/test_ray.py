@@ -72,11 +72,13 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     learner = trainer(short_config(**settings, **{"train.validate_every": 200}), tmp_path)
     listener = Notes()
     learner.listeners.append(listener)
-    summary = learner.run(lambda: bool(listener.notes) and len(learner.validator.history) > 1)
+    expected = "2 of 4 Ray workers (collector.workers) have got no CPU"
+    summary = learner.run(
+        lambda: expected in str(listener.notes) and len(learner.validator.history) > 1
+    )
     assert summary["finished"] is False
     assert summary["lost_episodes"] == 0
-    (note,) = listener.notes
-    assert "2 of 4 Ray workers (collector.workers) have got no CPU" in note
+    assert "The run goes on with 2; others join it when a CPU is free" in listener.notes[-1]
 
 
 def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
@@ -128,7 +130,8 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert summary["finished"] is True
     assert summary["decisions"] == 1500
     assert len(cluster.list_all_nodes()) == 1
-    assert summary["lost_episodes"] == len(killer.notes) >= 1
+    lost = [note for note in killer.notes if "a worker died" in note]  # one may wait for a CPU, too
+    assert summary["lost_episodes"] == len(lost) >= 1
     assert max(killer.lags) > 0
     labels = learner.replay.filled()["label"]  # they come with the rollouts that arrived
     assert (labels.sum(axis=1) == 1).all()
