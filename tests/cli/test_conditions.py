@@ -90,7 +90,9 @@ def test_the_table_says_them_in_a_line_for_each_set(tmp_path: Path) -> None:
         assert line.startswith(f"conditions {name}, seed 0, flat {short}: ")
         assert f"flat, {name} {short}" in done.out  # the row that it is about
     assert "randomised friction 0.8 to 1.2" in lines[1]
-    assert {p.name for p in (tmp_path / "out").glob("*.png")} == {"flat.png", "flat_2.png"}
+    hashes = [scene["conditions"]["hash"] for scene in scenes]
+    pictures = {p.name for p in (tmp_path / "out").glob("*.png")}
+    assert pictures == {f"flat_nominal_{hashes[0]}.png", f"flat_varied_{hashes[1]}.png"}
 
 
 def test_the_audit_is_under_the_same_conditions(tmp_path: Path) -> None:
