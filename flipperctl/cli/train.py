@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -169,6 +170,7 @@ def _check(overrides: list[str], *, compose: bool) -> None:
     from flipperctl.cli.combinations import interval_probes
     from flipperctl.cli.compose import compose_train
     from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli.interrupts import interrupts
     from flipperctl.cli.overrides import check_folders, check_mappings, check_once, check_words
 
     plain = _plain(overrides)
@@ -184,11 +186,16 @@ def _check(overrides: list[str], *, compose: bool) -> None:
         own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
         with convert_hydra_errors():
             probes = [own, *interval_probes(own)]
-        for probe in probes:
-            for config in compose_train(probe):
+        # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
+        with interrupts("stopping …") as stop:
+            for config in itertools.chain.from_iterable(map(compose_train, probes)):
+                if stop():
+                    break
                 _check_device(config)
                 _check_terrain(config)
                 _check_network(config, _recorded_decisions(config))
+        if stop():
+            raise KeyboardInterrupt
 
 
 def _shut_ray_down() -> None:

@@ -4,6 +4,7 @@ Every worker process imports the modules at the head of this file too: keep them
 """
 
 import contextlib
+import gc
 import hashlib
 import json
 import os
@@ -53,6 +54,8 @@ def preload() -> None:
     env = FlipperEnv(terrain="step")
     env.reset(seed=0)
     env.step(4)
+    del env
+    gc.collect()  # or a command frees the environment at any time, with an interrupt in between
 
 
 @dataclass
