@@ -103,8 +103,8 @@ class HeightMap:
         """Return the places of the outermost cells, (2, 4) of x and y [m]."""
         last = np.array(self.shape) - 1
         corners = np.array([[0, 0], [0, last[1]], [last[0], 0], last])
-        places: FloatArray = np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)
-        return places
+        places = np.linalg.solve(self.to_cell[:, :2], (corners - self.to_cell[:, 2]).T)
+        return np.asarray(places, dtype=np.float64)
 
     def _extent(self) -> str:
         corners = self._corners()
