@@ -6,12 +6,13 @@ leave a mark in the folder; in that of a job, a function that looks for the mark
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from flipperctl.cli.interrupts import interrupts
+from flipperctl.training.lock import is_dead
 
 _MARK = ".sweep.stop"
 
@@ -28,12 +29,11 @@ def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
         mark.unlink(missing_ok=True)
 
 
-def stop_of(folder: Path, sweeper: int) -> Callable[[], bool]:
+def stop_of(folder: Path, sweeper: dict[str, Any]) -> Callable[[], bool]:
     """Return whether the job of this process shall stop, as a function to call between episodes.
 
-    It shall if the sweep was stopped, or if ``sweeper``, the process that started this one and
-    waits for it, has died.
+    It shall if the sweep was stopped, or if ``sweeper``, the process that waits for the job (of
+    ``lock.holder``), has died.
     """
     mark = folder / _MARK
-    child = os.getppid() == sweeper != os.getpid()
-    return lambda: mark.exists() or (child and os.getppid() != sweeper)
+    return lambda: mark.exists() or is_dead(sweeper)

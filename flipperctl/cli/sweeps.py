@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli import ray_launcher
+from flipperctl.cli import follow_up, ray_launcher
 from flipperctl.cli.comparison import SweepRun, compare, sweep_run, unreturned_run
 from flipperctl.cli.overrides import literal_override, parse_overrides
 from flipperctl.cli.sweep_stop import stopping
@@ -183,7 +182,7 @@ def command_to_go_on(folder: Path) -> str:
         short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         plain = re.fullmatch(r"[\w./-]+", short) is not None
         words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
-    return shlex.join(["flipperctl", "train", "-m", *words])
+    return follow_up.command("train", "-m", *words)
 
 
 class _RaisingLauncher:

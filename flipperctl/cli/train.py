@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from flipperctl.cli import follow_up
 from flipperctl.cli.command import TrainingCommand
 from flipperctl.cli.options import Overrides, PluginPaths
-
-if TYPE_CHECKING:
-    from flipperctl.config import TrainConfig
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
@@ -87,23 +83,24 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from hydra.core.utils import env_override
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import config_store
+    from flipperctl.cli import config_store, preflight
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
+    from flipperctl.training.lock import holder
 
     config_store.register_defaults()
     config_store.register_sweepers()
     several = "--multirun" in arguments
     overrides = [a for a in arguments if a != "--multirun"]
     if not several:
-        _check_single(overrides)
-    _check(overrides, compose=check)
-    checked = check and _plain(overrides)
+        preflight.check_single(overrides)
+    preflight.check(overrides, compose=check)
+    checked = check and preflight.plain(overrides)
     errors: list[BaseException] = []
     # A worker on a running cluster has another environment and another working directory.
     paths, typed, here = loader.configured_paths(), follow_up.plugin_paths(), Path.cwd()
-    sweeper = os.getpid()
+    sweeper = holder()
 
     def task(composed: Any) -> float | None:
         try:
@@ -143,61 +140,6 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
             _shut_ray_down()
 
 
-def _plain(overrides: list[str]) -> bool:
-    """Return whether there are no options of Hydra among the words."""
-    return not any(override.startswith("-") for override in overrides)
-
-
-def _check_single(overrides: list[str]) -> None:
-    """Refuse lists of values, which make several runs."""
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import parse_overrides
-    from flipperctl.errors import ConfigError
-
-    with convert_hydra_errors():
-        parsed = parse_overrides(o for o in overrides if "=" in o and not o.startswith("-"))
-    for override in parsed:
-        if override.is_sweep_override():
-            key, _, value = str(override.input_line).partition("=")
-            raise ConfigError(
-                f"{override.input_line}: several values make several runs; add -m for them, or "
-                f"brackets if the setting is a list: {key}=[{value}]"
-            )
-
-
-def _check(overrides: list[str], *, compose: bool) -> None:
-    """Refuse a wrong request before Hydra makes a directory."""
-    from flipperctl.cli.combinations import interval_probes
-    from flipperctl.cli.compose import compose_train
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.interrupts import interrupts
-    from flipperctl.cli.overrides import check_folders, check_mappings, check_once, check_words
-
-    plain = _plain(overrides)
-    if plain:  # with options, words may be their values
-        check_words(overrides)
-    assigned = [o for o in overrides if "=" in o and not o.startswith("-")]
-    check_once(assigned)
-    with convert_hydra_errors():
-        check_folders(assigned)
-        check_mappings(assigned)
-    # Hydra's rarer options may bring other configuration files; then the job itself checks.
-    if compose and plain:
-        own = [o for o in overrides if not o.lstrip("+~").startswith("hydra")]
-        with convert_hydra_errors():
-            probes = [own, *interval_probes(own)]
-        # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
-        with interrupts("stopping …") as stop:
-            for config in itertools.chain.from_iterable(map(compose_train, probes)):
-                if stop():
-                    break
-                _check_device(config)
-                _check_terrain(config)
-                _check_network(config, _recorded_decisions(config))
-        if stop():
-            raise KeyboardInterrupt
-
-
 def _shut_ray_down() -> None:
     """Shut Ray down, which Hydra's launcher leaves running until this process ends."""
     ray = sys.modules.get("ray")
@@ -206,18 +148,19 @@ def _shut_ray_down() -> None:
 
 
 def _task(
-    composed: Any, paths: list[str], typed: list[str], sweeper: int, *, checked: bool
+    composed: Any, paths: list[str], typed: list[str], sweeper: dict[str, Any], *, checked: bool
 ) -> float | None:
     """Run one job of Hydra; a launcher's worker process loads the plugins itself.
 
     ``paths`` are those of all plugins, ``typed`` those of ``--plugins``. ``sweeper`` is the process
-    of the command, which may be another one. ``checked``: the command has composed the
-    configuration before, and printed its notices.
+    of the command (``lock.holder``), which may be another one. ``checked``: the command has
+    composed the configuration before, and printed its notices.
     """
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
     from flipperctl import plugins as loader
+    from flipperctl.cli import preflight
     from flipperctl.cli.compose import parse_training
     from flipperctl.cli.notices import print_notices
     from flipperctl.cli.search import objective
@@ -228,7 +171,7 @@ def _task(
     loader.load(paths)
     follow_up.remember_plugins(typed)
     config = parse_training(composed)
-    _check_device(config)
+    preflight.check_device(config)
     if not checked:
         print_notices(config)
     hydra = HydraConfig.get()
@@ -268,43 +211,8 @@ def _keep_hydra_files(composed: Any, directory: Path) -> None:
         write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
 
 
-def _check_device(config: TrainConfig) -> None:
-    import torch
-
-    from flipperctl.errors import ConfigError
-
-    try:
-        torch.empty(0, device=config.device)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
-
-
-def _check_terrain(config: TrainConfig) -> None:
-    from flipperctl.env.flipper_env import FlipperEnv
-
-    FlipperEnv(config=config.environment()).reset(seed=0)
-
-
-def _recorded_decisions(config: TrainConfig) -> int:
-    from flipperctl.training.recorded import read_teacher
-
-    recording = read_teacher(config)
-    return 0 if recording is None else recording.decisions
-
-
-def _check_network(config: TrainConfig, recorded: int) -> None:
-    from flipperctl.agent.demand import check_demand
-    from flipperctl.api import ACTIONS
-
-    check_demand(
-        *(config.network, config.perception, len(ACTIONS), config.agent),
-        config.train.decisions + recorded,
-        labelled=config.teacher.teaches,
-    )
-
-
 def _resume(run: Path, overrides: list[str]) -> None:
+    from flipperctl.cli import preflight
     from flipperctl.cli.hydra_errors import convert_hydra_errors
     from flipperctl.cli.overrides import override_values
     from flipperctl.cli.training import resume_run
@@ -319,7 +227,7 @@ def _resume(run: Path, overrides: list[str]) -> None:
     with convert_hydra_errors():
         changes = override_values(overrides)
     try:
-        resume_run(run, changes, _check_device)
+        resume_run(run, changes, preflight.check_device)
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
         raise InterruptedRunError(
             f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"

@@ -13,6 +13,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.cli.sweep_stop import stop_of, stopping
 from flipperctl.training import run_folder
+from flipperctl.training.lock import holder
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call
 from tests.long.forked import differences, result
@@ -148,7 +149,7 @@ def test_a_failing_run_costs_none_of_the_others(
 
 def test_the_mark_of_a_stop_is_seen_by_jobs_and_removed(tmp_path: Path) -> None:
     with stopping(tmp_path) as asked:
-        stop = stop_of(tmp_path, 0)
+        stop = stop_of(tmp_path, holder())
         assert not asked()
         assert not stop()
         signal.raise_signal(signal.SIGINT)
@@ -169,7 +170,7 @@ def test_ctrl_c_before_the_first_run_begins_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "flipperctl.cli.train._check_terrain", lambda config: signal.raise_signal(signal.SIGINT)
+        "flipperctl.cli.preflight._check_terrain", lambda config: signal.raise_signal(signal.SIGINT)
     )
     done = sweep(tmp_path, "hydra.sweep.dir=s")
     assert (done.code, done.err.splitlines()[-1]) == (130, "error: interrupted")
