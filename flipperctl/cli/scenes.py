@@ -41,10 +41,11 @@ def scenes(overrides: list[str], checkpoint: Path | None, controller: str | None
         resolver.get("controller", controller, "--controller")
         found = compose.compose_eval([f"controller={controller}", *overrides])
         return [(config, PolicySource(settings=settings)) for config, settings in found]
-    return _scenes_of_file(find_policy(checkpoint), overrides)
+    return _scenes_of_file(checkpoint, overrides)
 
 
-def _scenes_of_file(file: Path, overrides: Sequence[str]) -> list[Scene]:
+def _scenes_of_file(checkpoint: Path, overrides: Sequence[str]) -> list[Scene]:
+    file = find_policy(checkpoint)
     trained = exported_config(file) if is_exported(file) else checkpoints.read(file).policy_config()
     _require_terrain(trained, overrides, file)
     primary = config_store.register_trained(_without_absent_rewards(trained, file))
@@ -55,7 +56,7 @@ def _scenes_of_file(file: Path, overrides: Sequence[str]) -> list[Scene]:
     if isinstance(trained, TrainConfig):
         lines = [training_line(trained, config, overrides) for config in configs]
         for line in filter(None, dict.fromkeys(lines)):
-            print(f"{file}: {line}", file=sys.stderr)
+            print(f"{checkpoint}: {line}", file=sys.stderr)
     if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in built):
         print(
             f"{file} does not state how a blocked flipper is turned: here its target stays within "

@@ -188,7 +188,9 @@ class AsyncCollector:
 
     def _row(self, future: Future[Row], seed: int, play_here: PlayHere) -> Row | None:
         """Return the row of an episode, played here if no worker has begun it; None to stop."""
-        if not self._stop() and future.cancel():
+        if self._stop():
+            return None
+        if future.cancel():
             return play_here(seed)
         while not wait([future], POLL).done:
             if self._stop():

@@ -102,6 +102,8 @@ class ProfileFile(Terrain):
     )
     no_data: float | None = Field(
         None,
+        ge=-1e308,
+        le=1e308,
         description="value of unknown heights in a map, in its unit; -9999, -99999, -32767, "
         "-32768 and 1e20 or more always are, as is what a GeoTIFF states [-]",
     )

@@ -11,13 +11,14 @@ from tests.cli.call import EXACT, call
 
 QUICK = [f"{key}={value}" for key, value in {**EXACT, "train.decisions": 40}.items()]
 RUN = ["train", "terrain=step", *QUICK, "hydra.run.dir=run"]
+OVER_RAY = [word for word in RUN if word != "train.mode=exact"]
 
 
 @pytest.mark.slow
 def test_the_corrected_command_trains_where_the_wrong_one_was_refused(tmp_path: Path) -> None:
     pytest.importorskip("ray")
-    wrong = ["train.mode=fast", "collector=ray", "collector.address=127.0.0.1:1"]
-    done = call(*RUN, *wrong, cwd=tmp_path)
+    wrong = ["collector=ray", "collector.address=127.0.0.1:1"]
+    done = call(*OVER_RAY, *wrong, cwd=tmp_path)
     assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
     assert "collector.address: no Ray cluster answers at '127.0.0.1:1'" in done.err
     assert list(tmp_path.iterdir()) == []

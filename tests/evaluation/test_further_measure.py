@@ -49,8 +49,7 @@ def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
 
 def test_training_writes_it_down(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in EXACT.items()]
-    exact = ["train.mode=exact", "hydra.run.dir=run"]
-    done = call("train", "terrain=flat", *settings, *exact, cwd=tmp_path)
+    done = call("train", "terrain=flat", *settings, "hydra.run.dir=run", cwd=tmp_path)
     assert done.code == 0, done.err
     with (tmp_path / "run" / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -100,7 +100,7 @@ def measure(env: FlipperEnv, seed: int, actions: int | None = None) -> Balance:
     """
     rng = np.random.default_rng(seed if actions is None else actions)
     env.reset(seed=seed)
-    world = env.drive.world
+    world = env.drive.world.unguarded
     meter = Meter(world)
     gap = penetration = 0.0
     outcome = ""

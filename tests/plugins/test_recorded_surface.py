@@ -108,9 +108,12 @@ def test_eval_drives_over_the_surface_in_3d_alone(tmp_path: Path) -> None:
     y = np.arange(0, 4.01, 0.05)[:, None]
     np.save(tmp_path / "wall.npy", np.where(y > 2.2, 0.9, 0.0) + np.zeros(81))
     asked = ["eval", "--controller", "level", "--episodes", "1", "--json", "terrain=profile_file"]
-    asked += ["terrain.path=wall.npy", "terrain.resolution=0.05", "terrain.end=[3,2]"]
+    asked += ["terrain.path=wall.npy", "terrain.resolution=0.05"]
+    in_the_middle = ["terrain.start=[1,2]", "terrain.end=[3,2]"]
     plane, space = (
-        json.loads(call(*asked, "terrain.start=[1,2]", f"sim={sim}", cwd=tmp_path).out)
+        json.loads(
+            call(*asked, "terrain.start=[1,2]", "terrain.end=[3,2]", f"sim={sim}", cwd=tmp_path).out
+        )
         for sim in ("planar", "mujoco")
     )
     assert plane["scenes"][0]["success_rate"] == 1.0
