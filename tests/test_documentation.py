@@ -132,7 +132,8 @@ def with_budget(command: list[str]) -> list[str]:
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
         quick = ["physics", "engines", "startup"] if every else []  # each has a test in tests/bench
-        return [*command, *quick, "--small", "--repeats", "2", "bench.limit=1"]
+        words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
+        return [*words, *quick, "--small", "--repeats", "2", "bench.limit=1"]
     if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))

@@ -111,9 +111,7 @@ def test_eval_drives_over_the_surface_in_3d_alone(tmp_path: Path) -> None:
     asked += ["terrain.path=wall.npy", "terrain.resolution=0.05"]
     in_the_middle = ["terrain.start=[1,2]", "terrain.end=[3,2]"]
     plane, space = (
-        json.loads(
-            call(*asked, "terrain.start=[1,2]", "terrain.end=[3,2]", f"sim={sim}", cwd=tmp_path).out
-        )
+        json.loads(call(*asked, *in_the_middle, f"sim={sim}", cwd=tmp_path).out)
         for sim in ("planar", "mujoco")
     )
     assert plane["scenes"][0]["success_rate"] == 1.0
