@@ -13,11 +13,11 @@ from flipperctl.cli.tables import Table
 from flipperctl.env.measures import Measure
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.episode import further_measures
+from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
     BaselineResult,
     Differences,
     EvaluationResult,
-    PairedSuccess,
     SceneResult,
     Summary,
 )

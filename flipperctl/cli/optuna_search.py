@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +26,7 @@ from pydantic import ValidationError
 from flipperctl.cli.comparison import compare, job_result
 from flipperctl.cli.follow_up import command
 from flipperctl.cli.search import SearchSettings, search_space
+from flipperctl.cli.study import open_study
 from flipperctl.cli.sweep_stop import stopping
 from flipperctl.cli.sweeps import SweepLauncher, command_to_go_on, uses_default_naming
 from flipperctl.cli.trial_owner import claim, signs_of_life
@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 
 _POLL = 1.0
 """Time between two looks at the trials of other searches [s]."""
-_MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
-"""Name and value of a study's attribute: the θ̂_R in its objective; earlier versions wrote none."""
 
 
 def prepare(
@@ -106,7 +104,7 @@ class OptunaSearch:
             RunHeldError: another process works in the sweep's folder.
         """
         space, fixed = search_space(arguments)
-        study = self._study(arguments)
+        study = open_study(self.settings, arguments)
         self.jobs.swept = list(space)
         with hold(make_folder(self.folder), "sweep"):
             try:
@@ -186,47 +184,6 @@ class OptunaSearch:
                 break
             begin = end
         return returns
-
-    def _study(self, arguments: Sequence[str]) -> Study:
-        import optuna
-        from sqlalchemy.exc import SQLAlchemyError
-
-        name, storage = self.settings.study_name, self.settings.storage
-        create = partial(
-            optuna.create_study,
-            storage=storage,
-            study_name=name,
-            direction="maximize",
-            load_if_exists=True,
-        )
-        try:
-            try:
-                study = create()
-            except SQLAlchemyError:  # another search may be creating the tables
-                time.sleep(_POLL)
-                study = create()
-        except (SQLAlchemyError, ImportError, ValueError) as error:
-            reason = " ".join(str(error).split("\n(Background")[0].split())
-            raise ConfigError(
-                f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
-                "a database URL is allowed, as in sqlite:///search.db"
-            ) from error
-        asked = sorted(arguments)
-        searched = study.user_attrs.get("overrides", asked)
-        if searched != asked:
-            raise ConfigError(
-                f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
-                f"{' '.join(searched)}; give the same overrides, or another study_name"
-            )
-        if study.user_attrs.get(_MEASURE) != _AT_100_HZ and finished(study):
-            raise ConfigError(
-                f"hydra.sweeper.study_name: the trials of the study {name!r} in {storage} are "
-                "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
-                "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
-            )
-        study.set_user_attr("overrides", asked)
-        study.set_user_attr(_MEASURE, _AT_100_HZ)
-        return study
 
     def _sampler(self, count: int) -> Any:
         from optuna.samplers import RandomSampler, TPESampler

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.cli.tables import Table
 from flipperctl.evaluation.conditions import scene_names
+from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import FEWEST
 from flipperctl.evaluation.ranking import Contradiction, SceneRanking, Verdict
-from flipperctl.evaluation.results import Interval
 from flipperctl.evaluation.tables import interval_text
 
 

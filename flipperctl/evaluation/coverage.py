@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from flipperctl.api import FloatArray, Outcome
+from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
-from flipperctl.evaluation.results import Interval
 
 COUNTS = (2, 3, 5, 10, 20, 100)
 """Numbers of values in a sample [-]."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flipperctl.evaluation.results import Interval, PairedSuccess
+from flipperctl.evaluation.estimates import Interval, PairedSuccess
 
 FEWEST = 5
 """Smallest number of values whose mean has an interval [-]."""

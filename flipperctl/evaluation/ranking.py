@@ -17,8 +17,8 @@ from typing import Any
 from flipperctl.api import RewardTerm, Shaping
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import FEWEST, holm, interval, mean_p
-from flipperctl.evaluation.results import Interval
 
 _SIGNIFICANT = 0.05
 """Largest corrected p-value of a contradiction [-]."""

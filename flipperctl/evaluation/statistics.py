@@ -8,17 +8,9 @@ from typing import Any
 
 from flipperctl.api import Outcome
 from flipperctl.evaluation.episode import EpisodeResult, further_measures
+from flipperctl.evaluation.estimates import Interval, Measure, PairedDifference
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
-from flipperctl.evaluation.results import (
-    Differences,
-    Interval,
-    Measure,
-    NotReached,
-    Outcomes,
-    PairedDifference,
-    Passable,
-    Summary,
-)
+from flipperctl.evaluation.results import Differences, NotReached, Outcomes, Passable, Summary
 
 Row = Mapping[str, Any]
 """A flat row of ``rollout.episode.play``."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.evaluation.results import EvaluationResult, Interval, SceneResult, Summary
+from flipperctl.evaluation.estimates import Interval
+from flipperctl.evaluation.results import EvaluationResult, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
 
 _DIGITS = 4

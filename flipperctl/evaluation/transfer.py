@@ -22,7 +22,8 @@ from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.results import Differences, PairedSuccess, Summary
+from flipperctl.evaluation.estimates import PairedSuccess
+from flipperctl.evaluation.results import Differences, Summary
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers

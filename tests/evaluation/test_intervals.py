@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import (
     FEWEST,
     Z,
@@ -16,7 +17,6 @@ from flipperctl.evaluation.intervals import (
     paired_success,
     proportion,
 )
-from flipperctl.evaluation.results import Interval
 
 
 def test_the_interval_of_a_mean_is_students() -> None:

@@ -9,8 +9,9 @@ from flipperctl.config import EvalConfig
 from flipperctl.errors import InterruptedRunError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.estimates import PairedDifference
 from flipperctl.evaluation.intervals import holm, paired_success, proportion
-from flipperctl.evaluation.results import Outcomes, PairedDifference, Passable
+from flipperctl.evaluation.results import Outcomes, Passable
 from flipperctl.evaluation.scenes import evaluate
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource

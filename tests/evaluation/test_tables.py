@@ -5,7 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from flipperctl.evaluation.conditions import Conditions, scene_names
-from flipperctl.evaluation.results import EvaluationResult, Interval, SceneResult
+from flipperctl.evaluation.estimates import Interval
+from flipperctl.evaluation.results import EvaluationResult, SceneResult
 from flipperctl.evaluation.scenes import compare
 from flipperctl.evaluation.statistics import summarise
 from flipperctl.evaluation.tables import interval_text, latex, write_tables

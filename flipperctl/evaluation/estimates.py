@@ -1,0 +1,52 @@
+"""Means, rates and differences, each with its 95 % interval."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean or a rate and its 95 % interval, in the unit of the values."""
+
+    mean: float
+    low: float | None
+    """Lower end; None if there are too few values for an interval, as the upper end then is."""
+    high: float | None
+
+    def container(self) -> dict[str, Any]:
+        """Return the numbers by name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Measure(Interval):
+    """A measure over episodes: times [s], angles [rad], returns [-]."""
+
+    range: float
+    """Largest value minus the smallest."""
+
+
+@dataclass(frozen=True)
+class PairedDifference(Interval):
+    """The mean difference, a policy's value minus its baseline's, over equal seeds."""
+
+    episodes: int
+    """Number of seeds with which both reached the finish."""
+
+
+@dataclass(frozen=True)
+class PairedSuccess(Interval):
+    """The difference of two success rates on the same draws, a policy's minus its baseline's."""
+
+    episodes: int
+    """Number of draws."""
+    won: int
+    """Number of draws that the policy alone crossed."""
+    lost: int
+    """Number of draws that the baseline alone crossed."""
+    p: float
+    """Two-sided p-value of McNemar's exact test [-]."""
+    p_holm: float
+    """The same, corrected for all such comparisons that are shown together (Holm) [-]."""
