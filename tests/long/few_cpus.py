@@ -27,7 +27,7 @@ _TO_STOP = 20.0
 """Longest time from a signal to the end [s]."""
 _TO_FAIL = 30.0
 """Longest time from the start to the error, beyond the patience [s]."""
-_TO_SAY = 20.0
+_TO_SAY = 15.0
 """Time of training after which the workers without a CPU must have been named [s]."""
 _TO_LEAVE = 20.0
 """Time that a command's processes have to end after it [s]."""
@@ -62,7 +62,7 @@ class Case:
             stop=stop,
             phase=rng.choice(phases) if stop else "",
             patience=300.0 if free or stop else float(rng.randint(2, 6)),
-            decisions=100_000 if stop else rng.choice([300, 4000]),
+            decisions=100_000 if stop else rng.choice([300, 8000]),
         )
 
     def arguments(self, address: str) -> list[str]:
