@@ -1,6 +1,7 @@
 """How every subcommand reads its options: one value for each, and unknown ones explained.
 
-``App.command`` registers functions as ``Command``; nothing else is needed in a subcommand.
+``App.command`` registers functions as ``Command``; nothing else is needed in a subcommand. An
+``App`` is a ``Group``, which explains the options that it does not have in the same words.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import typer
-from typer.core import TyperCommand, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from flipperctl.errors import RequestError
 
@@ -57,20 +58,52 @@ class Command(TyperCommand):
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
         from flipperctl.cli.unknown_option import explain
 
-        names = [word.partition("=")[0] for word in args]
-        at = names.index(name) if name in names else len(args)  # a group as in -xm is split
-        value = args[at].partition("=")[2] if at < len(args) else ""
-        behind = args[at + 1] if at + 1 < len(args) else "-"
-        if not value and not behind.startswith("-") and "=" not in behind:
-            value = behind
         overridable = any("OVERRIDE" in str(param.metavar) for param in self.params)
-        raise RequestError(explain(name, value, known, self.primary if overridable else None))
+        primary = self.primary if overridable else None
+        raise RequestError(explain(name, _value(name, args), known, primary))
 
 
 class TrainingCommand(Command):
     """A subcommand whose overrides configure a training."""
 
     primary = "train"
+
+
+class Group(TyperGroup):
+    """Subcommands; explains an unknown option in front of their names as they explain theirs."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words up to the name of a subcommand.
+
+        Raises:
+            RequestError: an option is unknown.
+        """
+        options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
+        known = [name for option in options for name in option.opts]
+        for word in [] if ctx.resilient_parsing else args:
+            name = word.partition("=")[0]
+            if not name.startswith("-") or name in ("-", "--"):
+                break
+            if name not in known:
+                self._refuse(name, args, known)
+        return super().parse_args(ctx, args)
+
+    def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
+        from flipperctl.cli.unknown_option import explain
+
+        named = next((self.commands[word] for word in args if word in self.commands), None)
+        value = "" if (found := _value(name, args)) in self.commands else found
+        primary = getattr(named, "primary", TrainingCommand.primary)
+        raise RequestError(explain(name, value, known, primary))
+
+
+def _value(name: str, args: Sequence[str]) -> str:
+    """Return what was typed as the value of the option ``name``, or an empty text."""
+    names = [word.partition("=")[0] for word in args]
+    at = names.index(name) if name in names else len(args)  # a group as in -xm is split
+    value = args[at].partition("=")[2] if at < len(args) else ""
+    behind = args[at + 1] if at + 1 < len(args) else "-"
+    return behind if not value and not behind.startswith("-") and "=" not in behind else value
 
 
 def _twice(option: TyperOption, values: Sequence[str]) -> str:
@@ -81,7 +114,11 @@ def _twice(option: TyperOption, values: Sequence[str]) -> str:
 
 
 class App(typer.Typer):
-    """A Typer application whose subcommands are ``Command``."""
+    """A Typer application that is a ``Group`` of ``Command``."""
+
+    def __init__(self, **settings: Any) -> None:
+        """Take the settings of ``typer.Typer``."""
+        super().__init__(**{"cls": Group, **settings})
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
         """Register a function as a subcommand; see ``typer.Typer.command``."""

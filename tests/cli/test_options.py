@@ -140,6 +140,13 @@ def test_a_view_without_episodes_names_its_own_seed(tmp_path: Path) -> None:
         (["eval", *OKADA, "--episode", "5"], "--episode; did you mean '--episodes'?"),
         (["inspect", "checkpoint", "x", "--seed", "3"], "no such option: --seed\n"),
         (["train", "--nonsense"], "no such option: --nonsense\n"),
+        (["--terrain", "stair"], "--terrain; settings are written as terrain=stair\n"),
+        (["--terrain=stair", "train"], "--terrain; settings are written as terrain=stair\n"),
+        (["--seed", "train"], "--seed; settings are written as seed=…\n"),
+        (["--seed=4", "eval"], "--seed; settings are written as eval.seed=4\n"),
+        (["inspect", "--terrain", "stair"], "--terrain; settings are written as terrain=stair\n"),
+        (["--versoin"], "--versoin; did you mean '--version'?\n"),
+        (["--nonsense"], "no such option: --nonsense\n"),
     ],
     ids=lambda found: " ".join(found) if isinstance(found, list) else None,
 )
