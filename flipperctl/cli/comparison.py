@@ -15,7 +15,7 @@ from hydra.core.utils import JobReturn
 
 from flipperctl.cli.follow_up import quote_path
 from flipperctl.cli.swing import HEADING, PAPERS_HEADING
-from flipperctl.errors import FlipperctlError, InterruptedRunError
+from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.files import write_csv
 from flipperctl.training.run_folder import SUMMARY, holds_run
 
@@ -100,7 +100,11 @@ def _summary(folder: Path) -> dict[str, Any]:
 
 
 def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
-    """Write ``sweep.csv`` into the sweep's ``folder`` and print the table to stderr."""
+    """Write ``sweep.csv`` into the sweep's ``folder`` and print the table to stderr.
+
+    A run that was refused, such as one whose folder holds a run with other settings, is left out.
+    """
+    runs = [run for run in runs if not isinstance(run.error, RequestError)]
     if not runs:
         return
     rows = _earlier_rows(folder / FILE, runs) + [run.row() for run in runs]

@@ -46,6 +46,15 @@ class EvalOutput:
 
     def show(self, result: EvaluationResult, label: str | None) -> None:
         """Print the tables with the policy's ``label``, or the JSON document if it is None."""
+        for scene in result.scenes:
+            if scene.is_one_drive:
+                print(
+                    f"{scene.terrain}: all {len(scene.episodes)} episodes are one and the same "
+                    "drive, since nothing differs between them; their intervals mean nothing "
+                    "(episode.start_noise, perception.noise, randomise or conditions=varied "
+                    "make them differ)",
+                    file=sys.stderr,
+                )
         if label is None:
             print(result.to_json())
         else:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.errors import RequestError
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
 
@@ -62,7 +63,10 @@ def export(
     from flipperctl.files import check_writable
 
     loader.load(plugins or ())
-    saved = checkpoints.read(find_policy(checkpoint))
+    file = find_policy(checkpoint)
+    if file.suffix == ".onnx":
+        raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
+    saved = checkpoints.read(file)
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
     robot = _robot_overrides(overrides or [])

@@ -126,7 +126,7 @@ class OptunaSearch:
             size = min(self.settings.n_jobs, self.settings.n_trials - count - others)
             if size <= 0:
                 if others != awaited:
-                    _print_message(f"waiting for {others} trials of another search")
+                    _print_message(f"waiting for trials of another search: {others}")
                 awaited = others
                 self._raise_if_stopped(study)
                 time.sleep(_POLL)

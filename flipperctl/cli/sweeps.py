@@ -82,13 +82,22 @@ class SweepLauncher:
         self.jobs += len(job_overrides)
         for start in range(0, len(job_overrides), size):
             number = initial_job_idx + start
-            jobs = job_overrides[start : start + size]
-            if self.stop():
+            stopped = self.runs and isinstance(self.runs[-1].error, InterruptedRunError)
+            if stopped or self.stop():
+                self._leave_out(job_overrides[start:], number)
                 break
-            returns += self._launch(jobs, number)
-            if isinstance(self.runs[-1].error, InterruptedRunError):
-                break
+            returns += self._launch(job_overrides[start : start + size], number)
         return returns
+
+    def _leave_out(self, jobs: Sequence[Sequence[str]], first: int) -> None:
+        """Add the runs of jobs that are not launched, if their folders have known names."""
+        swept = [self._swept_values(job) for job in jobs]
+        error = InterruptedRunError("interrupted")
+        self.runs += [
+            unreturned_run(first + i, values, self._folder / folder_name(first + i, values), error)
+            for i, values in enumerate(swept)
+            if self._named and self.swept
+        ]
 
     def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
         swept = [self._swept_values(job) for job in jobs]

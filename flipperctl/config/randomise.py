@@ -126,6 +126,6 @@ def fitting(name: str, value: float) -> float:
     """Return the value that the setting can have next to a sampled one."""
     if name == "iterations":
         return round(value)
-    if name == "substep":
+    if name == "substep" and value > 0:  # the engine refuses any other
         return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
     return float(value)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flipperctl import entry
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
@@ -37,13 +38,19 @@ Sample = Callable[[np.random.Generator, tuple[int, int]], FloatArray]
 """Draws an array of values."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table of coverages; leave with code 2 if an argument or a file is wrong."""
     parser = argparse.ArgumentParser(
         prog="python -m flipperctl.evaluation.coverage",
-        description="Simulate how often the 95 %% intervals of evaluations contain the truth.",
+        description="Simulate how often the 95 % intervals of evaluations contain the truth.",
     )
-    parser.add_argument("files", nargs="*", type=Path, help="episodes.csv of eval --output")
+    parser.add_argument(
+        "files",
+        nargs="*",
+        type=Path,
+        help="episodes.csv of eval --output; methods that reached fewer than "
+        f"{SMALLEST} episodes of a scene are left out",
+    )
     parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
     parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
     chosen = parser.parse_args(arguments)
@@ -68,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for won, lost in UNEQUAL:
         name = f"first alone {won:g}, second alone {lost:g}"
         print(_line(name, [paired_coverage(won, lost, n) for n in COUNTS]))
+    return 0
 
 
 def mean_coverage(
@@ -167,4 +175,4 @@ def _line(name: str, cells: Sequence[float | str]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    entry.run(main)

@@ -201,6 +201,15 @@ class SceneResult:
         return self.summary.terrain
 
     @property
+    def is_one_drive(self) -> bool:
+        """Whether there are several episodes, equal to the last digit in what was measured."""
+        measured = {
+            (e.outcome, e.t_cost, e.pitch_variation_100hz, e.max_pitch, e.episode_return)
+            for e in self.episodes
+        }
+        return len(self.episodes) > 1 == len(measured)
+
+    @property
     def finished(self) -> int:
         """Number of episodes of the policy and its baselines."""
         return len(self.episodes) + sum(len(other.episodes) for other in self.baselines)

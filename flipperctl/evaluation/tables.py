@@ -61,8 +61,8 @@ def interval_text(found: Interval | None, digits: int = 2, *, sign: str = "") ->
     if found is None:
         return "–"
     if found.low is None or found.high is None:
-        return f"{found.mean:{sign}.{digits}f} [–]"
-    mean, low, high = (f"{n:{sign}.{digits}f}" for n in (found.mean, found.low, found.high))
+        return f"{found.mean:{sign}z.{digits}f} [–]"
+    mean, low, high = (f"{n:{sign}z.{digits}f}" for n in (found.mean, found.low, found.high))
     return f"{mean} [{low}, {high}]"
 
 

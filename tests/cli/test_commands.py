@@ -144,6 +144,24 @@ def test_export_prints_what_it_compared(run: Path, tmp_path: Path) -> None:
     assert (tmp_path / "p.onnx").stat().st_size > 10_000
 
 
+def test_repeats_that_are_one_drive_are_named(tmp_path: Path) -> None:
+    still = ("terrain=flat", "episode.start_noise=0", "--controller", "level", "--episodes")
+    said = "flat: all 2 episodes are one and the same drive"
+    assert said in call("eval", *still, "2", cwd=tmp_path).err
+    assert "drive" not in call("eval", *still, "1", cwd=tmp_path).err
+    noise = [word for word in still if not word.startswith("episode.")]
+    assert "drive" not in call("eval", *noise, "2", cwd=tmp_path).err
+
+
+def test_an_exported_file_is_not_exported_again(tmp_path: Path) -> None:
+    (tmp_path / "p.onnx").write_bytes(b"anything")
+    done = call("export", "onnx", "--checkpoint", "p.onnx", cwd=tmp_path)
+    assert (done.code, done.err) == (
+        2,
+        "error: p.onnx is exported already; give the run or checkpoint that it is of\n",
+    )
+
+
 def test_export_takes_another_robot_and_says_so(run: Path, tmp_path: Path) -> None:
     export = ("export", "pt2", "--checkpoint", str(run), "--output", "p.pt2")
     done = call(*export, "robot.flipper_speed=0.5", cwd=tmp_path)

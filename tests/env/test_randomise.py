@@ -174,6 +174,7 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
          r"^randomise\.flipper_length, randomise\.track_radius: flipper_length \(0\.21 m\) "),
         ({"flipper_length": [0.19, 0.5]}, r"^randomise\.flipper_length: .*> 0\.2.*0\.19"),
         ({"substep": [0.00041, 0.005]}, None),  # a divisor of 0.01 s beside it
+        ({"substep": [0.0, 0.005]}, r"^randomise\.substep: .*> 0\.0004.*the value is 0"),
         ({"substep": [0.0003, 0.005]}, r"^randomise\.substep: .*> 0\.0004"),
         ({"iterations": [0.2, 5]}, r"^randomise\.iterations: .*≥ 1"),
         ({"delay": [0.1, 0.5], "actuator_delay": [0.0, 0.5]}, None),  # a decision takes 0.6 s

@@ -80,16 +80,21 @@ def _number(cell: str | None) -> float | None:
 
 
 def _resume_command(run: Path) -> str:
-    """Return the command with the plugins of this one, else with those that the run names."""
+    """Return the command, with the names of plugin files that it lacks.
+
+    A run knows the names of its plugins' files, not where they lie.
+    """
     from flipperctl import checkpoint
     from flipperctl.cli import follow_up
     from flipperctl.errors import CheckpointError
 
+    command = follow_up.command("train", "--resume", run)
+    files: list[str] = []
     if not follow_up.plugin_paths():
         with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
             named = checkpoint.read(run / checkpoint.LAST).document.plugins
-            follow_up.remember_plugins(dict.fromkeys(p.origin for p in named if p.origin))
-    return follow_up.command("train", "--resume", run)
+            files = list(dict.fromkeys(p.origin for p in named if p.origin))
+    return f"{command} (and --plugins for {', '.join(files)})" if files else command
 
 
 def _print(found: dict[str, Any]) -> None:
