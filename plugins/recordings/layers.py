@@ -16,6 +16,8 @@ from flipperctl.api import FloatArray
 
 _SAME = 1e-4
 """Faces of one place nearer than this are one sheet with two sides [m]."""
+_ROUNDING = 1e-9
+"""By how much free height may fall short of the headroom: 0.7 - 0.2 is less than 0.5 [m]."""
 _SHARE = 0.1
 """Smallest share of a place's points that is a layer and no stray points [-]."""
 
@@ -66,6 +68,8 @@ class Ground:
     """Whether the highest face is seen from behind from above, (P,)."""
     doubtful: NDArray[np.bool_]
     """Whether a face with room above it may lie in a body that is not closed, (P,)."""
+    raised: NDArray[np.bool_]
+    """Whether a surface below the ground has less than the headroom above it, (P,)."""
 
 
 def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground:
@@ -74,7 +78,7 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     place, height, front = found.place, found.height, found.front
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
-    roomy = front & (room >= choice.headroom)
+    roomy = front & (room >= choice.headroom - _ROUNDING)
     depth, below = _bodies_above(found), _backs_below(found)
     # Without a face that looks down farther below, what lies above is a sheet and no body.
     inside = (depth > 0) & (below > 0)
@@ -85,11 +89,13 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
         top = np.full(places, -np.inf)
         np.maximum.at(top, place, height)
         result = np.where(result >= top - _SAME, result, np.nan)
-    covered, behind, doubtful = (np.zeros(places, np.bool_) for _ in range(3))
+    covered, behind, doubtful, raised = (np.zeros(places, np.bool_) for _ in range(4))
     covered[place[layer & ~last]] = True
     behind[place[~front & last]] = True
     doubtful[place[roomy & inside & (below < depth + 1)]] = True
-    return Ground(np.where(np.isfinite(result), result, np.nan), covered, behind, doubtful)
+    result = np.where(np.isfinite(result), result, np.nan)
+    raised[place[front & ~roomy & ~inside & (height < result[place])]] = True
+    return Ground(result, covered, behind, doubtful, raised)
 
 
 def _bodies_above(found: Crossings) -> NDArray[np.int64]:
@@ -125,6 +131,7 @@ def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, bo
     Also returns whether there were several layers. Stray points are a layer of none.
     """
     ordered = np.sort(heights)
-    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > choice.headroom) + 1)
+    apart = np.diff(ordered) > choice.headroom - _ROUNDING
+    parts = np.split(ordered, np.flatnonzero(apart) + 1)
     layers = [part for part in parts if len(part) >= _SHARE * len(ordered)]
     return layers[-1 if choice.highest else 0], len(layers) > 1

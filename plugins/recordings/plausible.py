@@ -43,7 +43,10 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
 
 
 def remarks_on_layers(
-    covered: NDArray[np.bool_], doubtful: NDArray[np.bool_], choice: Choice
+    covered: NDArray[np.bool_],
+    doubtful: NDArray[np.bool_],
+    raised: NDArray[np.bool_],
+    choice: Choice,
 ) -> Iterator[str]:
     """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
     if covered.any():
@@ -54,6 +57,13 @@ def remarks_on_layers(
             f"something lies {choice.headroom:g} m or more above the ground at "
             f"{int(covered.sum())} of {len(covered)} places along the line, as a ceiling or a "
             f"bridge does; the {taken} layer is taken (terrain.highest={other})"
+        )
+    if raised.any() and not choice.highest:
+        yield (
+            f"something lies less than {choice.headroom:g} m above a lower surface at "
+            f"{int(raised.sum())} of {len(raised)} places along the line; the robot drives on the "
+            f"upper one there (terrain.headroom={choice.headroom:g} is set, a smaller one lets it "
+            "drive below)"
         )
     if doubtful.any() and not choice.highest:
         yield (

@@ -212,7 +212,9 @@ class ProfileFile(Terrain):
             unknown = "the mesh is not closed"
             layers = ground.along(line)
             heights = layers.height
-            remarks += remarks_on_layers(layers.covered, layers.doubtful, self._choice)
+            remarks += remarks_on_layers(
+                layers.covered, layers.doubtful, layers.raised, self._choice
+            )
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
@@ -225,7 +227,8 @@ class ProfileFile(Terrain):
         heights, several = cloud.slice_along(
             points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
         )
-        remarks += remarks_on_layers(several, np.zeros_like(several), self._choice)
+        none = np.zeros_like(several)
+        remarks += remarks_on_layers(several, none, none, self._choice)
         return heights
 
     @property

@@ -146,6 +146,35 @@ def test_a_wrong_unit_and_missing_values_of_a_csv_are_said(
     assert text in found
 
 
+SLAB = [((0, 0, -1), (3, 3, 0)), ((3, 0, -1), (8, 3, 0.2)), ((0, 0, 0.7), (8, 3, 0.8))]
+LONG = {"start": (0.5, 1.5), "end": (7.5, 1.5)}
+
+
+def terrain_of(path: Path, **fields: Any) -> Any:
+    settings = {"name": "profile_file", "path": str(path), **fields}
+    return resolver.create("terrain", settings, "terrain")
+
+
+def test_a_slab_that_is_too_low_to_drive_below_is_said(tmp_path: Path) -> None:
+    write(tmp_path / "slab.obj", solid(*SLAB))
+    found = terrain_of(tmp_path / "slab.obj", **LONG)
+    assert np.ptp(found.generate(np.random.default_rng(0)).points[:, 1]) < 1e-6
+    (notice,) = found.notices()
+    assert "less than 1 m above a lower surface at 351 of 351 places along the line" in notice
+    assert "the robot drives on the upper one there (terrain.headroom=1 is set" in notice
+    (notice, below) = terrain_of(tmp_path / "slab.obj", headroom=0.6, **LONG).notices()[:2]
+    assert "lies 0.6 m or more above the ground" in notice
+    assert "less than 0.6 m above a lower surface" in below
+    assert terrain_of(tmp_path / "slab.obj", highest=True, **LONG).notices()[1:] == ()
+
+
+def test_free_height_equal_to_the_headroom_is_enough(tmp_path: Path) -> None:
+    write(tmp_path / "slab.obj", solid(*SLAB))  # 0.7 m - 0.2 m, which floats make 0.49999…
+    found = profile(tmp_path / "slab.obj", headroom=0.5, **LONG)
+    assert found.height(6.0) == pytest.approx(0.2)
+    assert len(layer_of_points(np.array([0.2, 0.2, 0.7, 0.7]), Choice(0.5, False))[0]) == 2
+
+
 def test_plain_ground_is_not_remarked_on(tmp_path: Path) -> None:
     write(tmp_path / "block.obj", solid(*BLOCK))
     assert warnings_of(*FILE_LINE, "terrain.path=block.obj", cwd=tmp_path) == []
