@@ -6,11 +6,10 @@ In: extents and a profile [m]. Out: sentences for the user.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .layers import Choice
+from .layers import Choice, Ground
 
 LARGE = 1000.0
 """Extent above which the unit may be wrong [m]."""
@@ -42,13 +41,9 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
         yield f"a face at x = {x:.2f} m is {height:.4g} m high, more than 1 m; {remedy}"
 
 
-def remarks_on_layers(
-    covered: NDArray[np.bool_],
-    doubtful: NDArray[np.bool_],
-    raised: NDArray[np.bool_],
-    choice: Choice,
-) -> Iterator[str]:
+def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
     """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
+    covered, doubtful, raised = ground.covered, ground.doubtful, ground.raised
     if covered.any():
         taken, other = ("highest", "false takes the lowest")
         if not choice.highest:

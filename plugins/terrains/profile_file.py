@@ -212,9 +212,7 @@ class ProfileFile(Terrain):
             unknown = "the mesh is not closed"
             layers = ground.along(line)
             heights = layers.height
-            remarks += remarks_on_layers(
-                layers.covered, layers.doubtful, layers.raised, self._choice
-            )
+            remarks += remarks_on_layers(layers, self._choice)
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
@@ -224,16 +222,15 @@ class ProfileFile(Terrain):
         points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
-        heights, several = cloud.slice_along(
+        ground = cloud.slice_along(
             points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
         )
-        none = np.zeros_like(several)
-        remarks += remarks_on_layers(several, none, none, self._choice)
-        return heights
+        remarks += remarks_on_layers(ground, self._choice)
+        return ground.height
 
     @property
     def _choice(self) -> Choice:
-        return Choice(self.headroom, self.highest)
+        return Choice(self.headroom, self.highest, self.largest_gap)
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which may be read anywhere."""

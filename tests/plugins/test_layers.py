@@ -63,11 +63,11 @@ def test_the_ground_is_a_layer_with_room_above_it(
 def test_stray_points_are_no_layer() -> None:
     floor = np.linspace(0.0, 0.02, 30)
     heights = np.concatenate([floor, [-5.0], 2.5 + floor])
-    found, several = layer_of_points(heights, Choice(1.0, False))
-    assert several
+    found, above = layer_of_points(heights, Choice(1.0, False))
+    assert above == 2.5
     assert found == pytest.approx(floor)
     assert layer_of_points(heights, Choice(1.0, True))[0] == pytest.approx(2.5 + floor)
-    assert not layer_of_points(np.append(floor, 2.5), Choice(1.0, False))[1]
+    assert layer_of_points(np.append(floor, 2.5), Choice(1.0, False))[1] == np.inf
 
 
 def test_the_robot_drives_below_a_ceiling_in_the_plane_and_in_3d(tmp_path: Path) -> None:
@@ -173,6 +173,42 @@ def test_free_height_equal_to_the_headroom_is_enough(tmp_path: Path) -> None:
     found = profile(tmp_path / "slab.obj", headroom=0.5, **LONG)
     assert found.height(6.0) == pytest.approx(0.2)
     assert len(layer_of_points(np.array([0.2, 0.2, 0.7, 0.7]), Choice(0.5, False))[0]) == 2
+
+
+@pytest.mark.parametrize("ceiling", [sheet(0, 8, 2.5), solid(((0, 0, 2.5), (8, 3, 2.6)))])
+def test_a_small_hole_in_the_floor_below_a_ceiling_is_bridged(
+    ceiling: Trimesh, tmp_path: Path
+) -> None:
+    file = tmp_path / "room.obj"
+    floor = [sheet(0, 3, 0), sheet(3, 5, 0.2), sheet(5.12, 8, 0.2)]
+    write(file, concatenate([*floor, ceiling]))
+    found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
+    assert found.points[:, 1].max() == pytest.approx(0.2)
+    assert found.surface.heights(np.array([-0.3, 0.0])).max() == pytest.approx(0.2)
+    wide = terrain_of(file, largest_gap=0.1, **LONG).generate(np.random.default_rng(0))
+    assert wide.points[:, 1].max() >= 2.5
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [sheet(5, 5.1, 1.3), solid(((5, 0, -0.1), (5.1, 3, 1.3))), solid(((5, 0, 0), (5.1, 3, 2.5)))],
+)
+def test_a_narrow_wall_below_a_ceiling_is_no_hole(wall: Trimesh, tmp_path: Path) -> None:
+    file = tmp_path / "wall.obj"
+    floor = [sheet(0, 4.99, 0), sheet(5.11, 8, 0), solid(((0, 0, 2.5), (8, 3, 2.6)))]
+    write(file, concatenate([*floor, wall]))
+    found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
+    assert found.points[:, 1].max() >= 1.3
+
+
+def test_a_small_hole_in_a_cloud_of_a_room_is_bridged(tmp_path: Path) -> None:
+    floor = scanned()[:-2]
+    ceiling = floor * (1, 1, 0) + (0, 0, 9.5)
+    hole = np.abs(floor[:, 0] - 2.0) < 0.06
+    write_cloud(tmp_path / "room.xyz", np.vstack([floor[~hole], ceiling]))
+    found = profile(tmp_path / "room.xyz", **LINE)
+    assert_block(found, 0.02)
+    assert found.points[:, 1].max() < 0.31
 
 
 def test_plain_ground_is_not_remarked_on(tmp_path: Path) -> None:
