@@ -67,6 +67,15 @@ def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
         )
 
 
+def remarks_on_missing(heights: FloatArray) -> Iterator[str]:
+    """Yield at how many places along the line a map's heights, (D,) [m], are unknown (NaN)."""
+    if count := int(np.isnan(heights).sum()):
+        yield (
+            f"heights are missing at {count} of {len(heights)} places along the line; they are "
+            "interpolated between their neighbours (terrain.largest_gap)"
+        )
+
+
 def highest_face(points: FloatArray) -> tuple[float, float]:
     """Return the height of the highest vertical face and its place [m]."""
     dx, dz = np.diff(points, axis=0).T

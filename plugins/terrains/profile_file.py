@@ -18,7 +18,12 @@ from ..recordings.layers import Choice
 from ..recordings.line import Line
 from ..recordings.mesh import Mesh, read_mesh
 from ..recordings.missing import without_missing
-from ..recordings.plausible import remarks_on_extent, remarks_on_layers, remarks_on_profile
+from ..recordings.plausible import (
+    remarks_on_extent,
+    remarks_on_layers,
+    remarks_on_missing,
+    remarks_on_profile,
+)
 from ..recordings.quiet import quiet
 from ..recordings.surface import RecordedSurface
 
@@ -208,6 +213,7 @@ class ProfileFile(Terrain):
         if isinstance(ground, HeightMap):
             heights, remark = ground.along(line)
             remarks += [remark] if remark else []
+            remarks += remarks_on_missing(heights)
         else:
             unknown = "the mesh is not closed"
             layers = ground.along(line)

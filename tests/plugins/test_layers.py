@@ -240,6 +240,19 @@ def test_missing_values_of_a_map_are_unknown_ground(
     assert np.ptp(wide.points[:, 1]) == 0
 
 
+@pytest.mark.parametrize("value", [-9999.0, 77.0, np.nan])
+def test_missing_values_on_the_line_are_counted_where_they_are_bridged(
+    value: float, tmp_path: Path
+) -> None:
+    heights = np.zeros((61, 81))  # in cells of 5 cm; the line runs along row 40
+    heights[40:42, 38:40] = value
+    np.save(tmp_path / "map.npy", heights)
+    found = terrain_of(tmp_path / "map.npy", resolution=0.05, no_data=77.0, **LINE)
+    assert np.ptp(found.generate(np.random.default_rng(0)).points[:, 1]) == 0
+    # Between the known cells at 1.85 and 2.00 m lie the places from 1.86 to 1.98 m.
+    assert "heights are missing at 7 of 101 places along the line" in found.notices()[-1]
+
+
 def test_comments_and_gaps_of_a_csv_are_read(tmp_path: Path) -> None:
     file = tmp_path / "kerb.csv"
     file.write_text("# a kerb\n// by hand\nx,z\n0,0\n# here\n0.5,0\n0.6,nan\nnan,nan\n0.7,0.1\n")
