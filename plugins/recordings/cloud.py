@@ -8,12 +8,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
 from .claims import pcd_points, ply_vertices
-from .layers import Choice, layer_of_points
+from .layers import Choice, Ground, layer_of_points
 from .line import Line
 from .text import read_lines
 
@@ -94,12 +93,12 @@ def upright(points: FloatArray, up: str) -> FloatArray:
 
 def slice_along(
     points: FloatArray, line: Line, thickness: float, quantile: float, fewest: int, choice: Choice
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the heights at the line's points, (D,) [m]; NaN where the slice is empty.
+) -> Ground:
+    """Return the ground at the line's points; its heights are NaN where the slice is empty.
 
     Each height is the quantile of the chosen layer of those points of the slice that are nearest to
-    its place along the line; also returns where there were several layers, (D,). The slice reaches
-    half the ``thickness`` [m] to either side of the line.
+    its place along the line. The slice reaches half the ``thickness`` [m] to either side of the
+    line.
 
     Raises:
         ValueError: fewer than ``fewest`` points lie in the slice.
@@ -120,8 +119,12 @@ def slice_along(
     nearest = np.searchsorted((places[:-1] + places[1:]) / 2, along[within])
     order = np.argsort(nearest, kind="stable")
     at, begins = np.unique(nearest[order], return_index=True)
-    heights, several = np.full(len(places), np.nan), np.zeros(len(places), np.bool_)
+    heights, above = np.full(len(places), np.nan), np.full(len(places), np.inf)
+    underside = heights.copy()
     for place, group in zip(at, np.split(points[within, 2][order], begins[1:]), strict=True):
-        layer, several[place] = layer_of_points(group, choice)
+        layer, above[place] = layer_of_points(group, choice)
+        underside[place] = layer[0]
         heights[place] = np.quantile(layer, quantile)
-    return heights, several
+    none = np.zeros(len(places), np.bool_)
+    ground = Ground(heights, np.isfinite(above), none, none, none, above, underside)
+    return ground.without_ceilings_over_holes(places, choice)

@@ -5,9 +5,11 @@ each place. Out: the ground's height at each place [m], NaN without one.
 
 A surface is a layer if it looks up, lies in no body and has ``headroom`` of free height above it.
 The ground is the lowest layer, so that the robot drives below bridges and ceilings, or the highest.
+A ceiling over a small hole in the floor is no ground.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,10 @@ from flipperctl.api import FloatArray
 
 _SAME = 1e-4
 """Faces of one place nearer than this are one sheet with two sides [m]."""
+_ROUNDING = 1e-9
+"""By how much free height may fall short of the headroom: 0.7 - 0.2 is less than 0.5 [m]."""
+_CEILING = 0.05
+"""By how much a ceiling may lie lower over a hole than beside it [m]."""
 _SHARE = 0.1
 """Smallest share of a place's points that is a layer and no stray points [-]."""
 
@@ -28,6 +34,8 @@ class Choice:
     """Free height above the ground that the robot needs [m]."""
     highest: bool
     """Take the highest layer instead of the lowest."""
+    largest_gap: float = 0.0
+    """Longest distance along the line over which the floor below a ceiling may be missing [m]."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,55 @@ class Ground:
     """Whether the highest face is seen from behind from above, (P,)."""
     doubtful: NDArray[np.bool_]
     """Whether a face with room above it may lie in a body that is not closed, (P,)."""
+    raised: NDArray[np.bool_]
+    """Whether a surface below the ground has less than the headroom above it, (P,)."""
+    above: FloatArray
+    """Height of what lies above the lowest layer, (P,) [m]; infinite where nothing does."""
+    underside: FloatArray
+    """Lowest height of the body or sheet that is the ground, (P,) [m].
+
+    It is -inf where another surface that looks up lies below.
+    """
+
+    def without_ceilings_over_holes(self, along: FloatArray, choice: Choice) -> "Ground":
+        """Return the ground with NaN where a ceiling lies over a small hole in the floor.
+
+        Places are a grid (A, L), numbered row by row, of which ``along`` are the distances, (A,)
+        [m]. A hole lies between two places below the same ceiling.
+        """
+        if choice.highest or choice.largest_gap == 0:
+            return self
+        grid = (len(along), -1)
+        height, above, underside = (
+            values.reshape(grid).T.copy() for values in (self.height, self.above, self.underside)
+        )
+        for column in range(len(height)):
+            for hole in _holes(height[column], above[column], underside[column], along, choice):
+                height[column, hole] = np.nan
+        return replace(self, height=height.T.ravel())
+
+
+def _holes(
+    height: FloatArray, above: FloatArray, underside: FloatArray, along: FloatArray, choice: Choice
+) -> Iterator[slice]:
+    """Yield the places of a row, (A,), over which nothing but the ceiling of both ends lies."""
+    known = np.isfinite(height)
+    floor = known & np.isfinite(above)
+    # A place below a ceiling is followed by that ceiling, or by places without any face.
+    begins = floor[:-1] & (~known[1:] | (underside[1:] >= above[:-1] - _CEILING))
+    for before in np.flatnonzero(begins):
+        lowest = above[before] - _CEILING
+        after = int(before) + 1
+        while after < len(height) and (not known[after] or underside[after] >= lowest):
+            after += 1
+        if after == len(height) or not floor[after]:
+            continue
+        hole = slice(int(before) + 1, after)
+        lowest = max(height[before], height[after]) + choice.headroom - _ROUNDING
+        lowest = max(lowest, min(above[before], above[after]) - _CEILING)
+        narrow = along[after] - along[before] <= choice.largest_gap
+        if narrow and (underside[hole][known[hole]] >= lowest).all():
+            yield hole
 
 
 def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground:
@@ -74,7 +131,7 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     place, height, front = found.place, found.height, found.front
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
-    roomy = front & (room >= choice.headroom)
+    roomy = front & (room >= choice.headroom - _ROUNDING)
     depth, below = _bodies_above(found), _backs_below(found)
     # Without a face that looks down farther below, what lies above is a sheet and no body.
     inside = (depth > 0) & (below > 0)
@@ -85,11 +142,27 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
         top = np.full(places, -np.inf)
         np.maximum.at(top, place, height)
         result = np.where(result >= top - _SAME, result, np.nan)
-    covered, behind, doubtful = (np.zeros(places, np.bool_) for _ in range(3))
+    covered, behind, doubtful, raised = (np.zeros(places, np.bool_) for _ in range(4))
     covered[place[layer & ~last]] = True
     behind[place[~front & last]] = True
     doubtful[place[roomy & inside & (below < depth + 1)]] = True
-    return Ground(np.where(np.isfinite(result), result, np.nan), covered, behind, doubtful)
+    result = np.where(np.isfinite(result), result, np.nan)
+    above = np.full(places, np.inf)
+    lowest = layer & (height == result[place]) & ~last
+    above[place[lowest]] = np.append(height[1:], 0.0)[: len(place)][lowest]
+    raised[place[front & ~roomy & ~inside & (height < result[place])]] = True
+    underside = _undersides(found, result)
+    return Ground(result, covered, behind, doubtful, raised, above, underside)
+
+
+def _undersides(found: Crossings, ground: FloatArray) -> FloatArray:
+    """Return ``Ground.underside``, (P,), of the ground's heights (P,) [m]."""
+    place, height, front = found.place, found.height, found.front
+    result = ground.copy()
+    below = height < ground[place]
+    result[place[below & ~front]] = height[below & ~front]  # the last is the highest of a place
+    result[place[below & front]] = -np.inf
+    return result
 
 
 def _bodies_above(found: Crossings) -> NDArray[np.int64]:
@@ -119,12 +192,15 @@ def _backs_below(found: Crossings) -> NDArray[np.int64]:
     return counts
 
 
-def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, bool]:
+def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, float]:
     """Return the heights of one place's points, (K,) [m], that are its ground.
 
-    Also returns whether there were several layers. Stray points are a layer of none.
+    Also returns the height of what lies above the lowest layer, which is infinite if nothing does.
+    Stray points are a layer of none.
     """
     ordered = np.sort(heights)
-    parts = np.split(ordered, np.flatnonzero(np.diff(ordered) > choice.headroom) + 1)
+    apart = np.diff(ordered) > choice.headroom - _ROUNDING
+    parts = np.split(ordered, np.flatnonzero(apart) + 1)
     layers = [part for part in parts if len(part) >= _SHARE * len(ordered)]
-    return layers[-1 if choice.highest else 0], len(layers) > 1
+    above = float(layers[1][0]) if len(layers) > 1 else np.inf
+    return layers[-1 if choice.highest else 0], above

@@ -96,7 +96,9 @@ class Mesh:
             for places, heights in _covered(placed[area * sign > 1e-12], along, left)
         ]
         place, height, front = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return ground_of_faces(Crossings(place, height, front), len(along) * len(left), self.choice)
+        crossings = Crossings(place, height, front)
+        ground = ground_of_faces(crossings, len(along) * len(left), self.choice)
+        return ground.without_ceilings_over_holes(along, self.choice)
 
 
 def _covered(

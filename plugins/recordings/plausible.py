@@ -6,11 +6,10 @@ In: extents and a profile [m]. Out: sentences for the user.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .layers import Choice
+from .layers import Choice, Ground
 
 LARGE = 1000.0
 """Extent above which the unit may be wrong [m]."""
@@ -42,10 +41,9 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
         yield f"a face at x = {x:.2f} m is {height:.4g} m high, more than 1 m; {remedy}"
 
 
-def remarks_on_layers(
-    covered: NDArray[np.bool_], doubtful: NDArray[np.bool_], choice: Choice
-) -> Iterator[str]:
+def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
     """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
+    covered, doubtful, raised = ground.covered, ground.doubtful, ground.raised
     if covered.any():
         taken, other = ("highest", "false takes the lowest")
         if not choice.highest:
@@ -55,10 +53,26 @@ def remarks_on_layers(
             f"{int(covered.sum())} of {len(covered)} places along the line, as a ceiling or a "
             f"bridge does; the {taken} layer is taken (terrain.highest={other})"
         )
+    if raised.any() and not choice.highest:
+        yield (
+            f"something lies less than {choice.headroom:g} m above a lower surface at "
+            f"{int(raised.sum())} of {len(raised)} places along the line; the robot drives on the "
+            f"upper one there (terrain.headroom={choice.headroom:g} is set, a smaller one lets it "
+            "drive below)"
+        )
     if doubtful.any() and not choice.highest:
         yield (
             f"at {int(doubtful.sum())} of {len(doubtful)} places along the line a face may lie in "
             "a body that is not closed; it is not taken for ground"
+        )
+
+
+def remarks_on_missing(heights: FloatArray) -> Iterator[str]:
+    """Yield at how many places along the line a map's heights, (D,) [m], are unknown (NaN)."""
+    if count := int(np.isnan(heights).sum()):
+        yield (
+            f"heights are missing at {count} of {len(heights)} places along the line; they are "
+            "interpolated between their neighbours (terrain.largest_gap)"
         )
 
 

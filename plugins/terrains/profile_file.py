@@ -18,7 +18,12 @@ from ..recordings.layers import Choice
 from ..recordings.line import Line
 from ..recordings.mesh import Mesh, read_mesh
 from ..recordings.missing import without_missing
-from ..recordings.plausible import remarks_on_extent, remarks_on_layers, remarks_on_profile
+from ..recordings.plausible import (
+    remarks_on_extent,
+    remarks_on_layers,
+    remarks_on_missing,
+    remarks_on_profile,
+)
 from ..recordings.quiet import quiet
 from ..recordings.surface import RecordedSurface
 
@@ -208,11 +213,12 @@ class ProfileFile(Terrain):
         if isinstance(ground, HeightMap):
             heights, remark = ground.along(line)
             remarks += [remark] if remark else []
+            remarks += remarks_on_missing(heights)
         else:
             unknown = "the mesh is not closed"
             layers = ground.along(line)
             heights = layers.height
-            remarks += remarks_on_layers(layers.covered, layers.doubtful, self._choice)
+            remarks += remarks_on_layers(layers, self._choice)
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
@@ -222,15 +228,15 @@ class ProfileFile(Terrain):
         points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
-        heights, several = cloud.slice_along(
+        ground = cloud.slice_along(
             points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
         )
-        remarks += remarks_on_layers(several, np.zeros_like(several), self._choice)
-        return heights
+        remarks += remarks_on_layers(ground, self._choice)
+        return ground.height
 
     @property
     def _choice(self) -> Choice:
-        return Choice(self.headroom, self.highest)
+        return Choice(self.headroom, self.highest, self.largest_gap)
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which may be read anywhere."""

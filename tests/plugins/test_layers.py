@@ -63,11 +63,11 @@ def test_the_ground_is_a_layer_with_room_above_it(
 def test_stray_points_are_no_layer() -> None:
     floor = np.linspace(0.0, 0.02, 30)
     heights = np.concatenate([floor, [-5.0], 2.5 + floor])
-    found, several = layer_of_points(heights, Choice(1.0, False))
-    assert several
+    found, above = layer_of_points(heights, Choice(1.0, False))
+    assert above == 2.5
     assert found == pytest.approx(floor)
     assert layer_of_points(heights, Choice(1.0, True))[0] == pytest.approx(2.5 + floor)
-    assert not layer_of_points(np.append(floor, 2.5), Choice(1.0, False))[1]
+    assert layer_of_points(np.append(floor, 2.5), Choice(1.0, False))[1] == np.inf
 
 
 def test_the_robot_drives_below_a_ceiling_in_the_plane_and_in_3d(tmp_path: Path) -> None:
@@ -146,6 +146,71 @@ def test_a_wrong_unit_and_missing_values_of_a_csv_are_said(
     assert text in found
 
 
+SLAB = [((0, 0, -1), (3, 3, 0)), ((3, 0, -1), (8, 3, 0.2)), ((0, 0, 0.7), (8, 3, 0.8))]
+LONG = {"start": (0.5, 1.5), "end": (7.5, 1.5)}
+
+
+def terrain_of(path: Path, **fields: Any) -> Any:
+    settings = {"name": "profile_file", "path": str(path), **fields}
+    return resolver.create("terrain", settings, "terrain")
+
+
+def test_a_slab_that_is_too_low_to_drive_below_is_said(tmp_path: Path) -> None:
+    write(tmp_path / "slab.obj", solid(*SLAB))
+    found = terrain_of(tmp_path / "slab.obj", **LONG)
+    assert np.ptp(found.generate(np.random.default_rng(0)).points[:, 1]) < 1e-6
+    (notice,) = found.notices()
+    assert "less than 1 m above a lower surface at 351 of 351 places along the line" in notice
+    assert "the robot drives on the upper one there (terrain.headroom=1 is set" in notice
+    (notice, below) = terrain_of(tmp_path / "slab.obj", headroom=0.6, **LONG).notices()[:2]
+    assert "lies 0.6 m or more above the ground" in notice
+    assert "less than 0.6 m above a lower surface" in below
+    assert terrain_of(tmp_path / "slab.obj", highest=True, **LONG).notices()[1:] == ()
+
+
+def test_free_height_equal_to_the_headroom_is_enough(tmp_path: Path) -> None:
+    write(tmp_path / "slab.obj", solid(*SLAB))  # 0.7 m - 0.2 m, which floats make 0.49999…
+    found = profile(tmp_path / "slab.obj", headroom=0.5, **LONG)
+    assert found.height(6.0) == pytest.approx(0.2)
+    assert len(layer_of_points(np.array([0.2, 0.2, 0.7, 0.7]), Choice(0.5, False))[0]) == 2
+
+
+@pytest.mark.parametrize("ceiling", [sheet(0, 8, 2.5), solid(((0, 0, 2.5), (8, 3, 2.6)))])
+def test_a_small_hole_in_the_floor_below_a_ceiling_is_bridged(
+    ceiling: Trimesh, tmp_path: Path
+) -> None:
+    file = tmp_path / "room.obj"
+    floor = [sheet(0, 3, 0), sheet(3, 5, 0.2), sheet(5.12, 8, 0.2)]
+    write(file, concatenate([*floor, ceiling]))
+    found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
+    assert found.points[:, 1].max() == pytest.approx(0.2)
+    assert found.surface.heights(np.array([-0.3, 0.0])).max() == pytest.approx(0.2)
+    wide = terrain_of(file, largest_gap=0.1, **LONG).generate(np.random.default_rng(0))
+    assert wide.points[:, 1].max() >= 2.5
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [sheet(5, 5.1, 1.3), solid(((5, 0, -0.1), (5.1, 3, 1.3))), solid(((5, 0, 0), (5.1, 3, 2.5)))],
+)
+def test_a_narrow_wall_below_a_ceiling_is_no_hole(wall: Trimesh, tmp_path: Path) -> None:
+    file = tmp_path / "wall.obj"
+    floor = [sheet(0, 4.99, 0), sheet(5.11, 8, 0), solid(((0, 0, 2.5), (8, 3, 2.6)))]
+    write(file, concatenate([*floor, wall]))
+    found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
+    assert found.points[:, 1].max() >= 1.3
+
+
+def test_a_small_hole_in_a_cloud_of_a_room_is_bridged(tmp_path: Path) -> None:
+    floor = scanned()[:-2]
+    ceiling = floor * (1, 1, 0) + (0, 0, 9.5)
+    hole = np.abs(floor[:, 0] - 2.0) < 0.06
+    write_cloud(tmp_path / "room.xyz", np.vstack([floor[~hole], ceiling]))
+    found = profile(tmp_path / "room.xyz", **LINE)
+    assert_block(found, 0.02)
+    assert found.points[:, 1].max() < 0.31
+
+
 def test_plain_ground_is_not_remarked_on(tmp_path: Path) -> None:
     write(tmp_path / "block.obj", solid(*BLOCK))
     assert warnings_of(*FILE_LINE, "terrain.path=block.obj", cwd=tmp_path) == []
@@ -173,6 +238,19 @@ def test_missing_values_of_a_map_are_unknown_ground(
         profile(tmp_path / "map.npy", resolution=0.05, **LINE, **fields)
     wide = profile(tmp_path / "map.npy", resolution=0.05, largest_gap=0.4, **LINE, **fields)
     assert np.ptp(wide.points[:, 1]) == 0
+
+
+@pytest.mark.parametrize("value", [-9999.0, 77.0, np.nan])
+def test_missing_values_on_the_line_are_counted_where_they_are_bridged(
+    value: float, tmp_path: Path
+) -> None:
+    heights = np.zeros((61, 81))  # in cells of 5 cm; the line runs along row 40
+    heights[40:42, 38:40] = value
+    np.save(tmp_path / "map.npy", heights)
+    found = terrain_of(tmp_path / "map.npy", resolution=0.05, no_data=77.0, **LINE)
+    assert np.ptp(found.generate(np.random.default_rng(0)).points[:, 1]) == 0
+    # Between the known cells at 1.85 and 2.00 m lie the places from 1.86 to 1.98 m.
+    assert "heights are missing at 7 of 101 places along the line" in found.notices()[-1]
 
 
 def test_comments_and_gaps_of_a_csv_are_read(tmp_path: Path) -> None:
