@@ -43,7 +43,10 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
 
 def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
     """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
-    covered, doubtful, raised = ground.covered, ground.doubtful, ground.raised
+    covered, doubtful = ground.covered, ground.doubtful
+    # At a single place, two sheets that form a step meet.
+    same = np.append(ground.raised[1:] & ground.raised[:-1], False)
+    raised = same | np.roll(same, 1)
     if covered.any():
         taken, other = ("highest", "false takes the lowest")
         if not choice.highest:

@@ -185,6 +185,8 @@ def test_a_small_hole_in_the_floor_below_a_ceiling_is_bridged(
     found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
     assert found.points[:, 1].max() == pytest.approx(0.2)
     assert found.surface.heights(np.array([-0.3, 0.0])).max() == pytest.approx(0.2)
+    (notice,) = terrain_of(file, **LONG).notices()  # the sheets that meet at 3 m are a step
+    assert "lies 1 m or more above the ground" in notice
     wide = terrain_of(file, largest_gap=0.1, **LONG).generate(np.random.default_rng(0))
     assert wide.points[:, 1].max() >= 2.5
 
