@@ -102,9 +102,9 @@ def _summary(folder: Path) -> dict[str, Any]:
 def compare(folder: Path, runs: Sequence[SweepRun]) -> None:
     """Write ``sweep.csv`` into the sweep's ``folder`` and print the table to stderr.
 
-    A run that was refused, such as one whose folder holds a run with other settings, is left out.
+    A run that was refused since its folder holds another one is left out: the row is the other's.
     """
-    runs = [run for run in runs if not isinstance(run.error, RequestError)]
+    runs = [run for run in runs if not (run.summary and isinstance(run.error, RequestError))]
     if not runs:
         return
     rows = _earlier_rows(folder / FILE, runs) + [run.row() for run in runs]
