@@ -67,6 +67,7 @@ def test_render_names_what_is_missing_and_whose_fault_it_is(
         env.render()
 
 
+@pytest.mark.slow
 def test_an_unknown_drawing_library_is_one_error() -> None:
     # In a process of its own, since MuJoCo reads the variable when it is imported.
     asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]
