@@ -68,8 +68,9 @@ class Table:
         ``broken``: headings are broken at spaces where they are wider than their cells.
         """
         title = Text(plain(self.title, to), "italic") if self.title else None
-        lines = {} if self._boxed else {"box": None, "padding": (0, 2), "header_style": "dim"}
-        table = RichTable(title=title, title_justify="left", **lines)  # type: ignore[arg-type]
+        table = RichTable(title=title, title_justify="left")
+        if not self._boxed:
+            table.box, table.padding, table.header_style = None, (0, 2), "dim"
         for at, heading in enumerate(self.headings):
             words, shown = heading in self._words, _text(heading, to)
             if broken:
