@@ -20,8 +20,8 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.bench.settings import BenchSettings
+from flipperctl.cli.hydra.search_space import SearchSettings
 from flipperctl.cli.main import app
-from flipperctl.cli.search import SearchSettings
 from flipperctl.config import (
     Agent,
     Episode,
@@ -134,7 +134,7 @@ TEXTS: Mapping[str, Callable[[], str]] = {
 
 def _top_level() -> Iterator[Field]:
     """Yield the keys that name a plugin or a variant, and those outside of all sections."""
-    from flipperctl.cli import compose, config_store
+    from flipperctl.cli.hydra import compose, config_store
     from flipperctl.config.describe import settings as all_settings
 
     config_store.register_defaults()

@@ -57,7 +57,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
-    sweepers = "flipperctl/cli/hydra_plugins"
+    sweepers = "flipperctl/cli/hydra/plugins"
     folders = {"flipperctl": "flipperctl", "plugins": "flipperctl_plugins"}
     wanted = {
         f"{package}/{path.relative_to(ROOT / folder)}"

@@ -82,9 +82,9 @@ def bench(
     from flipperctl import plugins as loader
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
-    from flipperctl.cli.bench_output import tables
-    from flipperctl.cli.result_folder import result_folder
     from flipperctl.files import write_json
+    from flipperctl.runs.results import result_folder
+    from flipperctl.terminal.bench import tables
 
     loader.load(plugins or ())
     overrides = with_flags(overrides, SECTION.rstrip("."), repeats=repeats)
@@ -113,7 +113,7 @@ def bench(
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
         return
-    from flipperctl.cli.console import console
+    from flipperctl.terminal.console import console
 
     for table in tables(document):
         table.print(console())
@@ -147,9 +147,9 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
     """
     from flipperctl.bench.settings import sizes
-    from flipperctl.cli import compose, config_store
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import check_once, override_values
+    from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
+    from flipperctl.cli.hydra.overrides import check_once, override_values
     from flipperctl.config import resolver
 
     check_once(overrides)
@@ -194,7 +194,7 @@ def _measure(name: str, settings: Bench, commands: list[tuple[str, ...]]) -> dic
 @contextmanager
 def _progress(measure: str) -> Iterator[Callable[[str, float], None]]:
     """Show a bar with the time left on a terminal, occasional lines elsewhere."""
-    from flipperctl.cli.bench_output import Bar, Lines
+    from flipperctl.terminal.bench import Bar, Lines
 
     shown = Bar(measure) if sys.stderr.isatty() else Lines(measure)
     try:

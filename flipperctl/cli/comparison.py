@@ -13,11 +13,11 @@ from typing import Any
 
 from hydra.core.utils import JobReturn
 
-from flipperctl.cli.follow_up import quote_path
-from flipperctl.cli.swing import HEADING, PAPERS_HEADING
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.files import write_csv
-from flipperctl.training.run_folder import SUMMARY, holds_run
+from flipperctl.runs.folder import SUMMARY, holds_run
+from flipperctl.terminal.follow_up import quote_path
+from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 
 FILE = "sweep.csv"
 _ROWS = 40
@@ -127,8 +127,8 @@ def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
 
 
 def _print(folder: Path, runs: Sequence[SweepRun]) -> None:
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))
     numbers = ("success", HEADING, PAPERS_HEADING, "t_cost [s]", "decisions", "seconds")

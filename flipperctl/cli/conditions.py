@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 
-from flipperctl.cli.overrides import parse_overrides
+from flipperctl.cli.hydra.overrides import parse_overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions

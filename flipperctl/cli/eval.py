@@ -103,11 +103,11 @@ def run(
     from flipperctl import plugins as loader
     from flipperctl.checkpoint.recording import require_one_layout
     from flipperctl.cli.eval_output import EvalOutput
-    from flipperctl.cli.interrupts import interrupts
-    from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.files import check_writable
+    from flipperctl.runs.interrupts import interrupts
+    from flipperctl.terminal.progress import episodes_progress
 
     loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from flipperctl.cli.progress import episodes_progress
-from flipperctl.cli.result_folder import result_folder
 from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.evaluation import files
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
+from flipperctl.runs.results import result_folder
+from flipperctl.terminal.progress import episodes_progress
 
 
 class EvalOutput:
@@ -126,8 +126,8 @@ def _attempt(steps: Sequence[Callable[[], None]]) -> None:
 
 def _print_tables(result: EvaluationResult, label: str) -> None:
     from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
-    from flipperctl.cli.eval_tables import comparisons, search_lines, table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.evaluation import comparisons, search_lines, table
 
     out = console()
     for shown in (table(result, label), *comparisons(result)):

@@ -92,8 +92,8 @@ def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
     Raises:
         ConfigError: an override is malformed, or sets anything but a field of the robot.
     """
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import check_words, override_values
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
+    from flipperctl.cli.hydra.overrides import check_words, override_values
     from flipperctl.errors import ConfigError
 
     check_words(overrides)

@@ -12,8 +12,8 @@ from typer.exceptions import TyperException
 
 from flipperctl import entry
 from flipperctl.cli.command import App
-from flipperctl.cli.streams import log_to_stderr, plain_streams
 from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.terminal.streams import log_to_stderr, plain_streams
 
 COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    if notices := sys.modules.get("flipperctl.cli.notices"):  # of an earlier command
+    if notices := sys.modules.get("flipperctl.terminal.notices"):  # of an earlier command
         notices.begin()
     if arguments == ["--version"]:
         from flipperctl import __version__

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli import follow_up
 from flipperctl.errors import RequestError
+from flipperctl.terminal import follow_up
 
 
 def _remember_plugins(paths: list[Path] | None) -> list[Path] | None:

@@ -23,8 +23,8 @@ def check_single(overrides: list[str]) -> None:
     Raises:
         ConfigError: a setting has several values.
     """
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import parse_overrides
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
+    from flipperctl.cli.hydra.overrides import parse_overrides
     from flipperctl.errors import ConfigError
 
     with convert_hydra_errors():
@@ -45,11 +45,16 @@ def check(overrides: list[str], *, compose: bool) -> None:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
         KeyboardInterrupt: Ctrl-C was pressed.
     """
-    from flipperctl.cli.combinations import interval_probes
-    from flipperctl.cli.compose import compose_train
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.interrupts import interrupts
-    from flipperctl.cli.overrides import check_folders, check_mappings, check_once, check_words
+    from flipperctl.cli.hydra.combinations import interval_probes
+    from flipperctl.cli.hydra.compose import compose_train
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
+    from flipperctl.cli.hydra.overrides import (
+        check_folders,
+        check_mappings,
+        check_once,
+        check_words,
+    )
+    from flipperctl.runs.interrupts import interrupts
 
     typed_alone = plain(overrides)
     if typed_alone:  # with options, words may be their values

@@ -13,16 +13,16 @@ from typing import Any
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.api import Controller, Robot
-from flipperctl.cli import compose, config_store
-from flipperctl.cli.combinations import combinations
-from flipperctl.cli.hydra_errors import convert_hydra_errors
-from flipperctl.cli.overrides import check_words, override_values, parse_overrides
+from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra.combinations import combinations
+from flipperctl.cli.hydra.errors import convert_hydra_errors
+from flipperctl.cli.hydra.overrides import check_words, override_values, parse_overrides
 from flipperctl.cli.policy_file import find_policy
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, RequestError
-from flipperctl.evaluation.compare_rewards import Rewards, RewardScene
 from flipperctl.messages import close_match
 from flipperctl.policies.source import PolicySource
+from flipperctl.studies.reward_comparison import Rewards, RewardScene
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.api import registry
-from flipperctl.cli import compose, config_store
-from flipperctl.cli.combinations import combinations
 from flipperctl.cli.conditions import training_line
-from flipperctl.cli.hydra_errors import convert_hydra_errors
-from flipperctl.cli.overrides import check_words, parse_overrides
+from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra.combinations import combinations
+from flipperctl.cli.hydra.errors import convert_hydra_errors
+from flipperctl.cli.hydra.overrides import check_words, parse_overrides
 from flipperctl.cli.policy_file import find_policy
 from flipperctl.config import EvalConfig, TrainConfig, resolver
 from flipperctl.config.absent import AbsentReward, AbsentTerrain

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from flipperctl.cli import follow_up
 from flipperctl.cli.command import TrainingCommand
 from flipperctl.cli.options import Overrides, PluginPaths
+from flipperctl.terminal import follow_up
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
@@ -83,11 +83,12 @@ def _hydra(arguments: list[str], *, check: bool) -> None:
     from hydra.core.utils import env_override
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import config_store, preflight
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
+    from flipperctl.cli import preflight
+    from flipperctl.cli.hydra import config_store
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
     from flipperctl.errors import InterruptedRunError
     from flipperctl.files import failure
-    from flipperctl.training.lock import holder
+    from flipperctl.runs.lock import holder
 
     config_store.register_defaults()
     config_store.register_sweepers()
@@ -161,12 +162,12 @@ def _task(
 
     from flipperctl import plugins as loader
     from flipperctl.cli import preflight
-    from flipperctl.cli.compose import parse_training
-    from flipperctl.cli.notices import print_notices
-    from flipperctl.cli.search import objective
-    from flipperctl.cli.sweep_stop import stop_of
+    from flipperctl.cli.hydra.compose import parse_training
     from flipperctl.cli.training import start, start_or_go_on
     from flipperctl.errors import InterruptedRunError
+    from flipperctl.runs.search import objective
+    from flipperctl.runs.sweep_stop import stop_of
+    from flipperctl.terminal.notices import print_notices
 
     loader.load(paths)
     follow_up.remember_plugins(typed)
@@ -196,7 +197,7 @@ def _keep_hydra_files(composed: Any, directory: Path) -> None:
     from omegaconf import OmegaConf
 
     from flipperctl.files import make_folder, write_bytes
-    from flipperctl.training import run_folder
+    from flipperctl.runs import folder as run_folder
 
     hydra = HydraConfig.get()
     if hydra.output_subdir is not None:
@@ -213,8 +214,8 @@ def _keep_hydra_files(composed: Any, directory: Path) -> None:
 
 def _resume(run: Path, overrides: list[str]) -> None:
     from flipperctl.cli import preflight
-    from flipperctl.cli.hydra_errors import convert_hydra_errors
-    from flipperctl.cli.overrides import override_values
+    from flipperctl.cli.hydra.errors import convert_hydra_errors
+    from flipperctl.cli.hydra.overrides import override_values
     from flipperctl.cli.training import resume_run
     from flipperctl.errors import ConfigError, InterruptedRunError
 

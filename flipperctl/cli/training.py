@@ -12,11 +12,6 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.cli.follow_up import command, quote_path
-from flipperctl.cli.interrupts import interrupts
-from flipperctl.cli.notices import print_notices
-from flipperctl.cli.progress import progress
-from flipperctl.cli.swing import swing_text
 from flipperctl.config import TrainConfig, container, with_overrides
 from flipperctl.errors import (
     FlipperctlError,
@@ -26,10 +21,15 @@ from flipperctl.errors import (
     WriteError,
 )
 from flipperctl.files import make_folder, write_bytes
-from flipperctl.training import run_folder
+from flipperctl.runs import folder as run_folder
+from flipperctl.runs.interrupts import interrupts
+from flipperctl.runs.lock import hold
+from flipperctl.terminal.follow_up import command, quote_path
+from flipperctl.terminal.notices import print_notices
+from flipperctl.terminal.pitch_variation import swing_text
+from flipperctl.terminal.progress import progress
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv, TensorBoard
-from flipperctl.training.lock import hold
 from flipperctl.training.trainer import Trainer
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.follow_up import command
 from flipperctl.cli.options import (
     AsJson,
     CheckpointFile,
@@ -25,12 +24,13 @@ from flipperctl.cli.options import (
     with_flags,
 )
 from flipperctl.errors import RequestError
+from flipperctl.terminal.follow_up import command
 
 if TYPE_CHECKING:
-    from flipperctl.cli.tables import Table
     from flipperctl.evaluation.results import Summary
     from flipperctl.evaluation.scenes import Scene
-    from flipperctl.evaluation.transfer import TransferResult
+    from flipperctl.studies.transfer import TransferResult
+    from flipperctl.terminal.tables import Table
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
@@ -81,15 +81,15 @@ def run(
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl import plugins as loader
-    from flipperctl.cli.compose import only_one
-    from flipperctl.cli.progress import episodes_progress
-    from flipperctl.cli.result_folder import result_folder
+    from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes, with_engine
-    from flipperctl.evaluation.engines import in_default_engine
-    from flipperctl.evaluation.transfer import correct_scenes, transfer
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import write_json
     from flipperctl.report.film import check_film
+    from flipperctl.runs.results import result_folder
+    from flipperctl.studies.engines import in_default_engine
+    from flipperctl.studies.transfer import correct_scenes, transfer
+    from flipperctl.terminal.progress import episodes_progress
 
     loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
@@ -122,7 +122,7 @@ def run(
 
 
 def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
-    from flipperctl.cli.compose import only_one
+    from flipperctl.cli.hydra.compose import only_one
     from flipperctl.report.drawn_film import film
     from flipperctl.rollout.seeds import EvaluationSeeds
 
@@ -133,8 +133,8 @@ def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
 
 def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:
     from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
     from flipperctl.evaluation.conditions import scene_names
+    from flipperctl.terminal.console import console
 
     out = console()
     names = scene_names([(one.terrain, one.conditions) for one in found])
@@ -146,10 +146,10 @@ def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[s
 
 
 def _table(named: list[tuple[str, TransferResult]]) -> Table:
-    from flipperctl.cli.eval_tables import gap_cells
-    from flipperctl.cli.swing import HEADING
-    from flipperctl.cli.tables import Table
     from flipperctl.evaluation.tables import interval_text
+    from flipperctl.terminal.evaluation import gap_cells
+    from flipperctl.terminal.pitch_variation import HEADING
+    from flipperctl.terminal.tables import Table
 
     one = named[0][1]
     first, second = one.engines

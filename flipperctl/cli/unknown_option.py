@@ -31,8 +31,8 @@ def explain(name: str, value: str, known: Sequence[str], primary: str | None) ->
 def _settings(key: str, primary: str) -> Iterator[str]:
     """Yield the paths that the word ``key`` may mean: a whole path, or the end of a few."""
     from flipperctl import plugins
-    from flipperctl.cli import config_store
-    from flipperctl.cli.compose import compose_train
+    from flipperctl.cli.hydra import config_store
+    from flipperctl.cli.hydra.compose import compose_train
     from flipperctl.config import EvalConfig
     from flipperctl.config.describe import settings
 

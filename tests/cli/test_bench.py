@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from flipperctl.bench.settings import SMALL, BenchSettings
-from flipperctl.cli import bench, bench_output
-from flipperctl.cli.console import PlainConsole
+from flipperctl.cli import bench
+from flipperctl.terminal import bench as bench_output
+from flipperctl.terminal.console import PlainConsole
 from tests.cli.call import call
 from tests.cli.test_errors import refused
 

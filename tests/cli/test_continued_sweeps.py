@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli.sweep_stop import stop_of, stopping
-from flipperctl.training import run_folder
-from flipperctl.training.lock import holder
+from flipperctl.runs import folder as run_folder
+from flipperctl.runs.lock import holder
+from flipperctl.runs.sweep_stop import stop_of, stopping
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call
 from tests.long.forked import differences, result

@@ -28,7 +28,7 @@ def interrupt(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
             yield report
 
-        monkeypatch.setattr("flipperctl.cli.progress.episodes_progress", progress)
+        monkeypatch.setattr("flipperctl.terminal.progress.episodes_progress", progress)
 
     return arrange
 

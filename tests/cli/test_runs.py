@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli.sweeps import UNNAMED, folder_name
-from flipperctl.training import run_folder
-from flipperctl.training.lock import hold
+from flipperctl.cli.hydra.sweeps import UNNAMED, folder_name
+from flipperctl.runs import folder as run_folder
+from flipperctl.runs.lock import hold
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.long.forked import differences, result

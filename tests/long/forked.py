@@ -42,9 +42,9 @@ def preload() -> None:
     import torch
     from torch.utils.tensorboard import SummaryWriter  # noqa: F401
 
-    import flipperctl.cli.compose
+    import flipperctl.cli.hydra.compose
+    import flipperctl.cli.hydra.optuna_search
     import flipperctl.cli.main
-    import flipperctl.cli.optuna_search
     import flipperctl.cli.training  # noqa: F401
     from flipperctl import plugins
     from flipperctl.env.flipper_env import FlipperEnv

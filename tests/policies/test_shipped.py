@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli import compose, config_store
+from flipperctl.cli.hydra import compose, config_store
 from flipperctl.config import container
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
-from flipperctl.cli.swing import swing_text
+from flipperctl.terminal.pitch_variation import swing_text
 
 if TYPE_CHECKING:
     from flipperctl.checkpoint import Checkpoint

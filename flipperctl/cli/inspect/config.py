@@ -45,7 +45,7 @@ def show(
     from omegaconf import OmegaConf
 
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose, config_store
+    from flipperctl.cli.hydra import compose, config_store
     from flipperctl.config import container
 
     loader.load(plugins or ())
@@ -89,8 +89,8 @@ def _print(found: Iterable[dict[str, Any]]) -> None:
 
     from rich.text import Text
 
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     out = console(natural=120)
     headings = ("setting", "value", "default", "bounds", "unit", "meaning")

@@ -20,7 +20,7 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
     Raises:
         ConformanceError: a check failed; the text names plugins and checks.
     """
-    from flipperctl.cli.bench_output import Bar, Lines
+    from flipperctl.terminal.bench import Bar, Lines
 
     todo = checks(*plugins, pictures=pictures)
     shown = Bar("check") if sys.stderr.isatty() else Lines("check")
@@ -65,8 +65,8 @@ def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dic
 def _print(rows: Sequence[dict[str, Any]]) -> None:
     from rich.text import Text
 
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     output = console()
     headings = ("plugin", "check", "ok", "time [s]")

@@ -12,7 +12,7 @@ from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import FlipperctlError, RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.conventions import Probe
+    from flipperctl.studies.conventions import Probe
 
 HELP = """Probe signs, frames, units and timing of both engines, of sensing and of an exported file.
 
@@ -66,12 +66,12 @@ def show(
 
 
 def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
-    from flipperctl.cli import config_store
-    from flipperctl.cli.compose import compose_environment
+    from flipperctl.cli.hydra import config_store
+    from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.scenes import with_engine
-    from flipperctl.evaluation.conventions import probe_export, probe_sensing, probe_world
-    from flipperctl.evaluation.engines import in_default_engine
     from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
+    from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
+    from flipperctl.studies.engines import in_default_engine
 
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
@@ -89,8 +89,8 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
 
 
 def _print(found: list[Probe]) -> None:
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     headings = ("probed", "convention", "found", "expected", "")
     table = Table(headings, words=["convention"])

@@ -13,7 +13,7 @@ from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default,
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.engines import EngineComparison
+    from flipperctl.studies.engines import EngineComparison
 
 HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
 
@@ -58,9 +58,9 @@ def show(
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     from flipperctl import plugins as loader
-    from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.scenes import scenes, with_engine
-    from flipperctl.evaluation.engines import compare_engines, in_default_engine
+    from flipperctl.studies.engines import compare_engines, in_default_engine
+    from flipperctl.terminal.progress import episodes_progress
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
@@ -80,9 +80,9 @@ def show(
 
 def _print(found: list[EngineComparison]) -> None:
     from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
     from flipperctl.evaluation.conditions import scene_names
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     first, second = found[0].engines
     title = f"{second} against {first}, the same actions of {found[0].controller}"
@@ -102,7 +102,7 @@ def _print(found: list[EngineComparison]) -> None:
 
 
 def _cells(scene: EngineComparison) -> list[str]:
-    from flipperctl.evaluation.engines import mean
+    from flipperctl.studies.engines import mean
 
     total, reached = len(scene.episodes), scene.reached
     counts = [

@@ -91,8 +91,8 @@ def describe(kind: str, name: str) -> dict[str, Any]:
 def _print(found: list[dict[str, Any]]) -> None:
     from rich.text import Text
 
-    from flipperctl.cli.console import console, plain
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console, plain
+    from flipperctl.terminal.tables import Table
 
     output = console()
 

@@ -12,8 +12,8 @@ from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default,
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.audit import AuditResult
-    from flipperctl.evaluation.ranking import SceneRanking
+    from flipperctl.studies.audit import AuditResult
+    from flipperctl.studies.ranking import SceneRanking
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
@@ -74,10 +74,10 @@ def show(
         loader.load(plugins or ())
         _compare(compare, arguments, as_json)
         return
-    from flipperctl.cli.compose import only_one
-    from flipperctl.cli.progress import episodes_progress
+    from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
-    from flipperctl.evaluation.audit import audit
+    from flipperctl.studies.audit import audit
+    from flipperctl.terminal.progress import episodes_progress
 
     loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
@@ -93,11 +93,11 @@ def show(
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
-    from flipperctl.cli.progress import episodes_progress
     from flipperctl.cli.reward_scenes import policies, reward_scenes
-    from flipperctl.evaluation.compare_rewards import compare_rewards
-    from flipperctl.evaluation.ranking import decide
     from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.studies.ranking import decide
+    from flipperctl.studies.reward_comparison import compare_rewards
+    from flipperctl.terminal.progress import episodes_progress
 
     sources, others = policies(names, overrides)
     scenes = reward_scenes(others, sources)
@@ -115,8 +115,8 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
 
 def _print_comparison(found: list[SceneRanking]) -> None:
     from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
-    from flipperctl.cli.reward_tables import table, verdict_lines
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.rewards import table, verdict_lines
 
     out = console()
     table(found).print(out)
@@ -127,8 +127,8 @@ def _print_comparison(found: list[SceneRanking]) -> None:
 
 def _print(found: AuditResult) -> None:
     from flipperctl.cli.conditions import condition_lines
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     title = (
         f"{found.controller} on {found.terrain}: {found.episodes} episodes, "

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from flipperctl.cli.options import AsJson, PluginPaths
-from flipperctl.cli.swing import HEADING, PAPERS_HEADING
+from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 
 HELP = """Summarise a training run, and plot its learning curves with --output.
 
@@ -85,8 +85,8 @@ def _resume_command(run: Path) -> str:
     A run knows the names of its plugins' files, not where they lie.
     """
     from flipperctl import checkpoint
-    from flipperctl.cli import follow_up
     from flipperctl.errors import CheckpointError
+    from flipperctl.terminal import follow_up
 
     command = follow_up.command("train", "--resume", run)
     files: list[str] = []
@@ -98,8 +98,8 @@ def _resume_command(run: Path) -> str:
 
 
 def _print(found: dict[str, Any]) -> None:
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"

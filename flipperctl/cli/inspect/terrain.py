@@ -41,7 +41,7 @@ def show(
 ) -> None:
     """See HELP."""
     from flipperctl import plugins as loader
-    from flipperctl.cli import compose, config_store
+    from flipperctl.cli.hydra import compose, config_store
     from flipperctl.config import resolver
     from flipperctl.env.flipper_env import FlipperEnv
     from flipperctl.errors import RequestError
@@ -105,8 +105,8 @@ def describe(profile: Profile) -> dict[str, Any]:
 
 
 def _print(name: str, numbers: list[dict[str, Any]]) -> None:
-    from flipperctl.cli.console import console
-    from flipperctl.cli.tables import Table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.tables import Table
 
     headings = (
         *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),

@@ -1,0 +1,1 @@
+"""All that speaks Hydra: overrides, composition, launchers and sweepers."""

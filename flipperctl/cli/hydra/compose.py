@@ -1,0 +1,118 @@
+"""Compose validated configurations from overrides, with Hydra.
+
+In: overrides as the user typed them. Out: ``TrainConfig`` and ``EvalConfig``, one for each
+combination of the lists among the overrides. ``config_store`` holds the defaults.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
+
+from hydra import compose, initialize_config_dir
+from hydra.errors import ConfigCompositionException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+
+from flipperctl.cli import conditions
+from flipperctl.cli.hydra.combinations import combinations
+from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
+from flipperctl.cli.hydra.errors import (
+    convert_hydra_errors,
+    missing_choice,
+    unknown_key,
+    wrong_choice,
+)
+from flipperctl.cli.hydra.overrides import check_words
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
+from flipperctl.errors import ConfigError
+from flipperctl.terminal.notices import print_notices
+
+Composed = TypeVar("Composed")
+
+
+def parse_training(composed: DictConfig) -> TrainConfig:
+    """Return the validated training configuration of what Hydra composed."""
+    return parse(TrainConfig, _plain(composed))
+
+
+def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
+    """Return one configuration for each combination of the sweeps in ``overrides``.
+
+    Raises:
+        ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
+    """
+    found = [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
+    for config in found:
+        print_notices(config)
+    return found
+
+
+def compose_eval(
+    overrides: Sequence[str], primary: str = EVAL_CONTROLLER
+) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
+    """Return the configuration of each combination, and the controller's settings, if any."""
+    found = []
+    for combination, plain in _compositions(primary, overrides):
+        settings = plain.pop("controller", None)
+        plain["conditions"] = conditions.chosen_name(combination)
+        config = parse(EvalConfig, plain)
+        conditions.check_effect(config, combination)
+        print_notices(config)
+        found.append((config, settings))
+    return found
+
+
+def compose_environment(overrides: Sequence[str], primary: str = EVAL_CONTROLLER) -> EnvConfig:
+    """Return the environment of an evaluation with these overrides."""
+    config, _ = only_one(compose_eval(overrides, primary))
+    return config
+
+
+def only_one(found: Sequence[Composed]) -> Composed:
+    """Return the only configuration, for commands that take just one.
+
+    Raises:
+        ConfigError: lists among the overrides gave several.
+    """
+    if len(found) > 1:
+        raise ConfigError(
+            f"the lists among the overrides give {len(found)} configurations; this command looks "
+            "at one"
+        )
+    return found[0]
+
+
+def _compositions(
+    primary: str, overrides: Sequence[str]
+) -> Iterator[tuple[list[str], dict[str, Any]]]:
+    """Yield each combination of the sweeps, and what it composes to."""
+    check_words(overrides)
+    with convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
+        for combination in combinations(overrides):
+            if (
+                primary != EVAL_CHECKPOINT
+                and conditions.chosen_name(combination) == conditions.TRAINED
+            ):
+                raise ConfigError(
+                    conditions.explain_missing_training(exported=primary == EVAL_EXPORT)
+                )
+            try:
+                yield combination, _plain(compose(primary, combination))
+            except MissingConfigException as error:
+                raise missing_choice(error) from error
+            except ConfigCompositionException as error:
+                raise unknown_key(error, primary, combination) from error
+            except (
+                TypeError,
+                ValueError,
+            ) as error:  # Hydra's errors for a group whose choice is not a name
+                raise wrong_choice(error, combination) from error
+
+
+def _plain(composed: DictConfig) -> dict[str, Any]:
+    with convert_hydra_errors():
+        plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    if not isinstance(plain, dict):
+        raise ConfigError("the configuration is no mapping")
+    # Without the key, the model's defaults would replace the terms that ~rewards dropped.
+    return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}

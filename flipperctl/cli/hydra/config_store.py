@@ -1,0 +1,127 @@
+"""Register the defaults of plugins and sections in Hydra's ConfigStore.
+
+In: the registry, the models' defaults, a checkpoint's configuration, the sweepers. Out: entries of
+config groups and primary configurations.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
+
+from flipperctl.api import ObservationLayout, Robot, registry
+from flipperctl.cli import conditions
+from flipperctl.config import (
+    DEFAULT_ENGINE,
+    EvalConfig,
+    LocalCollector,
+    RayCollector,
+    Teacher,
+    TrainConfig,
+    container,
+    resolver,
+)
+from flipperctl.runs.search import SearchSettings
+
+CONFIGS = str(files("flipperctl.configs"))
+EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
+    "eval",
+    "flipperctl_eval_trained",
+    "flipperctl_eval_exported",
+)
+"""Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
+EVAL_ROBOT = "flipperctl_eval_robot"
+"""Primary configuration of an evaluation of a controller with a robot that a file describes."""
+GROUPS = (
+    *("terrain", "rewards", "network", "collector", "teacher"),
+    *("sim", "perception", "conditions"),
+)
+"""Config groups whose choice is stored under a key of the same name."""
+CHOICES = (*GROUPS, "controller", "experiment")
+"""Keys whose value adds other keys."""
+_TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_SWEEPERS = "hydra_plugins.flipperctl_sweepers"
+
+
+def register_defaults() -> None:
+    """Put every registered plugin's and every section's defaults into the ConfigStore."""
+    store = ConfigStore.instance()
+    teaching = container(Teacher())
+    store.store(group="teacher", name="none", node=teaching)
+    # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
+    store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
+    for (kind, name), cls in registry.items():
+        defaults = resolver.defaults(cls)
+        store.store(group=kind, name=name, node=defaults)
+        if kind == "controller":
+            store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
+    for collector in (LocalCollector(), RayCollector()):
+        store.store(group="collector", name=collector.name, node=container(collector))
+    for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
+        sections = {
+            name: container(info.default) if hasattr(info.default, "model_dump") else info.default
+            for name, info in model.model_fields.items()
+            if name not in GROUPS
+        }
+        store.store(name=primary, node=sections)
+
+
+def register_trained(config: TrainConfig | EvalConfig) -> str:
+    """Register an evaluation of a policy as a primary configuration; return its name.
+
+    The policy brings its terrain, rewards, robot, observation layout and evaluation settings. Its
+    other sections are ``conditions=trained``, unless it is an exported file
+    (``config`` is then an ``EvalConfig``), which lacks them.
+    """
+    store = ConfigStore.instance()
+    own = container(config.environment())
+    own["terrain"] = container(config.terrain, brief=True)
+    layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+    for group in ("terrain", "rewards", "sim", "perception"):
+        store.store(group=group, name=_TRAINED, node=own.pop(group))
+    kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
+    nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
+    primary = EVAL_EXPORT
+    if isinstance(config, TrainConfig):
+        primary = EVAL_CHECKPOINT
+        choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
+        node = {"defaults": choices, **own}
+        store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
+    # Later entries override earlier ones.
+    defaults = [
+        *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
+        *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
+        *("_self_", {"conditions": conditions.NOMINAL}),
+    ]
+    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    return primary
+
+
+def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str:
+    """Register an evaluation with another robot as a primary configuration; return its name.
+
+    ``layout``: the observation layout, if it is another one as well. Overrides change both.
+    """
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": container(robot)}
+    if layout is not None:
+        node["perception"] = container(layout)
+    ConfigStore.instance().store(name=EVAL_ROBOT, node=node)
+    return EVAL_ROBOT
+
+
+def register_sweepers() -> None:
+    """Register ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
+
+    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
+    for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
+    """
+    Plugins.instance()  # Hydra's own entries are made at discovery, and ours come after them
+    settings: dict[str, dict[str, Any]] = {
+        "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
+        "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},
+    }
+    for name, node in settings.items():
+        ConfigStore.instance().store(group="hydra/sweeper", name=name, node=node)

@@ -1,0 +1,182 @@
+"""Explain Hydra's errors: the wrong key or choice, the known ones, a close match.
+
+In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. The text
+of an exception is never parsed: the override at fault is the first that Hydra refuses.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from hydra import compose
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Override
+from hydra.errors import (
+    ConfigCompositionException,
+    HydraException,
+    MissingConfigException,
+    OverrideParseException,
+)
+from omegaconf import OmegaConf
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+
+from flipperctl.api.plugin import registered_names
+from flipperctl.cli.hydra.config_store import CHOICES, GROUPS
+from flipperctl.cli.hydra.overrides import parse_overrides, quote_override
+from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.messages import close_match, reinstall_hint
+
+_LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
+_ENTRY_NAMES = {
+    "rewards": "preset",
+    "conditions": "set",
+}  # the noun for an entry, where it is not the group's name
+
+
+@contextmanager
+def convert_hydra_errors() -> Iterator[None]:
+    """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
+    try:
+        yield
+    except FlipperctlError:
+        raise
+    except OverrideParseException as error:
+        key, _, value = str(error.override).partition("=")
+        if re.search(r"\s[+~]*[\w./@]+=", value):
+            raise ConfigError(
+                f"{error.override!r}: one word holds several overrides; leave the quotes around "
+                f"them out: {error.override}"
+            ) from error
+        raise ConfigError(
+            f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
+            f"stands, quote it: {quote_override(key, value)}"
+        ) from error
+    except MissingConfigException as error:
+        raise missing_choice(error) from error
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_one_line(error)) from error
+
+
+def missing_choice(error: MissingConfigException) -> RequestError:
+    """Return the error for a config group that has no such entry, as in ``terrain=stiar``."""
+    group, _, option = str(error.missing_cfg_file or "").rpartition("/")
+    group, option = group.strip("/"), option.removesuffix(".yaml")
+    options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
+    if not group:
+        return ConfigError(_one_line(error))
+    if group == "hydra/launcher" and option in _LAUNCHER_EXTRAS:
+        extra = _LAUNCHER_EXTRAS[option]
+        return MissingExtraError(
+            f"{group}={option} needs the package hydra-{extra}-launcher; "
+            f"install flipperctl[{extra}]"
+        )
+    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
+    return ConfigError(
+        f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
+        f"known: {', '.join(sorted(options)) or 'none'}{reinstall_hint(group)}"
+    )
+
+
+def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
+    """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
+    for override in parse_overrides(overrides):
+        key, value = override.get_key_element(), override.value()
+        names = value if isinstance(value, list) else [value]
+        optional = key == "experiment" and value is None
+        if key in (*GROUPS, "experiment") and not optional and not _all_names(names):
+            return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
+    return ConfigError(_one_line(error))
+
+
+def unknown_key(
+    error: ConfigCompositionException, primary: str, overrides: Sequence[str]
+) -> ConfigError:
+    """Return the error for an override of an unknown key, or ``error`` in one line."""
+    choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
+    try:
+        composed = compose(primary, choices)
+    except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
+        choices, composed = [], compose(primary)
+    node: Any = OmegaConf.to_container(composed, resolve=True)
+    others = [o for o in overrides if o not in choices]
+    refused = _first_refused(primary, choices, others)
+    if refused is None or not _names_no_key(*refused):
+        return ConfigError(_one_line(error))
+    override, cause = refused[0], refused[1].__cause__
+    key = override.key_or_group
+    if override.is_delete() and _is_group(override) and override.value() and not override.package:
+        key = f"{key}={override.value()}"
+    if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
+        return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
+    *parents, leaf = key.split(".")
+    inside = ""  # the innermost existing section on the path to the key
+    for parent in parents:
+        if not isinstance(node.get(parent), dict):
+            leaf = parent
+            break
+        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+    known = sorted(name for name in node if name != "name")
+    inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
+    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
+    return ConfigError(
+        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
+        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
+    )
+
+
+def _paths(node: dict[Any, Any], before: str = "") -> Iterator[str]:
+    """Yield the path of every key in nested mappings."""
+    for name, value in node.items():
+        yield f"{before}{name}"
+        if isinstance(value, dict):
+            yield from _paths(value, f"{before}{name}.")
+
+
+def _first_refused(
+    primary: str, choices: list[str], others: list[str]
+) -> tuple[Override, ConfigCompositionException] | None:
+    """Return the first of ``others`` that does not compose, and why.
+
+    Hydra applies overrides of config groups before overrides of keys.
+    """
+    ordered = sorted(parse_overrides(others), key=lambda o: not _is_group(o))
+    accepted = list(choices)
+    for override in ordered:
+        accepted.append(str(override.input_line))
+        try:
+            compose(primary, accepted)
+        except ConfigCompositionException as error:
+            return override, error
+    return None
+
+
+def _names_no_key(override: Override, error: ConfigCompositionException) -> bool:
+    """Return whether ``error`` is about the override's key, rather than about its value."""
+    added = override.is_add() or override.is_force_add()
+    if not override.key_or_group:
+        return False
+    if _is_group(override):
+        return not added
+    if override.package is not None:
+        return False
+    if error.__cause__ is None:  # the key to delete is missing, or the key to add exists
+        return True
+    no_such_key = isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError)
+    return no_such_key and not added and not override.is_delete()
+
+
+def _is_group(override: Override) -> bool:
+    """Return whether Hydra treats the override as the choice of a config group."""
+    options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
+    return bool(options) and not isinstance(override.value(), dict)
+
+
+def _all_names(values: Iterable[object]) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

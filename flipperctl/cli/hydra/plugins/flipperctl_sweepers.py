@@ -1,0 +1,62 @@
+"""Our sweepers as Hydra's plugins: the module ``hydra_plugins.flipperctl_sweepers``.
+
+Hydra imports every module of the namespace package ``hydra_plugins`` and registers the plugins
+that it defines, in any application that is installed beside flipperctl. So this module imports
+nothing but Hydra; the sweeps themselves are in ``flipperctl.cli``. Never import this module as part
+of ``flipperctl.cli``: Hydra identifies the classes by the module's name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+
+class ListSweeper(Sweeper):
+    """Hydra's basic sweeper, with named folders and a table at the end."""
+
+    def __init__(self, **settings: Any) -> None:
+        self._settings = settings
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Prepare the sweep; Hydra calls this before ``sweep``."""
+        from flipperctl.cli.hydra.sweeps import ListSweep
+
+        self._sweep = ListSweep(
+            self._settings, hydra_context=hydra_context, task_function=task_function, config=config
+        )
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Train every combination of the values in ``arguments``."""
+        self._sweep.run(arguments)
+
+
+class OptunaSweeper(Sweeper):
+    """A search by Optuna over intervals and lists."""
+
+    def __init__(self, **settings: Any) -> None:
+        self._settings = settings  # checked in setup, since Hydra rewords errors raised here
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Prepare the search; Hydra calls this before ``sweep``.
+
+        Raises:
+            MissingExtraError: Optuna is not installed.
+            ConfigError: a setting is of the wrong type or out of bounds.
+        """
+        from flipperctl.cli.hydra.optuna_search import prepare
+
+        self._search = prepare(
+            self._settings, hydra_context=hydra_context, task_function=task_function, config=config
+        )
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Train trial after trial; ``arguments`` are the user's overrides."""
+        self._search.run(arguments)

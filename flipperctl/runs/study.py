@@ -1,0 +1,72 @@
+"""Opens the study of a search, which several searches may share.
+
+In: the settings of the search and the overrides that it was asked with. Out: Optuna's study, new or
+as earlier searches left it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+from flipperctl.errors import ConfigError
+from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.trials import finished
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+_PAUSE = 1.0
+"""Time after which the tables of the storage are there, if another search is creating them [s]."""
+_MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
+"""Name and value of a study's attribute: the θ̂_R in its objective; earlier versions wrote none."""
+
+
+def open_study(settings: SearchSettings, arguments: Sequence[str]) -> Study:
+    """Return the study of ``settings``, new or as earlier searches left it.
+
+    Raises:
+        ConfigError: the storage cannot be used, or the study searched something else than the
+            overrides ``arguments``, or by another measure.
+    """
+    import optuna
+    from sqlalchemy.exc import SQLAlchemyError
+
+    name, storage = settings.study_name, settings.storage
+    create = partial(
+        optuna.create_study,
+        storage=storage,
+        study_name=name,
+        direction="maximize",
+        load_if_exists=True,
+    )
+    try:
+        try:
+            study = create()
+        except SQLAlchemyError:  # another search may be creating the tables
+            time.sleep(_PAUSE)
+            study = create()
+    except (SQLAlchemyError, ImportError, ValueError) as error:
+        reason = " ".join(str(error).split("\n(Background")[0].split())
+        raise ConfigError(
+            f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
+            "a database URL is allowed, as in sqlite:///search.db"
+        ) from error
+    asked = sorted(arguments)
+    searched = study.user_attrs.get("overrides", asked)
+    if searched != asked:
+        raise ConfigError(
+            f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
+            f"{' '.join(searched)}; give the same overrides, or another study_name"
+        )
+    if study.user_attrs.get(_MEASURE) != _AT_100_HZ and finished(study):
+        raise ConfigError(
+            f"hydra.sweeper.study_name: the trials of the study {name!r} in {storage} are "
+            "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
+            "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
+        )
+    study.set_user_attr("overrides", asked)
+    study.set_user_attr(_MEASURE, _AT_100_HZ)
+    return study

@@ -1,0 +1,1 @@
+"""Studies that play episodes to answer a question: transfer, engines, rewards, conventions."""

@@ -1,0 +1,64 @@
+"""Play the same draws with several policies and rank these by each of several rewards.
+
+In: an evaluation's configuration, sets of reward terms, and policies. Out: a ``SceneRanking``. The
+draws are played once, whatever the number of rewards: the environment computes the terms of all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from flipperctl.api import RewardTerm
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.policies.source import PolicySource
+from flipperctl.studies.ranking import SceneRanking, common_draws, measures, rank
+
+Rewards = Mapping[str, RewardTerm]
+"""Reward terms by name."""
+
+
+@dataclass(frozen=True)
+class RewardScene:
+    """A scene, and the rewards by which policies are ranked on it."""
+
+    config: EvalConfig
+    """``config.eval`` holds the number of episodes and the seed."""
+    rewards: Mapping[str, Rewards]
+    """Reward terms by the label of their set."""
+
+
+def compare_rewards(
+    scene: RewardScene,
+    policies: Mapping[str, PolicySource],
+    workers: EpisodeWorkers,
+    progress: Progress = no_progress,
+) -> SceneRanking:
+    """Play the scene's draws with each policy; rank the policies by each of its rewards.
+
+    ``policies``: their sources by the labels that the result uses; ``workers`` play the episodes.
+
+    Raises:
+        FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
+    """
+    config, terrain = scene.config, scene.config.terrain.plugin_name
+    every = {f"{at}.{n}": t for at, terms in scene.rewards.items() for n, t in terms.items()}
+    with_every_term = config.model_copy(update={"rewards": every})
+    played = {
+        label: play_scene(with_every_term, source, f"{terrain}, {label}", workers, progress)
+        for label, source in policies.items()
+    }
+    return SceneRanking(
+        terrain,
+        config.eval.seed,
+        Conditions.of(config),
+        episodes=config.eval.episodes,
+        common=len(next(iter(common_draws(played).values()))),
+        policies=measures(played),
+        rankings=tuple(
+            rank(label, terms, played, prefix=f"{label}.") for label, terms in scene.rewards.items()
+        ),
+    )

@@ -1,0 +1,242 @@
+"""Evaluate a policy in the default engine and in another one, and explain what fails there.
+
+In: an evaluation's configuration in the other engine, and a policy. Out: the summaries of both, the
+differences at equal seeds, and the cause of each failure. A failed episode is played again to watch
+it, which equal seeds repeat bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from flipperctl.api import Outcome, RobotState
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.comparisons import correct_together
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.estimates import PairedSuccess
+from flipperctl.evaluation.results import Differences, Summary
+from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
+from flipperctl.evaluation.statistics import differences, summarise
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import Decision, play
+from flipperctl.studies.engines import in_default_engine
+
+_ASTRAY = math.radians(30)
+"""Heading beyond which a robot that came to a stop has lost its way [rad]."""
+_ASIDE = 1.0
+"""Distance beside the middle of the ground beyond which it has [m]."""
+_HIGHEST = 10.0
+"""Largest friction that is tried [-]."""
+_FRICTION = 2.0
+"""Factor on the friction with which a lack of traction is told from an obstacle [-]."""
+
+
+class Cause(StrEnum):
+    """Why an episode failed."""
+
+    OVERTURNED = "overturned"
+    """The robot fell over forwards or backwards."""
+    ROLL = "roll"
+    """The robot fell over sideways."""
+    HEADING = "heading"
+    """The robot turned away or left the ground sideways."""
+    TRACTION = "traction"
+    """The robot stopped, and reaches the finish with twice the friction."""
+    STUCK = "stuck"
+    """The robot stopped, and does not reach the finish with twice the friction either."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An episode that fails in the other engine."""
+
+    episode: int
+    seed: int
+    terrain: str
+    """Label of the sampled profile."""
+    outcome: Outcome
+    cause: Cause
+    default_outcome: Outcome
+    """Outcome of the same episode in the default engine."""
+    time: float
+    """Time of the end [s]."""
+    x: float
+    """World x of the chassis centre at the end [m]."""
+    pitch: float
+    roll: float
+    yaw: float
+    """Posture at the end [rad]."""
+    side: float
+    """Distance beside the middle of the ground at the end [m]."""
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class TransferResult:
+    """A policy on one terrain in two engines."""
+
+    controller: str
+    """Label of the policy."""
+    terrain: str
+    engines: tuple[str, str]
+    seed: int
+    """Seed of the evaluation."""
+    conditions: Conditions
+    """Those of the other engine."""
+    default: Summary
+    other: Summary
+    kept: float | None
+    """Fraction of the episodes crossed in the default engine that are crossed in the other one."""
+    gap: Differences
+    """The other engine minus the default one: success, and measures where both reached the
+    finish."""
+    failures: tuple[Failure, ...]
+
+    @property
+    def success_gap(self) -> PairedSuccess:
+        """Success in the other engine minus that in the default one, paired by seed [-]."""
+        return self.gap.success
+
+    @property
+    def causes(self) -> dict[str, int]:
+        """Number of failures by cause, the most frequent first."""
+        return dict(Counter(str(f.cause) for f in self.failures).most_common())
+
+    def container(self) -> dict[str, Any]:
+        """Return plain data."""
+        first, second = self.engines
+        return {
+            "terrain": self.terrain,
+            "controller": self.controller,
+            "engines": [first, second],
+            "seed": self.seed,
+            "conditions": self.conditions.container(),
+            first: self.default.container(),
+            second: self.other.container(),
+            "success_gap": self.success_gap.container(),
+            "kept": self.kept,
+            "gap": self.gap.container(),
+            "causes": self.causes,
+            "failures": [failure.container() for failure in self.failures],
+        }
+
+
+def transfer(
+    config: EvalConfig,
+    source: PolicySource,
+    workers: EpisodeWorkers,
+    *,
+    only: Sequence[int] | None = None,
+    progress: Progress = no_progress,
+) -> TransferResult:
+    """Play the evaluation's episodes in the default engine and in ``config``'s.
+
+    ``workers`` play the episodes, those with the indices ``only``; None means all.
+
+    Raises:
+        ConfigError: ``config`` is of the default engine.
+        FlipperctlError: the policy cannot be built or failed.
+    """
+    plane = in_default_engine(config)
+    terrain, engines = config.terrain.plugin_name, (DEFAULT_ENGINE, config.sim.plugin_name)
+    ours, theirs = (
+        play_scene(chosen, source, f"{terrain}, {engine}", workers, progress, only)
+        for chosen, engine in zip((plane, config), engines, strict=True)
+    )
+    pairs = list(zip(ours, theirs, strict=True))
+    crossed = [other.reached for first, other in pairs if first.reached]
+    return TransferResult(
+        source.label(),
+        terrain,
+        engines,
+        config.eval.seed,
+        Conditions.of(config),
+        summarise(terrain, ours),
+        summarise(terrain, theirs),
+        sum(crossed) / len(crossed) if crossed else None,
+        differences(theirs, ours),
+        tuple(explain(config, source, *pair) for pair in pairs if not pair[1].reached),
+    )
+
+
+def correct_scenes(found: Sequence[TransferResult]) -> list[TransferResult]:
+    """Return the results with the tests of success corrected for the number of scenes."""
+    gaps = correct_together([one.gap for one in found])
+    return [replace(one, gap=gap) for one, gap in zip(found, gaps, strict=True)]
+
+
+def explain(
+    config: EvalConfig, source: PolicySource, default: EpisodeResult, failed: EpisodeResult
+) -> Failure:
+    """Return the cause of a failed episode, which is played again."""
+    end = _end(config, source, failed.seed)
+    cause = _cause(end, failed.outcome, config)
+    if cause is Cause.STUCK and _reached_with_friction(config, source, failed.seed):
+        cause = Cause.TRACTION
+    return Failure(
+        failed.episode,
+        failed.seed,
+        failed.terrain,
+        failed.outcome,
+        cause,
+        default.outcome,
+        time=end.time,
+        x=float(end.position[0]),
+        pitch=end.pitch,
+        roll=end.roll,
+        yaw=end.yaw,
+        side=end.side,
+    )
+
+
+def _end(config: EvalConfig, source: PolicySource, seed: int) -> RobotState:
+    """Play an episode; return the state at its end."""
+    ends: list[RobotState] = []
+
+    def watch(decision: Decision) -> None:
+        ends[:] = [decision.transition.after]
+
+    env = FlipperEnv(config=config)
+    play(env, source.build(config), seed, watch=watch)
+    return ends[0]
+
+
+def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
+    overturn = config.episode.overturn
+    if outcome is Outcome.OVERTURNED:
+        if abs(end.pitch) >= overturn:
+            return Cause.OVERTURNED
+        rolled = abs(end.roll) >= getattr(config.sim, "roll_limit", overturn)
+        return Cause.ROLL if rolled else Cause.HEADING
+    astray = abs(end.yaw) > _ASTRAY or abs(end.side) > _ASIDE
+    return Cause.HEADING if astray else Cause.STUCK
+
+
+def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
+    """Return whether the episode reaches the finish with more friction."""
+    own = getattr(config.sim, "friction", None)
+    if own is None:
+        return False
+    sampled = config.randomise.friction
+    changed = {"sim.friction": min(_HIGHEST, _FRICTION * own)}
+    if sampled is not None:
+        changed = {"randomise.friction": [min(_HIGHEST, _FRICTION * mu) for mu in sampled]}
+    try:
+        config = with_overrides(config, changed)
+    except ConfigError:  # beyond what the engine simulates
+        return False
+    env = FlipperEnv(config=config)
+    row = play(env, source.build(config), seed)
+    return Outcome(row["outcome"]) is Outcome.REACHED

@@ -1,0 +1,1 @@
+"""What commands print: tables, progress, notices, and the commands to run next."""

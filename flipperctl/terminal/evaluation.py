@@ -1,0 +1,154 @@
+"""The tables of ``flipperctl eval``.
+
+In: the result of an evaluation. Out: a table of its scenes, and one of the differences to each
+baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from flipperctl.env.measures import Measure
+from flipperctl.evaluation.conditions import scene_names
+from flipperctl.evaluation.episode import further_measures
+from flipperctl.evaluation.estimates import PairedSuccess
+from flipperctl.evaluation.results import (
+    BaselineResult,
+    Differences,
+    EvaluationResult,
+    SceneResult,
+    Summary,
+)
+from flipperctl.evaluation.tables import interval_text
+from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
+from flipperctl.terminal.tables import Table
+
+_PASSABLE = ("passable", "of these", "beyond")
+_FAILED = f"{HEADING} where not reached"
+
+
+def table(result: EvaluationResult, label: str) -> Table:
+    """Return a table with a row per scene, and a dim row for each part of a mix.
+
+    ``label`` is the policy's. A column that is empty in every row is left out.
+    """
+    title = label if result.interruption is None else f"{label} ({result.interruption.text})"
+    passable = any(scene.summary.passable for scene in result.scenes)
+    failed = any(scene.summary.not_reached for scene in result.scenes)
+    headings = [
+        *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
+        *(HEADING, PAPERS_HEADING, *((_FAILED,) if failed else ()), "t_cost [s]"),
+        *("largest pitch [rad]", "flipper travel [rad]"),
+        *(measure.heading for measure in _further()),
+    ]
+    several = len({scene.controller for scene in result.scenes}) > 1
+    found = Table(headings, title, words=["outcomes"])
+
+    def cells(name: str, summary: Summary) -> list[str]:
+        return [
+            *(name, str(summary.episodes), interval_text(summary.success, 3)),
+            *(_passable_cells(summary) if passable else ()),
+            _outcomes(summary),
+            interval_text(summary.pitch_variation_100hz),
+            interval_text(summary.pitch_variation),
+            *((_failed_text(summary),) if failed else ()),
+            interval_text(summary.t_cost, 1),
+            interval_text(summary.max_pitch),
+            interval_text(summary.flipper_travel),
+            *(interval_text(summary.further[m.name], m.digits) for m in _further()),
+        ]
+
+    for name, scene in _named(result):
+        shown = f"{name}, {scene.controller}" if several else name
+        found.add(*cells(shown, scene.summary))
+        for part, summary in scene.summary.parts.items():
+            found.add(*cells(f"  {part}", summary), dim=True)
+    return found
+
+
+def comparisons(result: EvaluationResult) -> Iterator[Table]:
+    """Yield a table of the paired differences to each baseline.
+
+    After an interruption, the last scene may lack baselines.
+    """
+    for index, _ in enumerate(result.scenes[0].baselines):
+        have = [(n, scene) for n, scene in _named(result) if index < len(scene.baselines)]
+        yield _comparison([(name, scene.baselines[index]) for name, scene in have])
+
+
+def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
+    baseline = compared[0][1].controller
+    title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
+    headings = [
+        *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
+        *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
+    ]
+    found = Table(headings, title)
+    for name, other in compared:
+        found.add(*_difference_cells(name, other.summary, other.difference))
+        for label, part in other.difference.parts.items():
+            cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
+            found.add(*cells, dim=True)
+    return found
+
+
+def search_lines(result: EvaluationResult) -> Iterator[str]:
+    """Yield a line for each scene whose policy searched: means of numbers, counts of words."""
+    for name, scene in _named(result):
+        parts = []
+        for key, value in scene.summary.search.items():
+            if isinstance(value, Mapping):
+                counts = (f"{word} {count}" for word, count in value.items())
+                parts.append(f"{key}: {', '.join(counts)}")
+            else:
+                parts.append(f"{key} {value:.6g}")
+        if parts:
+            yield f"search on {name}, means: {'; '.join(parts)}"
+
+
+def gap_cells(found: PairedSuccess) -> list[str]:
+    """Return a difference of success, how many draws one alone crossed, and the p-value."""
+    p = "<0.001" if found.p_holm < 0.001 else f"{found.p_holm:.3f}"
+    return [interval_text(found, 3, sign="+"), f"{found.won}, {found.lost}", p]
+
+
+def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
+    """Yield each scene and its name."""
+    names = scene_names([(scene.terrain, scene.conditions) for scene in result.scenes])
+    return zip(names, result.scenes, strict=True)
+
+
+def _passable_cells(summary: Summary) -> list[str]:
+    fair = summary.passable
+    if fair is None:
+        return [""] * len(_PASSABLE)
+    return [str(fair.episodes), interval_text(fair.success, 3), str(fair.beyond)]
+
+
+def _outcomes(summary: Summary) -> str:
+    counts = summary.outcomes.container()
+    return " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count)
+
+
+def _failed_text(summary: Summary) -> str:
+    failed = summary.not_reached
+    return interval_text(failed.pitch_variation_100hz if failed else None)
+
+
+def _further() -> list[type[Measure]]:
+    """Return the further measures that have a heading."""
+    return [measure for measure in further_measures() if measure.heading]
+
+
+def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
+    swing = difference.pitch_variation_100hz
+    return [
+        name,
+        interval_text(other.success, 3),
+        *gap_cells(difference.success),
+        str(swing.episodes if swing else 0),
+        interval_text(other.pitch_variation_100hz),
+        interval_text(swing),
+        interval_text(difference.pitch_variation),
+        interval_text(difference.t_cost, 1),
+    ]

@@ -1,0 +1,142 @@
+"""Live progress of a training and of episodes: a bar on a terminal, else lines for a training."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from flipperctl.terminal.console import console
+from flipperctl.terminal.pitch_variation import swing_text
+from flipperctl.training.events import Listener
+
+_PLAIN_EVERY = 10.0  # [s]
+_KNOWN_AFTER = 20.0  # [s]; before it, compiling and starting workers hide the rate
+
+
+def progress(total: int, done: int) -> Listener:
+    """Return a bar if stderr is a terminal, else lines; ``total`` and ``done`` are decisions."""
+    return Bar(total, done) if sys.stderr.isatty() else Lines(total, done)
+
+
+@contextmanager
+def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
+    """Show a bar on a terminal; yield a function to call with the number of finished episodes.
+
+    A controller's search before an episode counts as a fraction of that episode.
+    """
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(escape(label), total=total)
+
+        def report(done: float) -> None:
+            bar.update(task, completed=done)
+
+        yield report
+
+
+class _Rate:
+    def __init__(self, done: int) -> None:
+        self._start = time.perf_counter()
+        self._done = done
+
+    def seconds_left(self, decision: int, total: int) -> str:
+        """Return the expected time to the end of the training [s]; ``–`` until it is known."""
+        if time.perf_counter() - self._start < _KNOWN_AFTER or decision <= self._done:
+            return "–"
+        return f"{(total - decision) / self(decision):.0f}"
+
+    def __call__(self, decision: int) -> float:
+        return (decision - self._done) / max(1e-9, time.perf_counter() - self._start)
+
+
+def _validation(row: Mapping[str, Any]) -> str:
+    return (
+        f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
+        f"{swing_text(row, 2)}, {row['t_cost']:.1f} s"
+    )
+
+
+def _state(row: Mapping[str, Any], rate: float) -> str:
+    loss = "–" if row["loss"] is None else f"{row['loss']:.4f}"  # before the first update
+    return f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  loss {loss}"
+
+
+class Bar:
+    """A rich progress bar with the training state, and the validations above it."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._rate = _Rate(done)
+        self._progress = Progress(
+            TextColumn("{task.completed}/{task.total} decisions"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[left]} s left"),
+            TextColumn("{task.description}"),
+            console=console(stderr=True),
+        )
+        self._total = total
+        self._task = self._progress.add_task("", total=total, completed=done, left="–")
+        self._progress.start()
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Move the bar."""
+        decision = row["decision"]
+        text, left = (
+            _state(row, self._rate(decision)),
+            self._rate.seconds_left(decision, self._total),
+        )
+        self._progress.update(self._task, completed=decision, description=text, left=left)
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Print a line above the bar."""
+        self._progress.update(self._task, completed=row["decision"])
+        self._progress.console.print(_validation(row), highlight=False)
+
+    def note(self, text: str) -> None:
+        """Print the text above the bar."""
+        self._progress.console.print(text, highlight=False, markup=False)
+
+    def close(self) -> None:
+        """Stop the bar."""
+        self._progress.stop()
+
+
+class Lines:
+    """Progress as a line every ten seconds and at each validation."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self._rate = _Rate(done)
+        self._total = total
+        self._last = time.perf_counter()
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Print a line if the last is ten seconds old."""
+        now = time.perf_counter()
+        if now - self._last < _PLAIN_EVERY:
+            return
+        self._last = now
+        decision, rate = row["decision"], self._rate(row["decision"])
+        left = self._rate.seconds_left(decision, self._total)
+        print(
+            f"{decision}/{self._total} decisions  {_state(row, rate)}  {left} s left",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Print a line."""
+        print(_validation(row), file=sys.stderr, flush=True)
+
+    def note(self, text: str) -> None:
+        """Print the text."""
+        print(text, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Do nothing; lines need no clean-up."""

@@ -1,0 +1,158 @@
+"""Folders of results: one writer at a time, whole sets of files, nothing of the user's removed."""
+
+import errno
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flipperctl import files
+from flipperctl.errors import WriteError
+from flipperctl.evaluation import tables
+from flipperctl.runs.lock import hold
+from flipperctl.runs.results import ResultFolder, result_folder
+from tests.cli.call import Done, call
+
+PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
+TABLES = {"episodes.csv", "summary.json", "table.csv", "table.tex"}
+
+
+def shown(folder: Path) -> set[str]:
+    """The names in a folder that are not hidden."""
+    return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def refused(done: Done) -> str:
+    """The line with which the command was refused."""
+    assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+    return done.err
+
+
+@pytest.mark.parametrize(
+    "command", [PLAY, ["transfer", *PLAY[1:]], ["bench", "physics", "--output", "out"]]
+)
+def test_a_folder_in_use_is_refused_at_once_with_its_holder(
+    command: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    with hold(tmp_path / "out", "results"):
+        text = refused(call(*command, "terrain=flat", cwd=tmp_path))
+    assert f"out is in use by process {os.getpid()} on " in text
+    assert " since " in text
+    assert shown(tmp_path / "out") == set()
+
+
+def test_a_second_evaluation_leaves_no_file_of_the_first_and_all_of_the_users(
+    tmp_path: Path,
+) -> None:
+    assert call(*PLAY, "terrain=flat,step", cwd=tmp_path).code == 0
+    out = tmp_path / "out"
+    assert shown(out) == {*TABLES, "flat.png", "step.png"}
+    (out / "mine.png").write_bytes(b"mine")
+    assert call("transfer", *PLAY[1:], "terrain=flat", "--json", cwd=tmp_path).code == 0
+    before = (out / "flat.png").stat().st_mtime_ns
+    done = call(*PLAY, "terrain=flat", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert shown(out) == {*TABLES, "flat.png", "mine.png", "transfer.json"}
+    assert (out / "flat.png").stat().st_mtime_ns > before
+    assert "step" not in (out / "table.csv").read_text()
+
+
+def test_a_run_is_no_folder_for_an_evaluation(short_run: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(short_run, tmp_path / "out"))
+    before = (run / "summary.json").read_bytes()
+    assert "out holds a training run, whose summary.json" in refused(
+        call(*PLAY, "terrain=flat", cwd=tmp_path)
+    )
+    assert (run / "summary.json").read_bytes() == before
+
+
+def test_a_file_that_cannot_be_written_is_found_before_the_first_episode(tmp_path: Path) -> None:
+    (tmp_path / "out" / "table.csv").mkdir(parents=True)
+    assert "out/table.csv cannot be written" in refused(call(*PLAY, "terrain=flat", cwd=tmp_path))
+
+
+def test_a_full_disk_leaves_the_earlier_files_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert call(*PLAY, "terrain=flat", cwd=tmp_path).code == 0
+    before = {p: p.read_bytes() for p in (tmp_path / "out").iterdir()}
+
+    def full(path: Path, data: bytes) -> None:
+        raise WriteError(f"{path}: writing failed half way (No space left on device)")
+
+    monkeypatch.setattr(tables, "write_bytes", full)  # table.tex, after the other files
+    done = call(*PLAY, "terrain=step", cwd=tmp_path)
+    assert done.code == 1
+    assert "step" in done.out
+    assert done.err == "error: out/table.tex: writing failed half way (No space left on device)\n"
+    assert {p: p.read_bytes() for p in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_full_disk_at_a_picture_costs_only_the_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = files.write_bytes
+
+    def full(path: Path, data: bytes) -> None:
+        if path.name == "flat.png":
+            raise files.failure(path, OSError(errno.ENOSPC, "full"))
+        write(path, data)
+
+    monkeypatch.setattr("flipperctl.report.figure.write_bytes", full)
+    done = call(*PLAY, "terrain=flat,step", "--record", "mine.safetensors", cwd=tmp_path)
+    assert done.code == 1
+    assert "reached 2" in done.out
+    assert shown(tmp_path / "out") == {*TABLES, "step.png"}
+    assert (tmp_path / "mine.safetensors").exists()
+    (error,) = (line for line in done.err.splitlines() if line.startswith("error: "))
+    assert "out/flat.png: writing failed half way (No space left on device)" in error
+
+
+def test_the_table_is_there_before_the_film_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: Any) -> None:
+        raise WriteError("film.gif: writing failed half way (No space left on device)")
+
+    monkeypatch.setattr("flipperctl.report.scenes.save_film", fail)
+    done = call(*PLAY, "terrain=flat", "--film", "film.gif", cwd=tmp_path)
+    assert done.code == 1
+    assert "reached 2" in done.out
+    assert shown(tmp_path / "out") == {*TABLES, "flat.png"}
+
+
+def test_what_a_kill_leaves_is_replaced_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(text: str, *names: str) -> Any:
+        def into(part: Path) -> None:
+            for name in names:
+                (part / name).write_text(text)
+
+        return into
+
+    with result_folder(tmp_path, "eval", []) as folder:
+        folder.replace(write("first", "a.csv", "b.csv", "old.csv"), later=["old.png"])
+        (tmp_path / "old.png").write_text("first")
+
+    replace = Path.replace
+
+    def killed(self: Path, target: Path) -> Path:
+        if target.name == "b.csv":
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            ResultFolder(tmp_path, "eval").replace(write("second", "a.csv", "b.csv", "new.csv"))
+    assert shown(tmp_path) == {"a.csv"}
+    assert (tmp_path / "a.csv").read_text() == "second"
+    with result_folder(tmp_path, "eval", []) as folder:
+        folder.replace(write("third", "b.csv"))
+    assert shown(tmp_path) == {"b.csv"}
+    assert json.loads((tmp_path / ".results.json").read_text()) == {"eval": ["b.csv"]}

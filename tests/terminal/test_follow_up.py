@@ -1,0 +1,158 @@
+"""What is printed to be typed next works as it is, and a file names the plugins that it needs."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.terminal import follow_up
+from tests.cli.call import EXACT, call
+
+RIDGE = Path("examples/ridge.py").absolute()
+QUICK = [f"{key}={value}" for key, value in EXACT.items()]
+CALM = '''"""A reward term of a colleague."""
+
+from flipperctl.api import RewardTerm, Transition, reward
+
+
+@reward("calm")
+class Calm(RewardTerm):
+    """Nothing for nothing."""
+
+    def __call__(self, t: Transition) -> float:
+        return 0.0
+'''
+
+
+MINE = '''"""A network of one layer."""
+
+from flipperctl.api import Network, ObservationLayout, network
+
+
+@network("mine")
+class Mine(Network):
+    """Linear Q-values."""
+
+    def build(self, layout: ObservationLayout, n_actions: int):
+        import torch
+
+        return torch.nn.Linear(layout.size, n_actions)
+'''
+NETWORK = ("--plugins", "mine.py")
+ALL = ("--plugins", "my plugins", "--plugins", "calm.py", *NETWORK)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with three plugins, a run that needs them all, and its exported file."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "my plugins").mkdir()
+    shutil.copy(RIDGE, folder / "my plugins" / "ridge.py")
+    (folder / "calm.py").write_text(CALM)
+    (folder / "mine.py").write_text(MINE)
+    words = ["terrain=ridge", "+reward@rewards.calm=calm", "network=mine", "hydra.run.dir=run"]
+    done = call("train", *words, *QUICK, *ALL, cwd=folder)
+    assert done.code == 0, done.err
+    typed = "--plugins 'my plugins' --plugins calm.py --plugins mine.py"
+    assert f"Evaluate: flipperctl eval --checkpoint run {typed}\n" in done.err
+    assert f"Export:   flipperctl export onnx --checkpoint run {typed}\n" in done.err
+    refused = call("train", *words, *QUICK, *ALL, cwd=folder)
+    assert refused.code == 2
+    assert f"resume it with: flipperctl train --resume run {typed}, or choose" in refused.err
+    export = ("export", "onnx", "--checkpoint", "run", "--output", "run.onnx")
+    assert call(*export, *ALL, cwd=folder).code == 0
+    return folder
+
+
+def test_a_command_without_plugins_carries_none(made: Path) -> None:
+    assert call("inspect", "plugins", *NETWORK, cwd=made).code == 0
+    assert follow_up.plugin_paths() == ["mine.py"]
+    assert call("inspect", "plugins", cwd=made).code == 0
+    assert follow_up.command("train", "--resume", Path("a b")) == "flipperctl train --resume 'a b'"
+
+
+def test_run_and_exported_file_name_the_plugins_files_and_no_folder(made: Path) -> None:
+    expected = {("terrain", "ridge"): "ridge.py", ("reward", "calm"): "calm.py"}
+    expected["network", "mine"] = "mine.py"
+    document = checkpoint.read(made / "run" / checkpoint.LAST).document
+    assert {(p.kind, p.name): p.file for p in document.plugins if p.file} == expected
+    interface = OnnxPolicy(made / "run.onnx").interface
+    assert {(p.kind, p.name): p.file for p in interface.plugins} == expected
+    assert str(made).encode() not in (made / "run.onnx").read_bytes()
+    shown = call("inspect", "checkpoint", "run", cwd=made)
+    assert "terrain ridge (ridge.py)" in shown.out
+
+
+@pytest.mark.parametrize("policy", ["run", "run.onnx"])
+def test_a_missing_terrain_is_named_with_its_file(made: Path, policy: str) -> None:
+    file = "run/checkpoints/best.safetensors" if policy == "run" else policy
+    for terrain in ([], ["terrain=ridge"], ["terrain=step,ridge"]):
+        done = call("eval", "--checkpoint", policy, *terrain, *NETWORK, cwd=made)
+        assert (done.code, done.out) == (2, "")
+        assert done.err == (
+            f"error: {file}: there is no terrain plugin 'ridge'; it came from ridge.py: add "
+            "--plugins ridge.py, or evaluate another one with terrain=NAME\n"
+        )
+
+
+@pytest.mark.parametrize("policy", ["run", "run.onnx"])
+def test_another_terrain_needs_no_plugin_of_the_training(made: Path, policy: str) -> None:
+    command = ["eval", "--checkpoint", policy, "terrain=step", "--episodes", "2", "--json"]
+    network = NETWORK if policy == "run" else ()
+    alone = call(*command, *network, cwd=made)
+    assert alone.code == 0, alone.err
+    lacking = (
+        "the return lacks rewards.calm: there is no reward plugin 'calm'; it came from calm.py"
+    )
+    assert (lacking in alone.err) == (policy == "run")  # an exported file holds no rewards
+    beside = call(*command, *ALL, cwd=made)
+    assert beside.err == ""
+    with_plugins, without = (json.loads(done.out)["scenes"][0] for done in (beside, alone))
+    assert with_plugins == without  # calm pays nothing
+
+
+def test_what_trains_or_exports_needs_all_plugins(made: Path) -> None:
+    for command in (
+        ["export", "onnx", "--checkpoint", "run"],
+        ["train", "--resume", "run", "train.decisions=400"],
+    ):
+        done = call(*command, "--plugins", "calm.py", *NETWORK, cwd=made)
+        assert done.code == 2
+        assert "there is no terrain plugin 'ridge'; it came from ridge.py: add" in done.err
+
+
+def test_a_network_that_is_missing_is_named_with_its_file(made: Path) -> None:
+    done = call("eval", "--checkpoint", "run", "terrain=step", cwd=made)
+    assert done.code == 2
+    assert (
+        "there is no network plugin 'mine'; it came from mine.py: add --plugins mine.py" in done.err
+    )
+
+
+def test_an_interrupted_run_is_resumed_with_its_plugins(made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made / "run", tmp_path / "run")
+    summary = tmp_path / "run" / "summary.json"
+    summary.write_text(json.dumps({**json.loads(summary.read_text()), "finished": False}))
+    shutil.copy(made / "calm.py", tmp_path)
+    resume = "interrupted; resume with: flipperctl train --resume run"
+    for typed, printed in (
+        ([], "(and --plugins for ridge.py, mine.py, calm.py)"),  # wherever they lie
+        (["calm.py"], "--plugins calm.py"),
+    ):
+        plugins = [word for path in typed for word in ("--plugins", path)]
+        shown = " ".join(call("inspect", "run", "run", *plugins, cwd=tmp_path).out.split())
+        assert f"{resume} {printed} ┏" in shown
+
+
+def test_a_checkpoint_of_version_0_2_tells_the_file_by_its_module() -> None:
+    from flipperctl.checkpoint.document import PluginReference
+
+    module = "flipperctl_user_my_ridge_65531daf"
+    found = PluginReference(kind="terrain", name="ridge", module=module)
+    assert (found.file, found.origin) == (None, "my_ridge.py")
+    assert found.model_dump() == {"kind": "terrain", "name": "ridge", "module": module}
+    installed = PluginReference(kind="terrain", name="x", module="flipperctl_plugins.terrains.x")
+    assert installed.origin is None

@@ -1,0 +1,23 @@
+"""θ̂_R at 100 Hz comes first wherever people read it, and the paper's at decisions beside it."""
+
+from pathlib import Path
+
+from flipperctl.terminal.pitch_variation import swing_text
+from tests.cli.call import call
+
+
+def test_both_are_named_and_an_earlier_validation_has_the_papers_alone() -> None:
+    both = {"pitch_variation": 1.125, "pitch_variation_100hz": 1.375}
+    assert swing_text(both, 3) == "θ̂_R 1.375 rad (1.125 at decisions)"
+    earlier = {"pitch_variation": 1.125, "pitch_variation_100hz": None}
+    assert swing_text(earlier, 3) == "θ̂_R at decisions 1.125 rad"
+
+
+def test_tables_of_eval_have_it_first(tmp_path: Path) -> None:
+    options = ["terrain=step", "--episodes", "2", "--baseline", "level"]
+    done = call("eval", "--controller", "okada", *options, cwd=tmp_path)
+    assert done.code == 0, done.err
+    table, comparison = (line for line in done.out.splitlines() if "terrain " in line)
+    for heads, change in ((table, ""), (comparison, "Δ ")):
+        first, papers = f"{change}θ̂_R [rad]", f"{change}θ̂_R at decisions [rad]"
+        assert 0 < heads.index(first) < heads.index(papers) < heads.index("t_cost [s]")
