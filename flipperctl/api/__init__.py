@@ -1,7 +1,7 @@
 """The whole contract for plugin authors: the values, the plugin families and their decorators.
 
-This package imports nothing of the rest of flipperctl and holds everything that a plugin may
-import from it.
+Of the rest of flipperctl, this package imports ``flipperctl.core`` alone; it holds everything that
+a plugin may import from it.
 SI units and radians throughout. Frames: world (x forward, z up, the profile's own
 coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
 the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front
@@ -38,9 +38,7 @@ from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sen
 from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
-    ACTIONS,
     MAX_HISTORY,
-    FloatArray,
     ObservationLayout,
     Outcome,
     Perception,
@@ -49,8 +47,9 @@ from flipperctl.api.values import (
     RobotState,
     Settings,
     Transition,
-    action_index,
 )
+from flipperctl.core.actions import ACTIONS, ActionTable, action_index
+from flipperctl.core.arrays import FloatArray
 
 __all__ = [
     "ACTIONS",
@@ -58,6 +57,7 @@ __all__ = [
     "NAME_RULE",
     "NO_LIMITS",
     "SAMPLE_PERIOD",
+    "ActionTable",
     "AnyTerrain",
     "Controller",
     "CostPolicy",

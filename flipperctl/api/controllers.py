@@ -8,13 +8,13 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.values import (
-    FloatArray,
     Outcome,
     Perception,
     Profile,
     RobotGeometry,
     RobotState,
 )
+from flipperctl.core.arrays import FloatArray
 
 
 class Simulator(Protocol):

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.robot import Robot
-from flipperctl.api.values import FloatArray, Outcome, Profile, RobotState
+from flipperctl.api.values import Outcome, Profile, RobotState
+from flipperctl.core.arrays import FloatArray
 
 SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""

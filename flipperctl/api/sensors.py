@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import FloatArray, ObservationLayout, Profile, RobotState
+from flipperctl.api.values import ObservationLayout, Profile, RobotState
+from flipperctl.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections import deque
 import numpy as np
 
 from flipperctl.api import MAX_HISTORY, Perception, Profile, RobotGeometry, RobotState, Sensor
+from flipperctl.core.observation import assemble
 from flipperctl.env.sensing import GuardedSensor
 
 
@@ -47,11 +48,10 @@ class Perceiver:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: what it returned is not finite.
         """
-        layout = self._layout
-        observation = np.empty(layout.size, dtype=np.float32)
         ground, angles = self._in_use.sense(state, self._sensor_rng)
-        observation[: layout.bins] = ground.heights
-        observation[layout.bins :] = angles.front, angles.rear, angles.pitch
+        observation = assemble(
+            ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
+        )
         self._recent.append(observation)
         return Perception(
             observation,
@@ -60,7 +60,7 @@ class Perceiver:
             angles.front,
             angles.rear,
             self._robot,
-            layout,
+            self._layout,
             self._controller_rng,
             tuple(self._recent),
             ground.filled,

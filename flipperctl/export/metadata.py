@@ -13,8 +13,8 @@ from flipperctl import __version__
 from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
+from flipperctl.core.targets import MEANING
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
-from flipperctl.runtime.targets import MEANING
 
 
 def policy_metadata(config: TrainConfig) -> dict[str, str]:

@@ -20,10 +20,11 @@ from flipperctl.api import (
     RobotGeometry,
     Simulator,
 )
-from flipperctl.lookahead.ground_map import GroundMap
+from flipperctl.core.ground_map import GroundMap
+from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
 from flipperctl.lookahead.search import Plan, Search
-from flipperctl.runtime.targets import TargetRule
+from flipperctl.sim.thinning import kept_points
 
 if TYPE_CHECKING:
     from flipperctl.lookahead.mpc import Mpc
@@ -51,7 +52,7 @@ class MpcPolicy:
         self._forget()
 
     def _forget(self) -> None:
-        self._map = GroundMap(self._settings.memory)
+        self._map = GroundMap(self._settings.memory, kept_points)
         self._targets = 0.0, 0.0
         self._plan: Plan | None = None
         self._former: tuple[int, ...] = ()

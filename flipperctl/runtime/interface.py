@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
-from flipperctl.runtime.targets import TargetRule
 
 ANGLES = 3
 """Number of angles after the heights: theta_f1, theta_f2 and theta_R."""

@@ -10,7 +10,7 @@ import pytest
 
 from flipperctl.api import ACTIONS, Robot, SensedGround
 from flipperctl.config import EvalConfig
-from flipperctl.runtime.targets import TargetRule
+from flipperctl.core.targets import TargetRule
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
 from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world

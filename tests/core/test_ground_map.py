@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Profile
-from flipperctl.lookahead.ground_map import GroundMap
+from flipperctl.core.ground_map import GroundMap
 
 GROUND = Profile([(0, 0), (0, 0.2), (0.6, 0.2), (0.9, 0.4), (1.5, 0.4)])
 

@@ -7,10 +7,13 @@ ones the scans of the last decisions are aligned and averaged.
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
-from flipperctl.api import FloatArray
-from flipperctl.sim.thinning import kept_points
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core import thinning
+from flipperctl.core.arrays import FloatArray
 
 _SEARCH = np.arange(-0.10, 0.101, 0.01)
 """Corrections of the guessed distance that the alignment tries [m]."""
@@ -27,13 +30,19 @@ _TOLERANCE = 0.002
 _NARROW = 0.05
 """Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
 
+Thinning = Callable[[FloatArray, NDArray[np.bool_], float, float], NDArray[np.bool_]]
+"""A function like ``thinning.kept_points``."""
+
 
 class GroundMap:
     """Remembers aligned scans; all of them are kept in the present frame L."""
 
-    def __init__(self, memory: int) -> None:
-        """Remember the last ``memory`` scans."""
-        self._memory = memory
+    def __init__(self, memory: int, kept_points: Thinning = thinning.kept_points) -> None:
+        """Remember the last ``memory`` scans.
+
+        ``kept_points``: the function that thins the ground, which may be a compiled one.
+        """
+        self._memory, self._kept_points = memory, kept_points
         self._scans: list[FloatArray] = []
         self.noise = 0.0
         """Estimated standard deviation of the height of the latest scan's points [m]."""
@@ -63,7 +72,7 @@ class GroundMap:
         else:
             points = _averaged(np.concatenate(self._scans), self.noise)
             tolerance = _TOLERANCE + 0.3 * self.noise
-        keep = kept_points(points, np.zeros(len(points), np.bool_), tolerance, _NARROW)
+        keep = self._kept_points(points, np.zeros(len(points), np.bool_), tolerance, _NARROW)
         return np.asarray(points[keep])
 
     def _move(self, motion: tuple[float, float]) -> None:
