@@ -33,7 +33,17 @@ class Robot(RobotGeometry):
         description="delay of the flippers' turn after a decision; not given in the paper [s]",
     )
 
+    control_period: float | None = Field(
+        None,
+        gt=0,
+        le=10,
+        description="time between two decisions; null is angle_step / flipper_speed, in which a "
+        "flipper turns by one step [s]",
+    )
+
     @property
     def decision_period(self) -> float:
-        """Time in which a flipper turns by one ``angle_step`` [s]."""
+        """Time between two decisions [s]."""
+        if self.control_period is not None:
+            return self.control_period
         return self.angle_step / self.flipper_speed

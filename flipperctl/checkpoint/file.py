@@ -116,6 +116,9 @@ def describe(
             **engine_versions(config.sim),
         },
         plugins=plugin_references(config),
+        actions=documents.Actions(
+            joints=config.robot.actions.joints, steps=config.robot.actions.steps
+        ),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),
         state=state,

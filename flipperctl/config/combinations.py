@@ -20,9 +20,11 @@ def check_decisions(robot: Robot, sensor: Sensor, randomise: Randomise) -> None:
     """
     period = robot.decision_period
     if period < SAMPLE_PERIOD:
+        given = robot.control_period is not None
+        cause = "control_period:" if given else "angle_step: angle_step / flipper_speed,"
         raise ConfigError(
-            f"robot.angle_step: a decision, angle_step / flipper_speed, would take {period:.3g} s; "
-            f"at least {SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
+            f"robot.{cause} a decision would take {period:.3g} s; at least "
+            f"{SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
         )
     delays = (
         ("robot", "actuator_delay", robot.actuator_delay, randomise.actuator_delay),
@@ -48,10 +50,11 @@ def check_episode(robot: Robot, episode: Episode, randomise: Randomise) -> None:
             f"{robot.angle_limit:g} rad"
         )
     slowest = robot.track_speed if randomise.track_speed is None else randomise.track_speed[0]
-    farthest = slowest * episode.stuck_window * robot.decision_period
+    window = episode.stuck_decisions(robot.decision_period)
+    farthest = slowest * window * robot.decision_period
     if episode.stuck_progress > farthest:
         raise ConfigError(
-            f"episode.stuck_progress: {episode.stuck_progress:g} m in {episode.stuck_window} "
+            f"episode.stuck_progress: {episode.stuck_progress:g} m in {window} "
             f"decisions is more than a robot of {slowest:g} m/s drives on level ground; at most "
             f"{farthest:.3g} m is allowed, or every robot is stuck"
         )

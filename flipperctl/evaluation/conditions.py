@@ -48,6 +48,8 @@ class Conditions:
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
             for section in _SECTIONS
         }
+        for section in ("robot", "episode"):  # a null follows from the other settings
+            sections[section] = {k: v for k, v in sections[section].items() if v is not None}
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
         if files := _digests(config):

@@ -72,8 +72,8 @@ def export(
 
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:
-    """Return what differs between two robots, their decision periods included."""
-    names = (*Robot.model_fields, "decision_period")
+    """Return what differs between two robots; the decision period stands for control_period."""
+    names = [*(name for name in Robot.model_fields if name != "control_period"), "decision_period"]
     pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}
     return {
         name: {"training": before, "file": after}

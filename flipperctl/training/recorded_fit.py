@@ -76,8 +76,8 @@ def _check_robot(robot: Robot, path: Path, environment: EnvironmentOutline) -> N
     texts = list(_differing("robot", ours, theirs))
     if not texts:
         return
-    period, own = theirs["angle_step"] / theirs["flipper_speed"], robot.decision_period
-    if period != own:
+    period = theirs["control_period"] or theirs["angle_step"] / theirs["flipper_speed"]
+    if period != (own := robot.decision_period):
         texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
     settings = [f"robot.{k}={v}" for k, v in theirs.items() if v != ours.get(k)]
     raise ConfigError(

@@ -86,11 +86,28 @@ def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
         ),
         ({"robot.track_radius": 0.3}, "robot", "must exceed twice track_radius (0.3 m)"),
         ({"robot.angle_step": 0.004}, "robot.angle_step", "at least 0.01 s"),
+        ({"robot.control_period": 0.004}, "robot.control_period", "at least 0.01 s"),
+        (
+            {"robot.actuator_delay": 0.3, "robot.control_period": 0.2},
+            "robot.actuator_delay",
+            "0.2 s",
+        ),
         ({"robot.actuator_delay": 0.3, "robot.angle_step": 0.1}, "robot.actuator_delay", "0.229"),
         ({"perception.delay": 0.3, "robot.angle_step": 0.1}, "perception.delay", "0.229"),
         ({"episode.start_angle": -1.2}, "episode.start_angle", "robot.angle_limit, 1.0472 rad"),
         # 20 decisions of 0.6 s at 0.2 m/s are 2.4 m.
         ({"episode.stuck_progress": 2.5}, "episode.stuck_progress", "at most 2.4 m"),
+        # A progress over 3 s, which is 5 decisions, is at most 0.6 m.
+        (
+            {"episode.stuck_progress": 2.0, "episode.stuck_time": 3.0},
+            "episode.stuck_progress",
+            "at most 0.6 m",
+        ),
+        (
+            {"episode.stuck_window": 30, "episode.stuck_time": 3.0},
+            "episode",
+            "stuck_window (30 decisions) has no effect beside stuck_time (3 s)",
+        ),
         ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
     ],
     ids=str,
