@@ -236,7 +236,7 @@ def _entry(module: str, name: str, value: object) -> list[str]:
 
 def _attribute_doc(module: str, name: str) -> list[str]:
     """Return the string below the assignment of a module's name, wherever it was imported from."""
-    for inner in sorted(n for n in _modules(module)):
+    for inner in (*sorted(_modules(module)), *sorted(_modules("flipperctl.core"))):
         found = ModuleAnalyzer.for_module(inner).find_attr_docs()
         if ("", name) in found:
             return list(found["", name])
