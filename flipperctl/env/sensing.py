@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.api import Profile, RobotState, SensedAngles, SensedGround, Sensor
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import naming, refusal, short_repr
 
 _NUMBERS = "fiu"
 """Kinds of numpy's types that are real numbers."""
@@ -25,10 +25,7 @@ def exact(sensor: Sensor) -> Sensor:
     Raises:
         PluginFailedError: the sensor's code failed, or returned something else.
     """
-    try:
-        found = sensor.exact()
-    except BaseException as error:
-        raise fault(error, sensor, "exact") from error
+    found = sensor.exact()
     if not isinstance(found, Sensor) or found.layout != sensor.layout:
         text = f"returned {short_repr(found)}; a Sensor of the same layout is allowed"
         raise refusal(sensor, "exact", text)
@@ -45,11 +42,9 @@ class GuardedSensor:
             PluginFailedError: the sensor's code failed, or returned nothing that senses.
         """
         self._sensor, self._bins = sensor, sensor.layout.bins
-        try:
+        with naming(sensor, "over"):  # what it returned may fail as well
             self._in_use = sensor.over(profile, margin)
             senses = hasattr(self._in_use, "sense")
-        except BaseException as error:
-            raise fault(error, sensor, "over") from error
         if not senses:
             text = f"returned {short_repr(self._in_use)}; a flipperctl.api.GroundSensor is allowed"
             raise refusal(sensor, "over", text)
@@ -63,10 +58,8 @@ class GuardedSensor:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: a point, a height or an angle is not finite.
         """
-        try:
+        with naming(self._sensor, "sense"):
             ground, angles = self._in_use.sense(state, rng)
-        except BaseException as error:
-            raise fault(error, self._sensor, "sense") from error
         self._check_ground(ground)
         self._check_angles(angles)
         return ground, angles

@@ -202,6 +202,20 @@ def test_a_reward_beyond_its_bounds_is_named_when_it_happens(registry: dict) -> 
         env.step(HOLD)
 
 
+def test_a_reward_that_raises_names_its_path_and_its_cause(registry: dict) -> None:
+    @reward("broken")
+    class Broken(RewardTerm):
+        def __call__(self, t: Transition) -> float:
+            return [][3]
+
+    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
+    env.reset(seed=0)
+    text = r"reward 'broken' \(rewards\.mine\): __call__ raised IndexError: .*test_requests\.py:\d+"
+    with pytest.raises(PluginFailedError, match=text) as error:
+        env.step(HOLD)
+    assert isinstance(error.value.__cause__, IndexError)
+
+
 @pytest.mark.parametrize(
     ("generate", "text"),
     [
