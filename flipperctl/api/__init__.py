@@ -1,7 +1,7 @@
 """The whole contract for plugin authors: the values, the plugin families and their decorators.
 
-This package imports nothing of the rest of flipperctl and holds everything that a plugin may
-import from it.
+This package imports nothing of the rest of flipperctl but ``core`` and holds everything that a
+plugin may import from it.
 SI units and radians throughout. Frames: world (x forward, z up, the profile's own
 coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
 the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front
@@ -26,6 +26,7 @@ from flipperctl.api.engines import (
     EndingWorld,
     Engine,
     Limits,
+    RayWorld,
     Start,
     World,
     engine,
@@ -34,7 +35,14 @@ from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
 from flipperctl.api.robot import Robot
-from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sensor, sensor
+from flipperctl.api.sensors import (
+    GroundSensor,
+    Instrument,
+    Mounting,
+    RememberingSensor,
+    Sensor,
+    sensor,
+)
 from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
@@ -51,6 +59,7 @@ from flipperctl.api.values import (
     Transition,
     action_index,
 )
+from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
 
 __all__ = [
     "ACTIONS",
@@ -64,10 +73,14 @@ __all__ = [
     "DrawingWorld",
     "EndingWorld",
     "Engine",
+    "Estimator",
     "FloatArray",
     "GroundSensor",
+    "Instrument",
     "Limits",
+    "Measured",
     "MirroredSurface",
+    "Mounting",
     "Network",
     "ObservationLayout",
     "Outcome",
@@ -75,6 +88,8 @@ __all__ = [
     "Plugin",
     "Policy",
     "Profile",
+    "RayWorld",
+    "RememberingSensor",
     "RewardTerm",
     "Robot",
     "RobotGeometry",

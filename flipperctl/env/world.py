@@ -21,12 +21,13 @@ from flipperctl.api import (
     Limits,
     Outcome,
     Profile,
+    RayWorld,
     Robot,
     RobotState,
     Start,
     World,
 )
-from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
 from flipperctl.guard import fault, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
@@ -140,6 +141,28 @@ class GuardedWorld:
         if outcome is not None and not isinstance(outcome, Outcome):
             raise self._refusal("ended", short_repr(outcome), "an Outcome, or None")
         return outcome
+
+    def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
+        """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
+
+        See ``flipperctl.api.RayWorld``.
+
+        Raises:
+            ConfigError: the engine casts no rays.
+        """
+        if not isinstance(self.unguarded, RayWorld):
+            raise ConfigError(
+                f"perception: the sensor casts rays, which sim={self._engine.plugin_name} cannot; "
+                "choose an engine whose world is a flipperctl.api.RayWorld"
+            )
+        found = self._call("cast_rays", origin, directions, reach)
+        allowed = f"distances ≥ 0 of the shape {(len(directions),)}"
+        if not (isinstance(found, np.ndarray) and found.dtype.kind == "f"):
+            raise self._refusal("cast_rays", short_repr(found), allowed)
+        if found.shape != (len(directions),) or not (found >= 0).all():  # false for NaN
+            text = f"an array of the shape {found.shape}, or a distance below 0, or NaN"
+            raise self._refusal("cast_rays", text, allowed)
+        return found
 
     def save(self) -> Any:
         """Return a snapshot of the changing state for ``load``."""

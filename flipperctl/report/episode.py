@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
-from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
+from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.report.figure import (
     WIDTH,
     draw_ground,

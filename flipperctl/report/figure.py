@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flipperctl.api import FloatArray, Profile
-from flipperctl.env.render import EARTH, GROUND, INK
+from flipperctl.report.render import EARTH, GROUND, INK
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
 from flipperctl.messages import close_match

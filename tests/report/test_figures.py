@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import Profile, RobotGeometry, RobotState
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.env.render import BELT
+from flipperctl.report.render import BELT
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.files import picture_names
