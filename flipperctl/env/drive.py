@@ -20,6 +20,7 @@ from flipperctl.api import (
     FloatArray,
     Outcome,
     Profile,
+    RayWorld,
     Robot,
     Sensor,
     Start,
@@ -34,8 +35,8 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
 
 
-class DrivenWorld(World, EndingWorld, Protocol):
-    """What a drive calls: a world that can be asked whether it ended by itself."""
+class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
+    """What a drive holds: a world that can be asked for its own end, and for rays."""
 
 
 class Drive:

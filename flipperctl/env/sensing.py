@@ -121,7 +121,9 @@ class GuardedEstimator:
         """
         self._sensor = sensor
         self._estimator: Estimator = _call(sensor, "estimator", sensor.estimator, robot)
-        missing = [m for m in ("update", "estimate", "save", "load") if not _has(self._estimator, m)]
+        missing = [
+            m for m in ("update", "estimate", "save", "load") if not _has(self._estimator, m)
+        ]
         if missing:
             text = f"returned {short_repr(self._estimator)}, which has no {', '.join(missing)}"
             raise refusal(sensor, "estimator", f"{text}; a flipperctl.api.Estimator is allowed")

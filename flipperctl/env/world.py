@@ -159,8 +159,10 @@ class GuardedWorld:
         allowed = f"distances ≥ 0 of the shape {(len(directions),)}"
         if not (isinstance(found, np.ndarray) and found.dtype.kind == "f"):
             raise self._refusal("cast_rays", short_repr(found), allowed)
-        if found.shape != (len(directions),) or not (found >= 0).all():  # false for NaN
-            text = f"an array of the shape {found.shape}, or a distance below 0, or NaN"
+        if found.shape != (len(directions),):
+            raise self._refusal("cast_rays", f"an array of the shape {found.shape}", allowed)
+        if not (found >= 0).all():  # false for NaN
+            text = f"the distance {found[~(found >= 0)][0]:g}"
             raise self._refusal("cast_rays", text, allowed)
         return found
 

@@ -23,9 +23,9 @@ from flipperctl.api import (
     Robot,
     RobotState,
 )
+from flipperctl.sim.planar.casting import distances
 from flipperctl.sim.planar.energy import Budget
 from flipperctl.sim.planar.joints import join, largest_impulse
-from flipperctl.sim.planar.casting import distances
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 
 if TYPE_CHECKING:
