@@ -1,4 +1,4 @@
-"""A sensor of your own with two parts: a gyro at 100 Hz, and an estimator that integrates the pitch.
+"""A sensor of your own with two parts: a gyro at 100 Hz, and an estimator of the pitch.
 
 Try it: ``flipperctl eval --controller okada perception=inertial --plugins examples/inertial.py``
 """

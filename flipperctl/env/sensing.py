@@ -121,9 +121,8 @@ class GuardedEstimator:
         """
         self._sensor = sensor
         self._estimator: Estimator = _call(sensor, "estimator", sensor.estimator, robot)
-        missing = [
-            m for m in ("update", "estimate", "save", "load") if not _has(self._estimator, m)
-        ]
+        needed = ("update", "estimate", "save", "load")
+        missing = [method for method in needed if not _has(self._estimator, method)]
         if missing:
             text = f"returned {short_repr(self._estimator)}, which has no {', '.join(missing)}"
             raise refusal(sensor, "estimator", f"{text}; a flipperctl.api.Estimator is allowed")
@@ -175,7 +174,8 @@ class GuardedSensor:
         if not _has(self._in_use, "sense"):
             text = f"returned {short_repr(self._in_use)}; a flipperctl.api.GroundSensor is allowed"
             raise refusal(sensor, "over", text)
-        self._remembers = isinstance(self._in_use, RememberingSensor)
+        in_use: object = self._in_use
+        self._memory = in_use if isinstance(in_use, RememberingSensor) else None
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Sensed:
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``.
@@ -189,12 +189,12 @@ class GuardedSensor:
 
     def save(self) -> Any:
         """Return a snapshot of the memory, if there is one."""
-        return _call(self._sensor, "save", self._in_use.save) if self._remembers else None
+        return None if self._memory is None else _call(self._sensor, "save", self._memory.save)
 
     def load(self, saved: Any) -> None:
         """Return to a snapshot."""
-        if self._remembers:
-            _call(self._sensor, "load", self._in_use.load, saved)
+        if self._memory is not None:
+            _call(self._sensor, "load", self._memory.load, saved)
 
 
 class Newest:

@@ -1,4 +1,4 @@
-"""Checks of a sensor: its perceptions, sampling, randomness, snapshots, and what a robot can run."""
+"""Checks of a sensor: perceptions, sampling, randomness, snapshots, and what a robot can run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import (
     SAMPLE_PERIOD,
@@ -148,15 +149,18 @@ def _equal(one: Sequence[Perception], other: Sequence[Perception]) -> bool:
     return all(
         np.array_equal(p.observation, q.observation)
         and np.array_equal(p.points, q.points)
-        and (p.filled is None) == (q.filled is None)
-        and (p.filled is None or np.array_equal(p.filled, q.filled))
+        and np.array_equal(_filled(p), _filled(q))
         for p, q in zip(one, other, strict=True)
     )
 
 
+def _filled(p: Perception) -> NDArray[np.bool_]:
+    return np.zeros(len(p.points), np.bool_) if p.filled is None else p.filled
+
+
 def _require_plain(name: str, value: object) -> None:
     """Check that a measurement is a frozen dataclass of numbers, arrays, names and the like."""
-    frozen = is_dataclass(value) and value.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    frozen = getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
     require(frozen, f"instrument {name!r} returned {value!r}; a frozen dataclass is allowed")
     assert is_dataclass(value)
     for field in fields(value):
@@ -164,5 +168,6 @@ def _require_plain(name: str, value: object) -> None:
         plain = part is None or isinstance(part, bool | int | float | str | np.ndarray | np.generic)
         require(
             plain or is_dataclass(part),
-            f"instrument {name!r} returned {part!r} as {field.name}; numbers and arrays are allowed",
+            f"instrument {name!r} returned {part!r} as {field.name}; numbers and arrays are "
+            "allowed",
         )

@@ -70,6 +70,9 @@ class Log(Observer):
         self.poses: list[np.ndarray] = []
         self.order: list[str] = []
 
+    def at(self, instrument: str) -> list[float]:
+        return [m.time for m in self.taken if m.instrument == instrument]
+
     def begin(self, profile: api.Profile, robot: api.Robot) -> None:
         self.order.append("begin")
 
@@ -111,11 +114,8 @@ def test_instruments_measure_at_their_samples_and_estimates_are_as_old_as_the_de
         then = now - 0.12
         slow = 0.25 * int(then / 0.25 + 1e-6)
         assert seen(late.perception) == pytest.approx((then, then, slow, then))
-    by_name = {
-        name: [m.time for m in log.taken if m.instrument == name] for name in ("fast", "slow")
-    }
-    assert by_name["fast"] == pytest.approx(np.arange(181) * 0.01)
-    assert by_name["slow"] == pytest.approx(np.arange(8) * 0.25)
+    assert log.at("fast") == pytest.approx(np.arange(181) * 0.01)
+    assert log.at("slow") == pytest.approx(np.arange(8) * 0.25)
     assert log.times == pytest.approx(np.arange(181) * 0.01)
     assert np.array_equal(np.concatenate(log.poses)[-1], env.drive.poses[-1])
     terms = ["end", "flipper", "pitch"]
@@ -125,15 +125,12 @@ def test_instruments_measure_at_their_samples_and_estimates_are_as_old_as_the_de
 def test_an_episode_that_ends_between_two_decisions_is_measured_to_its_end(
     clocks: type[api.Sensor],
 ) -> None:
-    env, log = (
-        FlipperEnv("flat", perception=clocks(), episode={"run_up": 0.3, "run_out": 0.2}),
-        Log(),
-    )
+    env, log = FlipperEnv("flat", perception=clocks(), episode={"run_out": 0.2}), Log()
     env.observers = (log,)
     env.reset(seed=0)
     while not any(env.step(UP)[2:4]):
         pass
-    fast = [m.time for m in log.taken if m.instrument == "fast"]
+    fast = log.at("fast")
     assert fast == pytest.approx(np.arange(len(fast)) * 0.01)
     assert fast[-1] == pytest.approx(env.state.time) == pytest.approx(env.perception.pitch)
     assert env.state.time % 0.6 > 0.005
