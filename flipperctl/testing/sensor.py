@@ -24,6 +24,8 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig
 from flipperctl.env.drive import Drive
 from flipperctl.env.perceiving import Perceiver
+from flipperctl.errors import ConformanceError
+from flipperctl.guard import short_repr
 from flipperctl.testing.check import require
 from flipperctl.testing.portable import foreign_names
 
@@ -160,14 +162,15 @@ def _filled(p: Perception) -> NDArray[np.bool_]:
 
 def _require_plain(name: str, value: object) -> None:
     """Check that a measurement is a frozen dataclass of numbers, arrays, names and the like."""
-    frozen = getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
-    require(frozen, f"instrument {name!r} returned {value!r}; a frozen dataclass is allowed")
+    if not getattr(getattr(value, "__dataclass_params__", None), "frozen", False):
+        text = f"instrument {name!r} returned {short_repr(value)}; a frozen dataclass is allowed"
+        raise ConformanceError(text)
     assert is_dataclass(value)
     for field in fields(value):
         part = getattr(value, field.name)
         plain = part is None or isinstance(part, bool | int | float | str | np.ndarray | np.generic)
-        require(
-            plain or is_dataclass(part),
-            f"instrument {name!r} returned {part!r} as {field.name}; numbers and arrays are "
-            "allowed",
-        )
+        if not (plain or is_dataclass(part)):
+            raise ConformanceError(
+                f"instrument {name!r} returned {short_repr(part)} as {field.name}; numbers and "
+                "arrays are allowed"
+            )
