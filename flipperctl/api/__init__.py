@@ -26,6 +26,7 @@ from flipperctl.api.engines import (
     EndingWorld,
     Engine,
     Limits,
+    RayWorld,
     Start,
     World,
     engine,
@@ -34,7 +35,14 @@ from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
 from flipperctl.api.robot import Robot
-from flipperctl.api.sensors import GroundSensor, SensedAngles, SensedGround, Sensor, sensor
+from flipperctl.api.sensors import (
+    GroundSensor,
+    Instrument,
+    Mounting,
+    RememberingSensor,
+    Sensor,
+    sensor,
+)
 from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
@@ -50,6 +58,7 @@ from flipperctl.api.values import (
 )
 from flipperctl.core.actions import ACTIONS, ActionTable, action_index
 from flipperctl.core.arrays import FloatArray
+from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
 
 __all__ = [
     "ACTIONS",
@@ -64,10 +73,14 @@ __all__ = [
     "DrawingWorld",
     "EndingWorld",
     "Engine",
+    "Estimator",
     "FloatArray",
     "GroundSensor",
+    "Instrument",
     "Limits",
+    "Measured",
     "MirroredSurface",
+    "Mounting",
     "Network",
     "ObservationLayout",
     "Outcome",
@@ -75,6 +88,8 @@ __all__ = [
     "Plugin",
     "Policy",
     "Profile",
+    "RayWorld",
+    "RememberingSensor",
     "RewardTerm",
     "Robot",
     "RobotGeometry",

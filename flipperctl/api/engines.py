@@ -124,6 +124,19 @@ class DrawingWorld(Protocol):
         """Return a picture of the current state, (H, W, 3)."""
 
 
+@runtime_checkable
+class RayWorld(Protocol):
+    """A ``World`` in which sensors cast rays."""
+
+    def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
+        """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
+
+        It is infinite where no ground is hit within ``reach`` [m]; the robot itself is never hit.
+        ``origin`` is (3,) [m] and ``directions`` are (R, 3) unit vectors, both in world: x forward,
+        y to the left, z up.
+        """
+
+
 class Engine(Plugin, ABC):
     """Simulates the robot; equal arguments, ``rng`` included, give worlds equal bit for bit."""
 

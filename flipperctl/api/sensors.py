@@ -1,51 +1,29 @@
 """Sensors, which perceive the ground and the posture of the robot.
 
 The true ground is a ``Profile``; the sensed ground is a ``SensedGround``. A sensor is a plugin: its
-fields are settings below ``perception``.
+fields are settings below ``perception``. One that senses once for each decision, from the true
+state, implements ``over``. Every other sensor has two parts: instruments, which measure in
+simulation, and an estimator, which knows their measurements alone and runs on a robot too.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from flipperctl.api.engines import RayWorld
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import ObservationLayout, Profile, RobotState
-from flipperctl.core.arrays import FloatArray
-
-
-@dataclass(frozen=True)
-class SensedGround:
-    """The sensed ground around the robot, in frame L."""
-
-    points: FloatArray
-    """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
-    heights: FloatArray
-    """(N,) mean height of each bin (paper Eq. 1) [m]."""
-    filled: NDArray[np.bool_] | None = None
-    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
-
-
-@dataclass(frozen=True)
-class SensedAngles:
-    """The sensed posture of the robot."""
-
-    front: float
-    """Angle of the front flippers in frame R [rad]."""
-    rear: float
-    """Angle of the rear flippers in frame R [rad]."""
-    pitch: float
-    """Pitch of the chassis, nose up positive [rad]."""
+from flipperctl.api.values import ObservationLayout, Profile, RobotGeometry, RobotState
+from flipperctl.core.sensing import Estimator, SensedAngles, SensedGround
 
 
 class GroundSensor(Protocol):
-    """A sensor in use on the ground of one episode."""
+    """A sensor in use on the ground of one episode, which senses once for each decision."""
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -53,19 +31,85 @@ class GroundSensor(Protocol):
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``."""
 
 
-class Sensor(ObservationLayout, Plugin, ABC):
-    """Perceives the ground in the layout of the observation."""
+@runtime_checkable
+class RememberingSensor(Protocol):
+    """A ``GroundSensor`` with a memory, which snapshots of an episode then hold as well."""
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory, which later calls of ``sense`` leave unchanged."""
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """What the instruments of one episode are mounted on."""
+
+    robot: RobotGeometry
+    """The robot with the values that the episode drew."""
+    profile: Profile
+    """True ground of the episode."""
+    margin: float
+    """Length of the level ground before and past the profile that may come into view [m]."""
+    rays: RayWorld
+    """Casts rays in the engine's world; a ``ConfigError`` says so if the engine cannot."""
+    rng: np.random.Generator
+    """Generator of what varies between episodes and is constant in each, such as a bias."""
+
+
+class Instrument(ABC):
+    """Measures during one episode, as a part of the robot's hardware does."""
+
+    period: float | None = None
+    """Time between two measurements, a whole multiple of ``SAMPLE_PERIOD``, the first one at the
+    start; None: once for each decision, at the time that is perceived [s]."""
+
+    @abstractmethod
+    def measure(self, state: RobotState, rng: np.random.Generator) -> object:
+        """Return a measurement of the true state: a frozen dataclass of numbers and arrays.
+
+        Noise is drawn from ``rng``, the instrument's own generator. Snapshots hold that generator.
+        """
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory, which later measurements leave unchanged.
+
+        An instrument that remembers nothing needs neither ``save`` nor ``load``.
+        """
+        return None
+
+    def load(self, saved: Any) -> None:  # noqa: B027  # an instrument may remember nothing
+        """Return to a snapshot."""
+
+
+class Sensor(ObservationLayout, Plugin):
+    """Perceives the ground in the layout of the observation.
+
+    It implements either ``over``, or ``instruments`` and ``estimator``.
+    """
 
     kind: ClassVar[str] = "perception"
     delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
-    @abstractmethod
     def over(self, profile: Profile, margin: float) -> GroundSensor:
         """Return the sensor in use on the ground of one episode.
 
         ``margin``: length of the level ground before and past the profile that may come into
         view [m].
         """
+        raise TypeError(f"sensor {type(self).__name__} measures by its instruments only")
+
+    def instruments(self, mounting: Mounting) -> Mapping[str, Instrument] | None:
+        """Return the instruments of one episode by name; None: the sensor implements ``over``."""
+        return None
+
+    def estimator(self, robot: RobotGeometry) -> Estimator:
+        """Return a new estimator for the measurements of ``instruments``.
+
+        It is given what a robot's computer has: these settings and the nominal ``robot``.
+        """
+        raise TypeError(f"sensor {type(self).__name__} has no estimator")
 
     def exact(self) -> Sensor:
         """Return this sensor without errors, in the same layout; a privileged teacher perceives so.
@@ -84,5 +128,22 @@ SensorT = TypeVar("SensorT", bound=Sensor)
 
 
 def sensor(name: str) -> Callable[[type[SensorT]], type[SensorT]]:
-    """Register a ``Sensor``; choose it with ``perception=<name>``."""
-    return register(Sensor, name)
+    """Register a ``Sensor``; choose it with ``perception=<name>``.
+
+    Raises:
+        ValueError: the name is not valid or is already taken.
+        TypeError: the class is not a ``Sensor``, or implements neither ``over`` nor
+            ``instruments`` and ``estimator``.
+    """
+
+    def decorate(cls: type[SensorT]) -> type[SensorT]:
+        whole = cls.over is not Sensor.over
+        parts = cls.instruments is not Sensor.instruments and cls.estimator is not Sensor.estimator
+        if not (whole or parts):
+            raise TypeError(
+                f"@sensor({name!r}): {cls.__name__} needs a method over(profile, margin), or both "
+                "instruments(mounting) and estimator(robot)"
+            )
+        return register(Sensor, name)(cls)
+
+    return decorate

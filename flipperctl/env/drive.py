@@ -7,6 +7,7 @@ neither observations nor rewards.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from flipperctl.api import (
     FloatArray,
     Outcome,
     Profile,
+    RayWorld,
     Robot,
     Sensor,
     Start,
@@ -28,12 +30,12 @@ from flipperctl.core.targets import TargetRule
 from flipperctl.env.ends import Ends
 from flipperctl.env.world import place
 
-_TURN, _PERCEIVE, _END = range(3)
+_TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
 
 
-class DrivenWorld(World, EndingWorld, Protocol):
-    """What a drive calls: a world that can be asked whether it ended by itself."""
+class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
+    """What a drive holds: a world that can be asked for its own end, and for rays."""
 
 
 class Drive:
@@ -70,6 +72,25 @@ class Drive:
         perceive = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
         self._events = sorted([(act, _TURN), (perceive, _PERCEIVE), (whole, _END)])
         self._undelayed = perceive == whole
+        self._samples = 0
+        self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
+        self._movements: list[Callable[[float, FloatArray], None]] = []
+
+    def sample_every(self, every: int, call: Callable[[World], None]) -> None:
+        """Call ``call`` with the world now and after every ``every`` samples of the episode.
+
+        Snapshots hold who is called, too.
+        """
+        self._samplings = (*self._samplings, (every, call))
+        call(self.world)
+
+    def report_poses(self, call: Callable[[float, FloatArray], None]) -> None:
+        """Call ``call`` with the current pose and with those of each run of samples, (S, 5).
+
+        Its first argument is the time of the first of them [s].
+        """
+        self._movements.append(call)
+        call(self._samples * SAMPLE_PERIOD, self._pose())
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
@@ -85,18 +106,43 @@ class Drive:
         world, ends = self.world, self.ends
         done = 0
         self.poses = self._pose()
-        for sample, event in self._events:
+        for sample, event in self._due_events():
             while done < sample:
                 poses = world.advance(sample - done, ends.limits)
                 self.poses = np.concatenate([self.poses, poses])
-                if (outcome := world.ended() or ends.instant(world)) is not None:
-                    return outcome
                 done += len(poses)
+                self._moved(poses)
+                if (outcome := world.ended() or ends.instant(world)) is not None:
+                    self._take_samples()
+                    return outcome
             if event == _TURN:
                 world.command(*self.targets)
+            elif event == _SAMPLE:
+                self._take_samples()
             elif event == _PERCEIVE and not self._undelayed:
                 self.delayed_state = world.state()
         return None
+
+    def _due_events(self) -> Sequence[tuple[int, int]]:
+        """Return the events of the next decision, those of ``sample_every`` included."""
+        if not self._samplings:
+            return self._events
+        whole, _ = self._events[-1]
+        due = [n for n in range(1, whole + 1) if self._is_due(self._samples + n)]
+        return sorted([*self._events, *((n, _SAMPLE) for n in due)])
+
+    def _is_due(self, sample: int) -> bool:
+        return any(sample % every == 0 for every, _ in self._samplings)
+
+    def _take_samples(self) -> None:
+        for every, call in self._samplings:
+            if self._samples % every == 0:
+                call(self.world)
+
+    def _moved(self, poses: FloatArray) -> None:
+        self._samples += len(poses)
+        for call in self._movements:
+            call((self._samples - len(poses) + 1) * SAMPLE_PERIOD, poses)
 
     def _pose(self) -> FloatArray:
         """Return the pose at the last decision, (1, 5), in the order of ``poses``."""
@@ -106,10 +152,13 @@ class Drive:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
-        return self.world.save(), self.ends.save(), self.state, self.delayed_state, self.targets
+        moving = self.state, self.delayed_state, self.targets
+        return self.world.save(), self.ends.save(), moving, (self._samples, self._samplings)
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Return to a snapshot."""
-        world, ends, self.state, self.delayed_state, self.targets = saved
+        world, ends, moving, sampling = saved
+        self.state, self.delayed_state, self.targets = moving
+        self._samples, self._samplings = sampling
         self.world.load(world)
         self.ends.load(ends)

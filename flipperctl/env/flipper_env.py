@@ -20,7 +20,7 @@ from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
-    DrawingWorld,
+    Mounting,
     Outcome,
     Profile,
     RobotState,
@@ -31,13 +31,14 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground, measures
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
+from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, fresh
+from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
 from flipperctl.env.rewards import RewardSum
-from flipperctl.env.scene import HEIGHT, WIDTH, Scene
+from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
-from flipperctl.errors import ConfigError, TerrainError
-from flipperctl.messages import close_match
+from flipperctl.errors import TerrainError
 
 Observation = NDArray[np.float32]
 
@@ -54,7 +55,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as gymnasium.Env declares it
-        "render_modes": ["rgb_array"],
+        "render_modes": list(MODES),
         "render_fps": 10,
     }
 
@@ -64,24 +65,20 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         *,
         config: EnvConfig | None = None,
         render_mode: str | None = None,
+        renderer: Renderer | None = None,
         **overrides: Any,
     ) -> None:
         """Configure the task; ``config`` replaces ``terrain`` and ``overrides``.
 
         ``terrain``: a name, a mapping with ``name`` and fields, or an instance. ``overrides``:
         sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
-        ``rewards={}`` removes every term.
+        ``rewards={}`` removes every term. ``renderer`` draws the scenes of engines that draw no
+        pictures themselves; by default it is the installed one.
 
         Raises:
             ConfigError: a setting, value, plugin or render mode does not exist.
         """
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            raise ConfigError(
-                f"render_mode: there is no mode {render_mode!r}"
-                f"{close_match(str(render_mode), modes)}; "
-                f"None or {', '.join(map(repr, modes))} is allowed"
-            )
+        check_mode(render_mode)
         if config is None:
             plugins.load()
             config = with_overrides(EnvConfig(terrain=terrain), overrides)
@@ -90,13 +87,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """The robot with the values that the episode drew."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
+        self.observers: tuple[Observer, ...] = ()
+        """Observers of the episodes that begin from now on."""
         self._reward = RewardSum(config.rewards)
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
-        self._renderer: Any = None
+        self._pictures = Pictures(renderer)
         self._drawn: Profile | None = None
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
@@ -142,7 +141,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
             )
         self._rngs = rngs[0], rngs[1]
-        self._perceiver = self._new_perceiver(self._rngs)
+        attach(self.observers, self.drive, self.profile)
+        self._perceiver = self._new_perceiver(self.drive, self._rngs)
+        self._perceiver.attach(self.drive, *(o.measured for o in self.observers))
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
@@ -159,15 +160,19 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return Drive(self.profile, self._sections, config.episode, self._start, period, rng)
 
     def _new_perceiver(
-        self, rngs: tuple[np.random.Generator, np.random.Generator], exact: bool = False
+        self,
+        drive: Drive,
+        rngs: tuple[np.random.Generator, np.random.Generator],
+        exact: bool = False,
     ) -> Perceiver:
         episode, (engine, robot, sensor) = self.config.episode, self._sections
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
-        ground = self.profile, margin + 2.0
+        (mounted,) = rngs[0].spawn(1)
+        mounting = Mounting(robot, self.profile, margin + 2.0, drive.world, mounted)
         if exact:  # it tells the drawn physics as well
             friction = getattr(engine, "friction", None)
-            return Perceiver(exact_sensor(sensor), *ground, robot, rngs, friction)
-        return Perceiver(sensor, *ground, self.config.robot, rngs)
+            return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)
+        return Perceiver(sensor, mounting, self.config.robot, rngs)
 
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None
@@ -177,13 +182,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
         first, second = self._rngs
-        return SceneSimulator(
-            self._drive,
-            lambda: self._new_perceiver((fresh(first), fresh(second))),
-            lambda: self._new_perceiver((fresh(first), fresh(second)), exact=True),
-            self.profile,
-            report_progress,
-        )
+
+        def perceiver(drive: Drive, exact: bool) -> Perceiver:
+            found = self._new_perceiver(drive, (fresh(first), fresh(second)), exact)
+            found.attach(drive)
+            return found
+
+        return SceneSimulator(self._drive, perceiver, self.profile, report_progress)
 
     @property
     def state(self) -> RobotState:
@@ -238,6 +243,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)
+        for observer in self.observers:
+            observer.decided(self.transition, self.perception, parts)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         info: dict[str, Any] = {"rewards": parts}
         if outcome is not None:
@@ -254,20 +261,21 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def scene(self) -> Scene:
-        """The current instant of the episode, for pictures."""
+        """The current instant of the episode as plain data."""
         return Scene(
             self.config.terrain.plugin_name,
-            self.profile,
+            self.profile.points,
             self.profile.start - self.config.episode.run_up,
             self.drive.ends.finish,
             self.robot.track_speed,
+            self.perception.robot,
             self.state,
-            self.perception,
+            Perceived.of(self.perception),
             self._last_move,
             self._outcome,
         )
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Picture | None:
         """Return a picture, (HEIGHT, WIDTH, 3); None without ``render_mode="rgb_array"``.
 
         It is the engine's own, if its world is a ``DrawingWorld``, else the scene from the side.
@@ -278,12 +286,4 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """
         if self.render_mode is None:
             return None
-        world = self.drive.world
-        if isinstance(world, DrawingWorld):
-            return world.draw(WIDTH, HEIGHT)
-        if self._renderer is None:
-            from flipperctl.env.render import Renderer
-
-            self._renderer = Renderer()
-        picture: NDArray[np.uint8] = self._renderer(self.scene)
-        return picture
+        return self._pictures.draw(self.drive.world, lambda: self.scene)

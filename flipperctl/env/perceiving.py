@@ -1,17 +1,41 @@
-"""What the policy of one episode perceives: the sensor's ground and angles as an observation.
+"""What the policy of one episode perceives: estimates from a sensor's measurements.
 
-In: true states. Out: perceptions, which remember the observations before them.
+In: true states, at samples and at decisions. Out: perceptions, which remember the observations
+before them.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from flipperctl.api import MAX_HISTORY, Perception, Profile, RobotGeometry, RobotState, Sensor
+from flipperctl.api import (
+    MAX_HISTORY,
+    SAMPLE_PERIOD,
+    Measured,
+    Mounting,
+    Perception,
+    RobotGeometry,
+    RobotState,
+    Sensor,
+    World,
+)
 from flipperctl.core.observation import assemble
-from flipperctl.env.sensing import GuardedSensor
+from flipperctl.env.drive import Drive
+from flipperctl.env.sensing import InUse, put_to_use
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An instrument with its name and its own generator."""
+
+    name: str
+    instrument: InUse
+    rng: np.random.Generator
 
 
 class Perceiver:
@@ -20,13 +44,12 @@ class Perceiver:
     def __init__(
         self,
         sensor: Sensor,
-        profile: Profile,
-        margin: float,
+        mounting: Mounting,
         robot: RobotGeometry,
         rngs: tuple[np.random.Generator, np.random.Generator],
         friction: float | None = None,
     ) -> None:
-        """Use ``sensor`` on ``profile`` with ``margin`` [m] of level ground on both sides.
+        """Use ``sensor`` on what it is mounted on.
 
         ``robot``: the robot that policies believe in; ``rngs``: the generators of the sensor's
         noise and of random policies; ``friction``: what policies are told of it [-].
@@ -35,37 +58,97 @@ class Perceiver:
             PluginFailedError: the sensor's code failed.
         """
         self._robot, self._friction = robot, friction
-        self._sensor_rng, self._controller_rng = rngs
+        noise, self._controller_rng = rngs
         self._layout = sensor.layout
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
         self._recent = deque(maxlen=MAX_HISTORY)
-        self._in_use = GuardedSensor(sensor, profile, margin)
+        instruments, self._estimator = put_to_use(sensor, mounting, robot)
+        generators = [noise, *noise.spawn(len(instruments) - 1)] if instruments else []
+        self._parts = [
+            _Part(name, instrument, rng)
+            for (name, instrument), rng in zip(instruments.items(), generators, strict=True)
+        ]
+        self._pending: list[Measured] = []
+        """Measurements that the estimator has not received, since they are newer than the delay."""
+        self._reports: tuple[Callable[[Measured], None], ...] = ()
+
+    def attach(self, drive: Drive, *reports: Callable[[Measured], None]) -> None:
+        """Measure at the samples of ``drive`` from now on; pass each measurement to ``reports``.
+
+        Without instruments that measure between decisions, nothing about the drive changes.
+        """
+        self._reports = reports
+        for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
+            drive.sample_every(every, self._sampler(every))
+
+    def _sampler(self, every: int) -> Callable[[World], None]:
+        return lambda world: self._measure(every, world.state())
+
+    def measure(self, state: RobotState) -> None:
+        """Measure by every instrument that measures between decisions, whatever its period."""
+        for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
+            self._measure(every, state)
+
+    def _measure(self, every: int | None, state: RobotState) -> None:
+        for part in self._parts:
+            if part.instrument.every == every:
+                value = part.instrument.measure(state, part.rng)
+                self._pending.append(Measured(part.name, state.time, value))
+                for report in self._reports:
+                    report(self._pending[-1])
 
     def perceive(self, state: RobotState) -> Perception:
-        """Sense once; equal generators and states give equal perceptions.
+        """Perceive the robot in this state; equal generators and states give equal perceptions.
+
+        The estimator receives the measurements up to the state's time.
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: what it returned is not finite.
         """
-        ground, angles = self._in_use.sense(state, self._sensor_rng)
+        self._measure(None, state)
+        newest = state.time + SAMPLE_PERIOD / 2
+        pending, self._pending = self._pending, []
+        for measured in pending:
+            if measured.time <= newest:
+                self._estimator.update(measured)
+            else:
+                self._pending.append(measured)
+        ground, angles = self._estimator.estimate(state.time)
         observation = assemble(
             ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
         )
         self._recent.append(observation)
         return Perception(
-            observation,
-            ground.points,
-            angles.pitch,
-            angles.front,
-            angles.rear,
-            self._robot,
-            self._layout,
-            self._controller_rng,
-            tuple(self._recent),
-            ground.filled,
-            self._friction,
+            observation=observation,
+            points=ground.points,
+            pitch=angles.pitch,
+            front=angles.front,
+            rear=angles.rear,
+            robot=self._robot,
+            layout=self._layout,
+            rng=self._controller_rng,
+            recent=tuple(self._recent),
+            filled=ground.filled,
+            friction=self._friction,
         )
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot of memories, generators and recent observations for ``load``."""
+        parts = [(p.instrument.save(), p.rng.bit_generator.state) for p in self._parts]
+        random = self._controller_rng.bit_generator.state
+        return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Return to a snapshot."""
+        parts, random, estimator, pending, recent = saved
+        for part, (memory, state) in zip(self._parts, parts, strict=True):
+            part.instrument.load(memory)
+            part.rng.bit_generator.state = state
+        self._controller_rng.bit_generator.state = random
+        self._estimator.load(estimator)
+        self._pending = list(pending)
+        self._recent = deque(recent, maxlen=MAX_HISTORY)
 
 
 def fresh(rng: np.random.Generator) -> np.random.Generator:

@@ -1,22 +1,38 @@
-"""A sensor in use, guarded: every call into a plugin's sensing goes through here.
+"""The parts of a sensor in use, guarded: every call into a plugin's sensing goes through here.
 
-In: a sensor and the ground of one episode. Out: a ``flipperctl.api.GroundSensor`` whose failures
-and wrong values are errors that name the sensor, the method, the file and the line.
+In: a sensor and what it is mounted on. Out: instruments by name and an estimator, whose failures
+and wrong values are errors that name the sensor, the method, the file and the line. A sensor that
+senses once for each decision becomes one instrument here, whose measurement is the estimate.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from flipperctl.api import Profile, RobotState, SensedAngles, SensedGround, Sensor
-from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.api import (
+    SAMPLE_PERIOD,
+    Estimator,
+    Instrument,
+    Measured,
+    Mounting,
+    RememberingSensor,
+    RobotGeometry,
+    RobotState,
+    SensedAngles,
+    SensedGround,
+    Sensor,
+)
+from flipperctl.env.estimates import checked
 from flipperctl.guard import naming, refusal, short_repr
 
-_NUMBERS = "fiu"
-"""Kinds of numpy's types that are real numbers."""
+T = TypeVar("T")
+
+LONGEST = 1000
+"""Most samples between two measurements of an instrument [-]."""
 
 
 def exact(sensor: Sensor) -> Sensor:
@@ -32,81 +48,202 @@ def exact(sensor: Sensor) -> Sensor:
     return found
 
 
-class GuardedSensor:
-    """A ``flipperctl.api.GroundSensor`` that calls what a sensor returned for one episode."""
+class InUse(Protocol):
+    """An instrument as the environment calls it."""
 
-    def __init__(self, sensor: Sensor, profile: Profile, margin: float) -> None:
-        """Use ``sensor`` on ``profile`` with ``margin`` [m] of level ground on both sides.
+    every: int | None
+    """Samples between two measurements; None: one for each decision [-]."""
+
+    def measure(self, state: RobotState, rng: np.random.Generator) -> object:
+        """Return a measurement of the true state."""
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory."""
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+
+
+def put_to_use(
+    sensor: Sensor, mounting: Mounting, robot: RobotGeometry
+) -> tuple[Mapping[str, InUse], Estimator]:
+    """Return the instruments of one episode by name, and the estimator for the nominal ``robot``.
+
+    Raises:
+        PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
+    """
+    found = _call(sensor, "instruments", sensor.instruments, mounting)
+    if found is None:
+        return {"sensed": GuardedSensor(sensor, mounting)}, Newest()
+    if not (isinstance(found, Mapping) and all(isinstance(name, str) for name in found)):
+        text = f"returned {short_repr(found)}; a mapping of names to instruments is allowed"
+        raise refusal(sensor, "instruments", text)
+    instruments = {name: GuardedInstrument(sensor, name, one) for name, one in found.items()}
+    return instruments, GuardedEstimator(sensor, robot)
+
+
+class GuardedInstrument:
+    """An instrument whose failures name the sensor."""
+
+    def __init__(self, sensor: Sensor, name: str, instrument: object) -> None:
+        """Guard what ``sensor`` returned as the instrument ``name``.
+
+        Raises:
+            PluginFailedError: it is no instrument, or its period is not allowed.
+        """
+        if not isinstance(instrument, Instrument):
+            text = f"returned {short_repr(instrument)} as {name!r}; an Instrument is allowed"
+            raise refusal(sensor, "instruments", text)
+        self._sensor, self._instrument = sensor, instrument
+        self.every = _samples(sensor, instrument)
+
+    def measure(self, state: RobotState, rng: np.random.Generator) -> object:
+        """Return a measurement of the true state; noise is drawn from ``rng``."""
+        return _call(self._sensor, "measure", self._instrument.measure, state, rng)
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory."""
+        return _call(self._sensor, "save", self._instrument.save)
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+        _call(self._sensor, "load", self._instrument.load, saved)
+
+
+class GuardedEstimator:
+    """An ``Estimator`` that calls the one of a sensor and checks its estimates."""
+
+    def __init__(self, sensor: Sensor, robot: RobotGeometry) -> None:
+        """Guard a new estimator.
+
+        Raises:
+            PluginFailedError: the sensor's code failed, or returned nothing that estimates.
+        """
+        self._sensor = sensor
+        self._estimator: Estimator = _call(sensor, "estimator", sensor.estimator, robot)
+        needed = ("update", "estimate", "save", "load")
+        missing = [method for method in needed if not _has(self._estimator, method)]
+        if missing:
+            text = f"returned {short_repr(self._estimator)}, which has no {', '.join(missing)}"
+            raise refusal(sensor, "estimator", f"{text}; a flipperctl.api.Estimator is allowed")
+
+    def update(self, measured: Measured) -> None:
+        """Receive a measurement."""
+        _call(self._sensor, "update", self._estimator.update, measured)
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        """Return the estimate for a ``time`` [s].
+
+        Raises:
+            PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
+            NonFiniteError: a point, a height or an angle is not finite.
+        """
+        found = _call(self._sensor, "estimate", self._estimator.estimate, time)
+        return checked(found, self._sensor, "estimate", type(self._estimator))
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory."""
+        return _call(self._sensor, "save", self._estimator.save)
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+        _call(self._sensor, "load", self._estimator.load, saved)
+
+
+@dataclass(frozen=True)
+class Sensed:
+    """What a sensor without instruments perceives at once."""
+
+    ground: SensedGround
+    angles: SensedAngles
+
+
+class GuardedSensor:
+    """A ``flipperctl.api.GroundSensor`` as an instrument, which measures once for each decision."""
+
+    every: int | None = None
+
+    def __init__(self, sensor: Sensor, mounting: Mounting) -> None:
+        """Use ``sensor`` on the ground of an episode.
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned nothing that senses.
         """
-        self._sensor, self._bins = sensor, sensor.layout.bins
-        with naming(sensor, "over"):  # what it returned may fail as well
-            self._in_use = sensor.over(profile, margin)
-            senses = hasattr(self._in_use, "sense")
-        if not senses:
+        self._sensor = sensor
+        self._in_use = _call(sensor, "over", sensor.over, mounting.profile, mounting.margin)
+        if not _has(self._in_use, "sense"):
             text = f"returned {short_repr(self._in_use)}; a flipperctl.api.GroundSensor is allowed"
             raise refusal(sensor, "over", text)
+        in_use: object = self._in_use
+        self._memory = in_use if isinstance(in_use, RememberingSensor) else None
 
-    def sense(
-        self, state: RobotState, rng: np.random.Generator
-    ) -> tuple[SensedGround, SensedAngles]:
+    def measure(self, state: RobotState, rng: np.random.Generator) -> Sensed:
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``.
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: a point, a height or an angle is not finite.
         """
-        with naming(self._sensor, "sense"):
-            ground, angles = self._in_use.sense(state, rng)
-        self._check_ground(ground)
-        self._check_angles(angles)
-        return ground, angles
+        found = _call(self._sensor, "sense", self._in_use.sense, state, rng)
+        return Sensed(*checked(found, self._sensor, "sense", type(self._in_use)))
 
-    def _check_ground(self, ground: object) -> None:
-        if not isinstance(ground, SensedGround):
-            raise self._refusal(short_repr(ground), "a SensedGround")
-        points, heights, filled = ground.points, ground.heights, ground.filled
-        if not (_is_array(points, _NUMBERS) and points.ndim == 2 and points.shape[1] == 2):
-            raise self._refusal(f"points {_text(points)}", "numbers of the shape (P, 2)")
-        if not (_is_array(heights, _NUMBERS) and heights.shape == (self._bins,)):
-            raise self._refusal(
-                f"heights {_text(heights)}", f"numbers of the shape {(self._bins,)}"
-            )
-        if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
-            allowed = f"None, or booleans of the shape {(len(points),)}"
-            raise self._refusal(f"filled {_text(filled)}", allowed)
-        for name, numbers in (("points", points), ("heights", heights)):
-            if not np.isfinite(numbers).all():
-                raise self._refusal(f"{name} that are not finite", "finite numbers", NonFiniteError)
+    def save(self) -> Any:
+        """Return a snapshot of the memory, if there is one."""
+        return None if self._memory is None else _call(self._sensor, "save", self._memory.save)
 
-    def _check_angles(self, angles: object) -> None:
-        if not isinstance(angles, SensedAngles):
-            raise self._refusal(short_repr(angles), "SensedAngles")
-        try:
-            finite = all(map(math.isfinite, (angles.front, angles.rear, angles.pitch)))
-        except (TypeError, ValueError, OverflowError) as error:
-            raise self._refusal(short_repr(angles), "three numbers") from error
-        if not finite:
-            raise self._refusal(short_repr(angles), "three finite numbers", NonFiniteError)
-
-    def _refusal(
-        self,
-        found: str,
-        allowed: str,
-        raised: type[FlipperctlError] = PluginFailedError,
-    ) -> FlipperctlError:
-        text, owner = f"returned {found}; allowed: {allowed}", type(self._in_use)
-        return refusal(self._sensor, "sense", text, raised, owner=owner)
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""
+        if self._memory is not None:
+            _call(self._sensor, "load", self._memory.load, saved)
 
 
-def _is_array(value: Any, kinds: str) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind in kinds
+class Newest:
+    """The ``Estimator`` of a sensor without instruments: its newest measurement."""
+
+    def __init__(self) -> None:
+        self._newest: Sensed | None = None
+
+    def update(self, measured: Measured) -> None:
+        """Remember the measurement."""
+        assert isinstance(measured.value, Sensed)  # of the only instrument that it is used with
+        self._newest = measured.value
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        """Return the newest measurement."""
+        assert self._newest is not None  # there is a measurement before each estimate
+        return self._newest.ground, self._newest.angles
+
+    def save(self) -> Sensed | None:
+        """Return a snapshot of the memory."""
+        return self._newest
+
+    def load(self, saved: Sensed | None) -> None:
+        """Return to a snapshot."""
+        self._newest = saved
 
 
-def _text(value: Any) -> str:
-    """Return what an array is, or the value itself if it is none."""
-    if isinstance(value, np.ndarray):
-        return f"of the type {value.dtype} and the shape {value.shape}"
-    return short_repr(value)
+def _samples(sensor: Sensor, instrument: Instrument) -> int | None:
+    """Return the period of an instrument in samples; None: once for each decision."""
+    period: object = instrument.period
+    if period is None:
+        return None
+    if isinstance(period, int | float) and 0 < period <= LONGEST * SAMPLE_PERIOD:
+        samples = round(period / SAMPLE_PERIOD)
+        if samples and abs(samples * SAMPLE_PERIOD - period) < 1e-9:
+            return samples
+    raise refusal(
+        sensor,
+        "period",
+        f"is {short_repr(period)}; None is allowed, or a whole multiple of {SAMPLE_PERIOD:g} s "
+        f"up to {LONGEST * SAMPLE_PERIOD:g} s",
+        owner=type(instrument),
+    )
+
+
+def _call(sensor: Sensor, method: str, call: Callable[..., T], *given: Any) -> T:
+    with naming(sensor, method):
+        return call(*given)
+
+
+def _has(value: object, method: str) -> bool:
+    return callable(getattr(value, method, None))

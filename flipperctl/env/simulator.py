@@ -17,18 +17,16 @@ class SceneSimulator:
     def __init__(
         self,
         make: Callable[[], Drive],
-        perceiver: Callable[[], Perceiver],
-        exact_perceiver: Callable[[], Perceiver],
+        perceiver: Callable[[Drive, bool], Perceiver],
         profile: Profile,
         report_progress: Callable[[float], None],
     ) -> None:
         """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``.
 
-        ``perceiver`` returns a new one, whose noise is that of the episode; ``exact_perceiver`` a
-        new one without errors.
+        ``perceiver`` returns a new one that measures at the samples of a drive: with the noise of
+        the episode, or, if its second argument is true, without errors.
         """
         self._make, self._make_perceiver = make, perceiver
-        self._make_exact = exact_perceiver
         self._profile, self._report_progress = profile, report_progress
         self._made: Drive | None = None
         self._perceiver: Perceiver | None = None
@@ -75,13 +73,13 @@ class SceneSimulator:
     def perceive(self) -> Perception:
         """Return what a policy perceives now; see ``flipperctl.api.Simulator``."""
         if self._perceiver is None:
-            self._perceiver = self._make_perceiver()
+            self._perceiver = self._make_perceiver(self._drive, False)
         return self._perceiver.perceive(self._drive.delayed_state)
 
     def perceive_exactly(self) -> Perception:
         """Return what a sensor without errors perceives; see ``flipperctl.api.Simulator``."""
         if self._exact is None:
-            self._exact = self._make_exact()
+            self._exact = self._make_perceiver(self._drive, True)
         return self._exact.perceive(self._drive.state)
 
     def step(self, action: int) -> Outcome | None:
@@ -90,11 +88,13 @@ class SceneSimulator:
 
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``."""
-        return self._drive.save()
+        return self._drive.save(), _saved(self._perceiver), _saved(self._exact)
 
     def load(self, saved: Any) -> None:
         """Return to a snapshot."""
-        self._drive.load(saved)
+        drive, perceiver, exact = saved
+        self._drive.load(drive)
+        self._perceiver, self._exact = _loaded(perceiver), _loaded(exact)
 
     def restart(self) -> None:
         """Return to the start in a new world, which reproduces the episode bit for bit."""
@@ -116,3 +116,17 @@ class SceneSimulator:
             stacklevel=2,
         )
         self.report_progress(share)
+
+
+def _saved(perceiver: Perceiver | None) -> tuple[Perceiver, Any] | None:
+    """Return a perceiver with its snapshot; None before the first perception."""
+    return None if perceiver is None else (perceiver, perceiver.save())
+
+
+def _loaded(saved: tuple[Perceiver, Any] | None) -> Perceiver | None:
+    """Return the perceiver, which has returned to its snapshot."""
+    if saved is None:
+        return None
+    perceiver, memory = saved
+    perceiver.load(memory)
+    return perceiver

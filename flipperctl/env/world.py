@@ -21,12 +21,13 @@ from flipperctl.api import (
     Limits,
     Outcome,
     Profile,
+    RayWorld,
     Robot,
     RobotState,
     Start,
     World,
 )
-from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
 from flipperctl.guard import naming, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
@@ -134,6 +135,30 @@ class GuardedWorld:
         if outcome is not None and not isinstance(outcome, Outcome):
             raise self._refusal("ended", short_repr(outcome), "an Outcome, or None")
         return outcome
+
+    def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
+        """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
+
+        See ``flipperctl.api.RayWorld``.
+
+        Raises:
+            ConfigError: the engine casts no rays.
+        """
+        if not isinstance(self.unguarded, RayWorld):
+            raise ConfigError(
+                f"perception: the sensor casts rays, which sim={self._engine.plugin_name} cannot; "
+                "choose an engine whose world is a flipperctl.api.RayWorld"
+            )
+        found = self._call("cast_rays", origin, directions, reach)
+        allowed = f"distances ≥ 0 of the shape {(len(directions),)}"
+        if not (isinstance(found, np.ndarray) and found.dtype.kind == "f"):
+            raise self._refusal("cast_rays", short_repr(found), allowed)
+        if found.shape != (len(directions),):
+            raise self._refusal("cast_rays", f"an array of the shape {found.shape}", allowed)
+        if not (found >= 0).all():  # false for NaN
+            text = f"the distance {found[~(found >= 0)][0]:g}"
+            raise self._refusal("cast_rays", text, allowed)
+        return found
 
     def save(self) -> Any:
         """Return a snapshot of the changing state for ``load``."""

@@ -15,7 +15,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
-from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.report.figure import (
     WIDTH,
     draw_ground,
@@ -25,6 +24,7 @@ from flipperctl.report.figure import (
     z_label,
     z_scale,
 )
+from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
 
 _POSES = 12

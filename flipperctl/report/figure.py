@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flipperctl.api import FloatArray, Profile
-from flipperctl.env.render import EARTH, GROUND, INK
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
 from flipperctl.messages import close_match
+from flipperctl.report.render import EARTH, GROUND, INK
 
 SUFFIXES = (".pdf", ".png", ".svg")
 """Suffixes of the file types that ``save`` writes."""

@@ -19,7 +19,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from flipperctl.api import Profile, Robot, RobotState, Transition
-from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
 from flipperctl.report.episode import window
@@ -32,6 +31,7 @@ from flipperctl.report.figure import (
     z_label,
     z_scale,
 )
+from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
 
 if TYPE_CHECKING:

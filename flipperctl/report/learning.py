@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flipperctl.api import FloatArray, Outcome
-from flipperctl.env.render import CHASSIS, FAINT, FRONT, INK, REAR
 from flipperctl.report.figure import WIDTH, legend_above, style_axes
+from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR
 
 WINDOW = 100
 """Number of episodes that a curve averages over [-]."""

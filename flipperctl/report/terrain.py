@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
-from flipperctl.env.render import FAINT, INK, RobotArtist
 from flipperctl.report.figure import WIDTH, draw_ground, frame, style_axes, z_label, z_scale
+from flipperctl.report.render import FAINT, INK, RobotArtist
 
 SMALL = 12
 """Largest number of small pictures [-]."""

@@ -7,7 +7,7 @@ iterator asks for it, so that the caller can learn, display, wait or stop in bet
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from flipperctl.api import FloatArray, Perception, Policy, Transition
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.observer import Observer
 from flipperctl.errors import FlipperctlError
 
 Row = dict[str, Any]
@@ -57,16 +58,19 @@ def decisions(
     difficulty: float = 1.0,
     pace: Callable[[float], None] | None = None,
     report_progress: Callable[[float], None] = lambda fraction: None,
+    observers: Sequence[Observer] = (),
 ) -> Iterator[Decision]:
     """Yield the decisions of one episode, to its end; stop iterating to cancel it.
 
     ``difficulty``: difficulty of the terrain, 0 to 1. ``pace`` is called before each decision with
     the time since the start of the episode [s], and may wait. ``report_progress`` is called by a
     policy that searches before it drives, with the fraction of the search that is done.
+    ``observers`` see the episode's samples, measurements and decisions.
 
     Raises:
         FlipperctlError: the policy returned an action that does not exist.
     """
+    env.observers = tuple(observers)
     env.reset(seed=seed, options={"difficulty": difficulty})
     simulator = env.simulator(report_progress)
     policy.reset(simulator)
@@ -94,13 +98,16 @@ def play(
     *,
     watch: Callable[[Decision], None] = lambda decision: None,
     report_progress: Callable[[float], None] = lambda fraction: None,
+    observers: Sequence[Observer] = (),
 ) -> Row:
     """Play one episode to its end; return its seed, outcome and metrics.
 
-    ``watch`` is called after each decision.
+    ``watch`` is called after each decision; ``observers`` see what lies between decisions, too.
     """
     ending: Row | None = None
-    for decision in decisions(env, policy, seed, report_progress=report_progress):
+    for decision in decisions(
+        env, policy, seed, report_progress=report_progress, observers=observers
+    ):
         watch(decision)
         ending = decision.ending
     assert ending is not None  # decisions() yields until there is one

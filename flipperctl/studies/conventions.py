@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Profile, Robot, RobotState, Start, World
+from flipperctl.api import FloatArray, Mounting, Profile, Robot, RobotState, Start, World
 from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
 from flipperctl.env.perceiving import Perceiver
@@ -118,8 +118,11 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     layout, radius = plain.layout, config.robot.track_radius
     rngs = np.random.default_rng(0), np.random.default_rng(0)
     ground = Profile([(_EDGE, 0.0), (_EDGE, _STEP)])
-    perceiver = Perceiver(plain, ground, layout.reach + 3.0, config.robot, rngs)
     state = RobotState(np.array([0.0, radius]), 0.3, 0.2, -0.1, np.zeros(2), 0.0, 0.0)
+    world = place_guarded(config.sim, ground, config.robot, Start(0.0), rngs[0])
+    mounting = Mounting(config.robot, ground, layout.reach + 3.0, world, rngs[1])
+    perceiver = Perceiver(plain, mounting, config.robot, rngs)
+    perceiver.measure(state)
     seen: FloatArray = perceiver.perceive(state).observation.astype(np.float64)
     name = f"perception={config.perception.plugin_name}"
 

@@ -1,10 +1,20 @@
-"""Checks of an engine: it drives, repeats, stops at limits, has end stops, restores snapshots."""
+"""Checks of an engine: it drives, repeats, stops, restores snapshots, casts rays if it can."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from flipperctl.api import Engine, FloatArray, Limits, Profile, Robot, RobotState, Start, World
+from flipperctl.api import (
+    Engine,
+    FloatArray,
+    Limits,
+    Profile,
+    RayWorld,
+    Robot,
+    RobotState,
+    Start,
+    World,
+)
 from flipperctl.testing.check import require
 
 SAMPLES = 100
@@ -86,6 +96,21 @@ def returns(engine: Engine) -> None:
     world.load(saved)
     found = _numbers(world.state())
     require(bool(np.allclose(found, state)), f"load leads to {found}; saved was {state}")
+
+
+def rays(engine: Engine) -> None:
+    """Check that rays, if the world casts them, end on the ground, or nowhere within reach."""
+    world = _place(engine, GROUND)
+    if not isinstance(world, RayWorld):
+        return
+    side = world.state().side
+    directions = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
+    found = world.cast_rays(np.array([-1.5, side, 0.06]), directions, 2.0)
+    expected = [0.06, 1.5, np.inf, 0.075]  # below, the face at x = 0, the level, sloping down
+    require(
+        bool(np.allclose(found, expected, atol=0.005)),
+        f"casts rays to {found} m; {expected} m are expected",
+    )
 
 
 def _place(engine: Engine, ground: Profile, start: Start = START) -> World:

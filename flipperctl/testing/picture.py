@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import Terrain
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.render import CHASSIS, EARTH, Renderer, RobotArtist
+from flipperctl.report.render import CHASSIS, EARTH, Renderer, RobotArtist
 from flipperctl.testing.check import require
 from flipperctl.testing.terrain import environment
 

@@ -1,47 +1,176 @@
-"""Checks of a sensor: shapes, finite numbers, and random numbers from ``rng`` only."""
+"""Checks of a sensor: perceptions, sampling, randomness, snapshots, and what a robot can run."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
 
-from flipperctl.api import FloatArray, Profile, RobotState, Sensor
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import (
+    SAMPLE_PERIOD,
+    Measured,
+    Mounting,
+    Perception,
+    Profile,
+    Robot,
+    RobotState,
+    Sensor,
+    Start,
+    action_index,
+)
+from flipperctl.config import EnvConfig
+from flipperctl.env.drive import Drive
+from flipperctl.env.perceiving import Perceiver
+from flipperctl.errors import ConformanceError
+from flipperctl.guard import short_repr
 from flipperctl.testing.check import require
+from flipperctl.testing.portable import foreign_names
 
 GROUND = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0)])
-STATE = RobotState(
-    position=np.array([-0.5, 0.1]),
-    pitch=0.1,
-    front=0.2,
-    rear=-0.2,
-    velocity=np.zeros(2),
-    pitch_rate=0.0,
-    time=1.0,
-)
+START = Start(-0.8)
+_MARGIN = 5.0
+"""Length of the level ground on both sides of ``GROUND`` that may come into view [m]."""
+_PERIOD = 0.6
+"""Time of a decision [s]."""
+_RAISE = action_index(1, 0)
 
 
 def senses(sensor: Sensor) -> None:
-    """Check for finite points in order of x, a finite height per bin and finite angles."""
-    ground, angles = sensor.over(GROUND, 5.0).sense(STATE, np.random.default_rng(0))
-    points, heights = ground.points, ground.heights
-    require(points.ndim == 2 and points.shape[1] == 2, f"points have shape {points.shape}")
-    require(bool((np.diff(points[:, 0]) >= 0).all()), "the points' x decreases")
-    require(heights.shape == (sensor.bins,), f"heights have shape {heights.shape}")
-    finite = np.isfinite(points).all() and np.isfinite(heights).all()
-    require(bool(finite), "a point or a height is not finite")
-    require(bool(np.isfinite(_angles(angles)).all()), f"an angle is not finite: {angles}")
+    """Check perceptions of a drive: shapes, finite numbers, points in order of x."""
+    for p in _driven(sensor)[0]:
+        require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
+
+
+def samples(sensor: Sensor) -> None:
+    """Check that instruments measure plain data, at the start and at multiples of their period."""
+    _, taken = _driven(sensor)
+    instruments = sensor.instruments(_mounting(_drive(sensor))) or {}
+    for name, instrument in instruments.items():
+        found = [measured for measured in taken if measured.instrument == name]
+        for measured in found:
+            _require_plain(name, measured.value)
+        times = [measured.time for measured in found]
+        period = instrument.period or _PERIOD
+        due = np.arange(round((2 * _PERIOD) / SAMPLE_PERIOD) + 1) * SAMPLE_PERIOD
+        due = due[:: round(period / SAMPLE_PERIOD)]
+        require(
+            len(times) == len(due) and bool(np.allclose(times, due)),
+            f"instrument {name!r} measured {len(times)} times in {2 * _PERIOD:g} s; "
+            f"{len(due)} are expected at a period of {period:g} s",
+        )
 
 
 def repeats(sensor: Sensor) -> None:
     """Check that equal generators give equal perceptions and no other randomness is used."""
     before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
-    found = []
-    for _ in range(2):
-        ground, angles = sensor.over(GROUND, 5.0).sense(STATE, np.random.default_rng(1))
-        found.append(np.concatenate([ground.points.ravel(), ground.heights, _angles(angles)]))
-    require(bool(np.array_equal(found[0], found[1])), "equal generators give unequal perceptions")
+    one, other = (_driven(sensor)[0] for _ in range(2))
+    require(_equal(one, other), "equal generators give unequal perceptions")
     after = np.random.get_state(legacy=False)  # noqa: NPY002
     require(str(before) == str(after), "draws from numpy's global generator; only rng is allowed")
 
 
-def _angles(angles: object) -> FloatArray:
-    return np.array([getattr(angles, name) for name in ("front", "rear", "pitch")])
+def returns(sensor: Sensor) -> None:
+    """Check that a snapshot restores the sensor: what it measures, estimates and draws."""
+    first, *rest = _states()
+    perceiver = _perceiver(sensor, _drive(sensor))
+    _perceived(perceiver, [first])
+    saved = perceiver.save()
+    before = _perceived(perceiver, rest)
+    perceiver.load(saved)
+    require(
+        _equal(before, _perceived(perceiver, rest)),
+        "it perceives otherwise after its snapshot was loaded; each part that remembers needs save "
+        "and load, and later calls may not change what was saved",
+    )
+
+
+def portable(sensor: Sensor) -> None:
+    """Check that the estimator's code needs nothing but Python, numpy and ``flipperctl.core``."""
+    if sensor.instruments(_mounting(_drive(sensor))) is None:
+        return
+    estimator = sensor.estimator(Robot())
+    found = sorted(foreign_names(type(estimator)))
+    require(
+        not found,
+        f"its estimator {type(estimator).__name__} uses {', '.join(found)}; it runs on a robot, "
+        "where Python, numpy and flipperctl.core are allowed",
+    )
+
+
+def _drive(sensor: Sensor) -> Drive:
+    config = EnvConfig(terrain="flat")
+    sections = config.sim, config.robot, sensor
+    rng = np.random.default_rng(0)
+    return Drive(GROUND, sections, config.episode, START, _PERIOD, rng)
+
+
+def _mounting(drive: Drive) -> Mounting:
+    return Mounting(drive.robot, GROUND, _MARGIN, drive.world, np.random.default_rng(1))
+
+
+def _perceiver(sensor: Sensor, drive: Drive) -> Perceiver:
+    rngs = np.random.default_rng(2), np.random.default_rng(3)
+    return Perceiver(sensor, _mounting(drive), drive.robot, rngs)
+
+
+def _driven(sensor: Sensor) -> tuple[list[Perception], list[Measured]]:
+    """Return the perceptions and the measurements of two decisions."""
+    drive = _drive(sensor)
+    perceiver, taken = _perceiver(sensor, drive), list[Measured]()
+    perceiver.attach(drive, taken.append)
+    found = [perceiver.perceive(drive.delayed_state)]
+    for _ in range(2):
+        drive.decide(_RAISE)
+        found.append(perceiver.perceive(drive.delayed_state))
+    return found, taken
+
+
+@cache
+def _states() -> list[RobotState]:
+    """Return the states of a drive, one decision apart."""
+    drive = _drive(EnvConfig(terrain="flat").perception)
+    found = [drive.state]
+    for _ in range(3):
+        drive.decide(_RAISE)
+        found.append(drive.state)
+    return found
+
+
+def _perceived(perceiver: Perceiver, states: Sequence[RobotState]) -> list[Perception]:
+    found = []
+    for state in states:
+        perceiver.measure(state)
+        found.append(perceiver.perceive(state))
+    return found
+
+
+def _equal(one: Sequence[Perception], other: Sequence[Perception]) -> bool:
+    return all(
+        np.array_equal(p.observation, q.observation)
+        and np.array_equal(p.points, q.points)
+        and np.array_equal(_filled(p), _filled(q))
+        for p, q in zip(one, other, strict=True)
+    )
+
+
+def _filled(p: Perception) -> NDArray[np.bool_]:
+    return np.zeros(len(p.points), np.bool_) if p.filled is None else p.filled
+
+
+def _require_plain(name: str, value: object) -> None:
+    """Check that a measurement is a frozen dataclass of numbers, arrays, names and the like."""
+    if not getattr(getattr(value, "__dataclass_params__", None), "frozen", False):
+        text = f"instrument {name!r} returned {short_repr(value)}; a frozen dataclass is allowed"
+        raise ConformanceError(text)
+    assert is_dataclass(value)
+    for field in fields(value):
+        part = getattr(value, field.name)
+        plain = part is None or isinstance(part, bool | int | float | str | np.ndarray | np.generic)
+        if not (plain or is_dataclass(part)):
+            raise ConformanceError(
+                f"instrument {name!r} returned {short_repr(part)} as {field.name}; numbers and "
+                "arrays are allowed"
+            )

@@ -104,11 +104,15 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("samples", engine.samples)
             yield at_all("repeats", engine.repeats)
             yield at_all("returns", engine.returns)
+            yield at_defaults("rays", engine.rays)
         case "perception":
             from flipperctl.testing import sensor
 
             yield at_all("senses", sensor.senses)
+            yield at_all("samples", sensor.samples)
             yield at_all("repeats", sensor.repeats)
+            yield at_all("returns", sensor.returns)
+            yield at_defaults("portable", sensor.portable)
 
 
 def _check_pictures(cases: list[Variant], folder: Path | None) -> None:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flipperctl.api import Limits, Profile, Robot, Start
+from flipperctl.api import SAMPLE_PERIOD, Profile, Robot, Start
 from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.source import PolicySource
-from flipperctl.report.drawn_film import FilmedWorld, film
+from flipperctl.report.drawn_film import Shots, film
+from flipperctl.rollout.episode import play
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import call
@@ -38,21 +40,19 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("drawn")
-@pytest.mark.parametrize("limits", [Limits(), Limits(x=-0.7)])
-def test_a_filmed_world_runs_as_it_does_alone(limits: Limits) -> None:
-    frames: list[np.ndarray] = []
-    alone, filmed = place(), FilmedWorld(place(), frames)
-    poses = []
-    for world in (alone, filmed):
-        world.command(0.3, 0.0)
-        poses.append(np.concatenate([world.advance(37, limits), world.advance(37, limits)]))
+def test_a_filmed_episode_runs_as_it_does_alone() -> None:
+    config = EvalConfig(terrain={"name": "flat", "length": 0.5}, sim="mujoco")
+    poses, rows, shots = [], [], Shots("mujoco")
+    for observers in ([], [shots]):
+        env, found = FlipperEnv(config=config), []
+        watch = lambda decision, found=found: found.append(decision.poses)  # noqa: E731
+        rows.append(play(env, LEVEL.build(config), 3, watch=watch, observers=observers))
+        poses.append(np.concatenate(found))
+    assert rows[0] == rows[1]
     assert np.array_equal(*poses)
-    count = len(poses[0])
-    assert [int(frame[0, 0, 0]) for frame in frames] == list(range(0, count + 1, 20))
-    saved = filmed.save()
-    filmed.load(saved)
-    assert filmed.state().time == alone.state().time
-    assert filmed.penetration() == alone.penetration()
+    samples = round(rows[0]["t_cost"] / SAMPLE_PERIOD)
+    counted = [int(frame[0, 0, 0]) for frame in shots.frames]
+    assert counted == [n % 251 for n in range(0, samples + 1, 20)]
 
 
 @pytest.mark.usefixtures("drawn")

@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import Profile, RobotGeometry, RobotState
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.env.render import BELT
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.files import picture_names
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
 from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
+from flipperctl.report.render import BELT
 from flipperctl.report.terrain import terrain_figure
 
 ROBOT = RobotGeometry()

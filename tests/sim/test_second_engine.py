@@ -12,6 +12,7 @@ from tests.cli.call import RUN, call
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 KINEMATIC, RULER = EXAMPLES / "kinematic.py", EXAMPLES / "ruler.py"
+SENSORS = EXAMPLES / "inertial.py", EXAMPLES / "scanner.py"
 LOADED = ["--plugins", str(KINEMATIC), "--plugins", str(RULER)]
 CHOSEN = ["sim=kinematic", "perception=ruler", *LOADED]
 
@@ -46,9 +47,10 @@ def test_a_setting_that_the_engine_lacks_cannot_be_drawn(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("registry")
-def test_engine_and_sensor_keep_the_contract() -> None:
-    plugins.load([KINEMATIC, RULER])
-    for check in checks(registry["sim", "kinematic"], registry["perception", "ruler"]):
+def test_engine_and_sensors_keep_the_contract() -> None:
+    plugins.load([KINEMATIC, RULER, *SENSORS])
+    sensors = (registry["perception", name] for name in ("ruler", "inertial", "scanner"))
+    for check in checks(registry["sim", "kinematic"], *sensors):
         check()
 
 

@@ -73,3 +73,11 @@ class SeenGround:
             points, index, offered, self._spacing, limits
         )
         return found
+
+    def save(self) -> NDArray[np.bool_]:
+        """Return a snapshot of what was seen."""
+        return self._seen.copy()
+
+    def load(self, saved: NDArray[np.bool_]) -> None:
+        """Return to a snapshot."""
+        self._seen[:] = saved

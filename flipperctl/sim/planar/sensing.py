@@ -112,6 +112,15 @@ class TerrainSensor:
         ground = SensedGround(points, self.heights(points), filled)
         return ground, SensedAngles(float(front), float(rear), float(pitch))
 
+    def save(self) -> NDArray[np.bool_] | None:
+        """Return a snapshot of what was seen; None without occlusion."""
+        return None if self._seen_ground is None else self._seen_ground.save()
+
+    def load(self, saved: NDArray[np.bool_] | None) -> None:
+        """Return to a snapshot."""
+        if self._seen_ground is not None and saved is not None:
+            self._seen_ground.load(saved)
+
     def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
         return self._sensed(position, rng)[0]

@@ -23,6 +23,7 @@ from flipperctl.api import (
     Robot,
     RobotState,
 )
+from flipperctl.sim.planar.casting import distances
 from flipperctl.sim.planar.energy import Budget
 from flipperctl.sim.planar.joints import join, largest_impulse
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
@@ -90,7 +91,8 @@ class PlanarWorld:
         )
 
     def _add_ground(self) -> None:
-        line = [tuple(p) for p in self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND).tolist()]
+        self._line = self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
+        line = [tuple(p) for p in self._line.tolist()]
         line = [p for i, p in enumerate(line) if i == 0 or p != line[i - 1]]
         ground = self.space.static_body
         segments = [pymunk.Segment(ground, a, b, 0.0) for a, b in pairwise(line)]
@@ -156,6 +158,13 @@ class PlanarWorld:
                         points = hit.contact_point_set.points
                         depth = max([depth, *(-p.distance for p in points)])
         return depth
+
+    def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
+        """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
+
+        See ``flipperctl.api.RayWorld``; the ground is the same at every world y.
+        """
+        return distances(self._line, origin[[0, 2]], directions[:, [0, 2]], reach)
 
     @property
     def pitch(self) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,8 +16,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Outcome, RobotGeometry, RobotState
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.render import CHASSIS, EARTH, Renderer
 from flipperctl.env.scene import HEIGHT, WIDTH
+from flipperctl.report.render import CHASSIS, EARTH, Renderer
 from flipperctl.sim.outline import axles, belt_length, belt_marks, belt_points, capsule, outlines
 
 ROBOT = RobotGeometry()
@@ -171,3 +173,20 @@ def test_marks_ride_with_the_belt() -> None:
     around = belt_marks((0, 0), (1, 0), 0.1, travel=belt_length((0, 0), (1, 0), 0.1))
     assert around == pytest.approx(start, abs=1e-9)
     assert len(start) == 33  # 2.628 m of belt, a mark about every 0.08 m
+
+
+def test_a_scene_is_plain_data_that_another_process_can_draw(
+    env: FlipperEnv, renderer: Renderer
+) -> None:
+    scene = env.scene
+    assert np.array_equal(renderer(pickle.loads(pickle.dumps(scene))), renderer(scene))
+    told = json.loads(json.dumps(scene.to_dict()))
+    assert told["state"]["position"] == scene.state.position.tolist()
+    assert told["perceived"]["heights"] == env.perception.observation[:15].tolist()
+    assert (told["robot"]["track_radius"], told["outcome"]) == (0.1, None)
+
+
+def test_a_renderer_is_a_value() -> None:
+    env = FlipperEnv("flat", render_mode="rgb_array", renderer=lambda scene: np.zeros(3, np.uint8))
+    env.reset(seed=0)
+    assert env.render().tolist() == [0, 0, 0]

@@ -8,7 +8,7 @@ equal scenes give equal pictures.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -20,18 +20,9 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from flipperctl.api import (
-    FloatArray,
-    Perception,
-    RobotGeometry,
-    RobotState,
-    candidate_angle,
-)
-from flipperctl.env.scene import HEIGHT, WIDTH
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, candidate_angle
+from flipperctl.env.scene import HEIGHT, WIDTH, Perceived, Scene
 from flipperctl.sim.outline import axles, belt_marks, outlines
-
-if TYPE_CHECKING:
-    from flipperctl.env.scene import Scene
 
 # Colours that colour-blind readers can distinguish (Okabe and Ito's; the purple is Paul Tol's).
 # The reports use the same colour for the same object.
@@ -97,16 +88,12 @@ class Renderer:
         self._build_scene(self._axes)
         self._build_caption(figure)
 
-    def __call__(
-        self,
-        scene: Scene,
-    ) -> NDArray[np.uint8]:
+    def __call__(self, scene: Scene) -> NDArray[np.uint8]:
         """Return a picture of the scene, (HEIGHT, WIDTH, 3)."""
         self._look_at(scene)
         self._draw_ground(scene)
-        state, robot = scene.state, scene.perception.robot
-        self._robot.show(state, robot, scene.track_speed * state.time)
-        self._draw_perception(scene.perception, state)
+        self._robot.show(scene.state, scene.robot, scene.track_speed * scene.state.time)
+        self._draw_perception(scene)
         self._write(scene)
         self._canvas.draw()
         return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
@@ -165,33 +152,35 @@ class Renderer:
 
     def _look_at(self, scene: Scene) -> None:
         """Centre the view on the chassis, with equal axes that show robot and perceived ground."""
-        robot, layout = scene.perception.robot, scene.perception.layout
+        robot = scene.robot
         length = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-        width = 3.2 * max(layout.reach, 1.5 * length)
+        width = 3.2 * max(_reach(scene.perceived), 1.5 * length)
         height = width * (_BOX[3] * HEIGHT) / (_BOX[2] * WIDTH)
         x, z = scene.state.position.tolist()
         self._axes.set_xlim(x - width / 2, x + width / 2)
         self._axes.set_ylim(z - height / 2, z + height / 2)
 
     def _draw_ground(self, scene: Scene) -> None:
-        line = scene.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
+        profile = Profile(scene.ground)
+        line = profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
         deep = line[:, 1].min() - _LEVEL_GROUND
         self._earth.set_xy(np.vstack([line, [line[-1, 0], deep], [line[0, 0], deep]]))
         for (flag, label), x in zip(self._flags, (scene.start, scene.finish), strict=True):
-            foot = np.array([x, scene.profile.height(x)])
+            foot = np.array([x, profile.height(x)])
             flag.set_xy(_FLAG + foot)
             label.set_position(tuple(_FLAG[1] + foot))
 
-    def _draw_perception(self, p: Perception, state: RobotState) -> None:
+    def _draw_perception(self, scene: Scene) -> None:
+        p, state, robot = scene.perceived, scene.state, scene.robot
         cloud = p.points + state.position
         filled = np.zeros(len(cloud), np.bool_) if p.filled is None else p.filled
         for line, part in ((self._points, cloud[~filled]), (self._filled, cloud[filled])):
             line.set_data(part[:, 0], part[:, 1])
         bins = _bins(p) + state.position
         self._heights.set_data(bins[:, 0], bins[:, 1])
-        hinge = axles(state, p.robot)[0, 1]
-        angle = state.pitch + candidate_angle(p.points, p.pitch, p.robot)
-        length = p.robot.flipper_axle + 2.5 * p.robot.track_radius
+        hinge = axles(state, robot)[0, 1]
+        angle = state.pitch + candidate_angle(p.points, p.pitch, robot)
+        length = robot.flipper_axle + 2.5 * robot.track_radius
         tip = hinge + length * np.array([math.cos(angle), math.sin(angle)])
         self._ray.set_data([hinge[0], tip[0]], [hinge[1], tip[1]])
 
@@ -212,13 +201,18 @@ class Renderer:
             self._values[name].set_text(text.replace("-", "−"))
 
 
-def _bins(p: Perception) -> FloatArray:
+def _reach(p: Perceived) -> float:
+    """Return half the length of the perceived ground [m]."""
+    return len(p.heights) * p.bin_width / 2
+
+
+def _bins(p: Perceived) -> FloatArray:
     """Return the perceived heights as a line with gaps between bins, (3·N, 2) in frame L [m]."""
-    left = -p.layout.reach + p.layout.bin_width * np.arange(p.layout.bins)
-    gap = 0.06 * p.layout.bin_width
-    x, z = np.full((2, p.layout.bins, 3), np.nan)
-    x[:, 0], x[:, 1] = left + gap, left + p.layout.bin_width - gap
-    z[:, :2] = p.observation[: p.layout.bins, None]
+    count, gap = len(p.heights), 0.06 * p.bin_width
+    left = -_reach(p) + p.bin_width * np.arange(count)
+    x, z = np.full((2, count, 3), np.nan)
+    x[:, 0], x[:, 1] = left + gap, left + p.bin_width - gap
+    z[:, :2] = p.heights[:, None]
     return np.column_stack([x.ravel(), z.ravel()])
 
 

@@ -1,0 +1,65 @@
+"""What is measured and what is estimated from it, in simulation and on a robot alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class SensedGround:
+    """The sensed ground around the robot, in frame L."""
+
+    points: NDArray[np.float64]
+    """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
+    heights: NDArray[np.float64]
+    """(N,) mean height of each bin (paper Eq. 1) [m]."""
+    filled: NDArray[np.bool_] | None = None
+    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
+
+
+@dataclass(frozen=True)
+class SensedAngles:
+    """The sensed posture of the robot."""
+
+    front: float
+    """Angle of the front flippers in frame R [rad]."""
+    rear: float
+    """Angle of the rear flippers in frame R [rad]."""
+    pitch: float
+    """Pitch of the chassis, nose up positive [rad]."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measurement, by which instrument and when."""
+
+    instrument: str
+    """Name of the instrument."""
+    time: float
+    """Time since the start of the episode [s]."""
+    value: object
+    """What the instrument returned, a frozen dataclass of numbers and arrays."""
+
+
+class Estimator(Protocol):
+    """Estimates ground and posture from measurements alone.
+
+    It runs in simulation and on a robot, so that its code needs nothing but Python, numpy and
+    ``flipperctl.core``. It may remember what it received.
+    """
+
+    def update(self, measured: Measured) -> None:
+        """Receive a measurement; those of an instrument arrive in the order of their time."""
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        """Return the estimate for a ``time`` [s] that is not before the last measurement's."""
+
+    def save(self) -> Any:
+        """Return a snapshot of the memory, which later updates leave unchanged."""
+
+    def load(self, saved: Any) -> None:
+        """Return to a snapshot."""

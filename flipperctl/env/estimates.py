@@ -1,0 +1,80 @@
+"""Checks of what a sensor's code returned as ground and posture.
+
+In: a returned value, and whose code it was. Out: the ground and the angles, or an error that names
+the sensor, the method, the file and the line.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import SensedAngles, SensedGround, Sensor
+from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.guard import naming, refusal, short_repr
+
+_NUMBERS = "fiu"
+"""Kinds of numpy's types that are real numbers."""
+
+
+def checked(
+    found: Any, sensor: Sensor, method: str, owner: type
+) -> tuple[SensedGround, SensedAngles]:
+    """Return what ``method`` of the class ``owner`` returned, if it is ground and angles.
+
+    Raises:
+        PluginFailedError: it is something else.
+        NonFiniteError: a point, a height or an angle is not finite.
+    """
+
+    def refuse(
+        found: str, allowed: str, raised: type[FlipperctlError] = PluginFailedError
+    ) -> FlipperctlError:
+        text = f"returned {found}; allowed: {allowed}"
+        return refusal(sensor, method, text, raised, owner=owner)
+
+    with naming(sensor, method):  # a generator runs the plugin's code
+        ground, angles = found
+    _check_ground(ground, sensor.layout.bins, refuse)
+    _check_angles(angles, refuse)
+    return ground, angles
+
+
+def _check_ground(ground: object, bins: int, refuse: Any) -> None:
+    if not isinstance(ground, SensedGround):
+        raise refuse(short_repr(ground), "a SensedGround")
+    points, heights, filled = ground.points, ground.heights, ground.filled
+    if not (_is_array(points, _NUMBERS) and points.ndim == 2 and points.shape[1] == 2):
+        raise refuse(f"points {_text(points)}", "numbers of the shape (P, 2)")
+    if not (_is_array(heights, _NUMBERS) and heights.shape == (bins,)):
+        raise refuse(f"heights {_text(heights)}", f"numbers of the shape {(bins,)}")
+    if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
+        allowed = f"None, or booleans of the shape {(len(points),)}"
+        raise refuse(f"filled {_text(filled)}", allowed)
+    for name, numbers in (("points", points), ("heights", heights)):
+        if not np.isfinite(numbers).all():
+            raise refuse(f"{name} that are not finite", "finite numbers", NonFiniteError)
+
+
+def _check_angles(angles: object, refuse: Any) -> None:
+    if not isinstance(angles, SensedAngles):
+        raise refuse(short_repr(angles), "SensedAngles")
+    try:
+        finite = all(map(math.isfinite, (angles.front, angles.rear, angles.pitch)))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise refuse(short_repr(angles), "three numbers") from error
+    if not finite:
+        raise refuse(short_repr(angles), "three finite numbers", NonFiniteError)
+
+
+def _is_array(value: Any, kinds: str) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in kinds
+
+
+def _text(value: Any) -> str:
+    """Return what an array is, or the value itself if it is none."""
+    if isinstance(value, np.ndarray):
+        return f"of the type {value.dtype} and the shape {value.shape}"
+    return short_repr(value)

@@ -1,0 +1,54 @@
+"""Observers of an episode, such as films, recordings and pages that show it while it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from flipperctl.api import FloatArray, Measured, Perception, Profile, Robot, Transition, World
+from flipperctl.env.drive import Drive
+
+
+class Observer:
+    """Watches an episode while it runs; a method that is not overridden does nothing.
+
+    An observer may read what it is given, and must not change it.
+    """
+
+    every: int | None = None
+    """Samples between two calls of ``stopped``; None: it is never called [-]."""
+
+    def begin(self, profile: Profile, robot: Robot) -> None:
+        """Receive the ground and the robot of the episode that begins."""
+
+    def moved(self, time: float, poses: FloatArray) -> None:
+        """Receive the poses (S, 5) of consecutive samples, the first at ``time`` [s].
+
+        Columns: x [m], z [m], pitch, front and rear flipper angle [rad]. The samples are
+        ``SAMPLE_PERIOD`` apart; each is received once, and the start before all others.
+        """
+
+    def stopped(self, world: World) -> None:
+        """Receive the world at the start and after every ``every`` samples, for pictures.
+
+        The engine then simulates fewer samples at a time. States stay equal bit for bit, but for
+        the last digit of the time in an engine that adds it up.
+        """
+
+    def measured(self, measured: Measured) -> None:
+        """Receive a measurement of an instrument."""
+
+    def decided(self, t: Transition, p: Perception, rewards: Mapping[str, float]) -> None:
+        """Receive a decision that was simulated.
+
+        ``p``: what the policy perceived when it decided; ``rewards``: the weighted value of each
+        reward term.
+        """
+
+
+def attach(observers: Iterable[Observer], drive: Drive, profile: Profile) -> None:
+    """Let observers see the poses and the world of an episode that begins."""
+    for observer in observers:
+        observer.begin(profile, drive.robot)
+        drive.report_poses(observer.moved)
+        if observer.every is not None:
+            drive.sample_every(observer.every, observer.stopped)

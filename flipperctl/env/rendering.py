@@ -1,0 +1,79 @@
+"""Pictures of an episode for ``render_mode="rgb_array"``.
+
+In: a world and a scene. Out: an (HEIGHT, WIDTH, 3) picture. An engine that draws itself is asked
+first. Whatever else draws is a value that the environment receives; by default it is the entry
+point ``side`` of the group ``flipperctl.renderers``, since the task knows no figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import DrawingWorld, World
+from flipperctl.env.scene import HEIGHT, WIDTH, Scene
+from flipperctl.errors import ConfigError
+from flipperctl.messages import close_match
+
+MODES = ("rgb_array",)
+"""Values of ``render_mode`` beside None."""
+GROUP = "flipperctl.renderers"
+"""Group of entry points in which a renderer's class is found; it is made without arguments."""
+
+Picture = NDArray[np.uint8]
+Renderer = Callable[[Scene], Picture]
+"""Returns a picture of a scene, (HEIGHT, WIDTH, 3)."""
+
+
+def check_mode(mode: str | None) -> None:
+    """Check that a render mode exists.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if mode is not None and mode not in MODES:
+        raise ConfigError(
+            f"render_mode: there is no mode {mode!r}{close_match(str(mode), MODES)}; "
+            f"None or {', '.join(map(repr, MODES))} is allowed"
+        )
+
+
+class Pictures:
+    """Draws the pictures of one environment."""
+
+    def __init__(self, renderer: Renderer | None) -> None:
+        """``renderer``: draws scenes; None: the installed one, loaded at the first picture."""
+        self._renderer = renderer
+
+    def draw(self, world: World, scene: Callable[[], Scene]) -> Picture:
+        """Return the world's own picture, if it draws one, else that of the current ``scene``.
+
+        Raises:
+            RequestError: the machine lacks what the engine draws with.
+            PluginFailedError: the code of the engine failed.
+            ConfigError: no renderer is installed.
+        """
+        if isinstance(world, DrawingWorld):
+            return world.draw(WIDTH, HEIGHT)
+        if self._renderer is None:
+            self._renderer = installed()
+        return self._renderer(scene())
+
+
+def installed() -> Renderer:
+    """Return a new renderer of scenes from the side.
+
+    Raises:
+        ConfigError: none is installed.
+    """
+    found = tuple(entry_points(group=GROUP, name="side"))
+    if not found:
+        raise ConfigError(
+            f"render_mode: no entry point 'side' in the group {GROUP!r}; "
+            "reinstall flipperctl (pip install -e .)"
+        )
+    renderer: Renderer = found[0].load()()
+    return renderer

@@ -1,0 +1,243 @@
+"""Sensors whose instruments measure between decisions, and observers of an episode's samples."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl import api, plugins
+from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.observer import Observer
+from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+UP = api.action_index(1, 1)
+
+
+@dataclass(frozen=True)
+class Time:
+    seconds: float
+
+
+class Clock(api.Instrument):
+    def __init__(self, period: float | None) -> None:
+        self.period = period
+
+    def measure(self, state: api.RobotState, rng: np.random.Generator) -> object:
+        return Time(state.time + 1e-3 * rng.random())
+
+
+class Ages:
+    """An estimator whose angles are the newest times of three clocks."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, float] = {}
+
+    def update(self, measured: Measured) -> None:
+        assert measured.time >= self.times.get(measured.instrument, 0.0)
+        self.times[measured.instrument] = measured.time
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        fast, slow, last = (self.times[name] for name in ("fast", "slow", "decision"))
+        ground = SensedGround(np.zeros((0, 2)), np.full(15, time))
+        return ground, SensedAngles(front=fast, rear=slow, pitch=last)
+
+    def save(self) -> dict[str, float]:
+        return dict(self.times)
+
+    def load(self, saved: dict[str, float]) -> None:
+        self.times = dict(saved)
+
+
+class Clocks(api.Sensor):
+    """Three clocks."""
+
+    def instruments(self, mounting: api.Mounting) -> Mapping[str, api.Instrument]:
+        return {"fast": Clock(0.01), "slow": Clock(0.25), "decision": Clock(None)}
+
+    def estimator(self, robot: api.RobotGeometry) -> api.Estimator:
+        return Ages()
+
+
+class Log(Observer):
+    def __init__(self) -> None:
+        self.taken: list[Measured] = []
+        self.times: list[float] = []
+        self.poses: list[np.ndarray] = []
+        self.order: list[str] = []
+
+    def at(self, instrument: str) -> list[float]:
+        return [m.time for m in self.taken if m.instrument == instrument]
+
+    def begin(self, profile: api.Profile, robot: api.Robot) -> None:
+        self.order.append("begin")
+
+    def moved(self, time: float, poses: np.ndarray) -> None:
+        self.times += [time + 0.01 * i for i in range(len(poses))]
+        self.poses.append(poses)
+
+    def measured(self, measured: Measured) -> None:
+        self.taken.append(measured)
+
+    def decided(self, t: api.Transition, p: api.Perception, rewards: Mapping[str, float]) -> None:
+        self.order.append(f"{t.before.time:.1f} {p.pitch:.2f} {sorted(rewards)}")
+
+
+@pytest.fixture
+def clocks(registry: dict) -> type[api.Sensor]:
+    return api.sensor("clocks")(Clocks)
+
+
+def seen(p: api.Perception) -> tuple[float, ...]:
+    return float(p.observation[0]), p.front, p.rear, p.pitch
+
+
+@pytest.mark.usefixtures("clocks")
+def test_instruments_measure_at_their_samples_and_estimates_are_as_old_as_the_delay() -> None:
+    plain, env, log = FlipperEnv("step"), FlipperEnv("step", perception="clocks"), Log()
+    late = FlipperEnv("step", perception={"name": "clocks", "delay": 0.12})
+    env.observers = (log,)
+    for one in (plain, env, late):
+        one.reset(seed=1)
+    assert seen(env.perception) == (0.0, 0.0, 0.0, 0.0)
+    for decision in range(1, 4):
+        for one in (plain, env, late):
+            one.step(UP)
+        assert np.array_equal(env.drive.poses, plain.drive.poses)
+        now = 0.6 * decision
+        slow = 0.25 * int(now / 0.25 + 1e-6)
+        assert seen(env.perception) == pytest.approx((now, now, slow, now))
+        then = now - 0.12
+        slow = 0.25 * int(then / 0.25 + 1e-6)
+        assert seen(late.perception) == pytest.approx((then, then, slow, then))
+    assert log.at("fast") == pytest.approx(np.arange(181) * 0.01)
+    assert log.at("slow") == pytest.approx(np.arange(8) * 0.25)
+    assert log.times == pytest.approx(np.arange(181) * 0.01)
+    assert np.array_equal(np.concatenate(log.poses)[-1], env.drive.poses[-1])
+    terms = ["end", "flipper", "pitch"]
+    assert log.order == ["begin", f"0.0 0.00 {terms}", f"0.6 0.60 {terms}", f"1.2 1.20 {terms}"]
+
+
+def test_an_episode_that_ends_between_two_decisions_is_measured_to_its_end(
+    clocks: type[api.Sensor],
+) -> None:
+    env, log = FlipperEnv("flat", perception=clocks(), episode={"run_out": 0.2}), Log()
+    env.observers = (log,)
+    env.reset(seed=0)
+    while not any(env.step(UP)[2:4]):
+        pass
+    fast = log.at("fast")
+    assert fast == pytest.approx(np.arange(len(fast)) * 0.01)
+    assert fast[-1] == pytest.approx(env.state.time) == pytest.approx(env.perception.pitch)
+    assert env.state.time % 0.6 > 0.005
+
+
+@pytest.mark.usefixtures("registry")
+@pytest.mark.parametrize("name", ["scanner", "inertial", "planar"])
+def test_the_simulator_perceives_like_the_episode_and_returns_to_snapshots(name: str) -> None:
+    plugins.load([EXAMPLES / "scanner.py", EXAMPLES / "inertial.py"])
+    more = {"occlusion": True} if name == "planar" else {}
+    env = FlipperEnv("stair", perception={"name": name, "noise": 0.01, "delay": 0.1, **more})
+    env.reset(seed=7)
+    simulator = env.simulator()
+    perceived = [simulator.perceive()]
+    for _ in range(4):
+        simulator.step(UP)
+        perceived.append(simulator.perceive())
+    saved = simulator.save()
+    again = [simulator.perceive() for _ in range(2)]
+    simulator.step(UP)
+    simulator.perceive()
+    simulator.load(saved)
+    assert [p.observation.tolist() for p in again] == [
+        simulator.perceive().observation.tolist() for _ in range(2)
+    ]
+    for p in perceived:
+        assert np.array_equal(p.observation, env.perception.observation)
+        assert np.array_equal(p.points, env.perception.points)
+        env.step(UP)
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_snapshot_before_the_first_perception_holds_no_sensor() -> None:
+    plugins.load([EXAMPLES / "scanner.py"])
+    env = FlipperEnv("step", perception={"name": "scanner", "noise": 0.01})
+    env.reset(seed=7)
+    simulator = env.simulator()
+    saved = simulator.save()
+    first = simulator.perceive().observation
+    simulator.load(saved)
+    assert np.array_equal(simulator.perceive().observation, first)
+
+
+@pytest.mark.usefixtures("registry")
+def test_the_examples_estimate_what_is_true() -> None:
+    plugins.load([EXAMPLES / "scanner.py", EXAMPLES / "inertial.py"])
+    envs = [FlipperEnv("stair", perception=name) for name in ("planar", "scanner", "inertial")]
+    biased = FlipperEnv("stair", perception={"name": "inertial", "bias": 0.1})
+    for env in (*envs, biased):
+        env.reset(seed=3)
+        for _ in range(8):
+            env.step(UP)
+    true, scanned, integrated = (env.perception.observation for env in envs)
+    ahead = slice(5, 11)  # from 0.375 m behind the chassis centre to 0.525 m ahead of it
+    assert scanned[ahead] == pytest.approx(true[ahead], abs=0.04)
+    assert integrated[15:] == pytest.approx(true[15:], abs=0.02)
+    drift = biased.perception.pitch - envs[2].perception.pitch
+    assert 0.005 < abs(drift) <= 0.1 * 4.8  # up to 0.1 rad/s for 4.8 s
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_sensor_that_casts_rays_needs_an_engine_that_can() -> None:
+    plugins.load([EXAMPLES / "scanner.py", EXAMPLES / "kinematic.py"])
+    env = FlipperEnv("step", sim="kinematic", perception="scanner")
+    with pytest.raises(ConfigError, match=r"casts rays, which sim=kinematic cannot; choose"):
+        env.reset(seed=0)
+
+
+def broken(registry: dict, **methods: Any) -> FlipperEnv:
+    """Return an environment with a sensor some of whose methods are replaced."""
+    made = type("Broken", (Clocks,), {"__doc__": "Broken.", "__module__": __name__, **methods})
+    return FlipperEnv("flat", perception=api.sensor("broken")(made)())
+
+
+@pytest.mark.parametrize(
+    ("methods", "text"),
+    [
+        ({"instruments": lambda s, m: [1]}, r"instruments returned \[1\]; a mapping of names"),
+        ({"instruments": lambda s, m: {"a": 1}}, r"instruments returned 1 as 'a'; an Instrument"),
+        ({"instruments": lambda s, m: {"a": Clock(0.015)}}, "period is 0.015; None is allowed, or"),
+        ({"instruments": lambda s, m: {"a": Clock(-1)}}, "period is -1; None is allowed"),
+        ({"instruments": lambda s, m: {}[0]}, "instruments raised KeyError: 0"),
+        ({"estimator": lambda s, r: 3}, "estimator returned 3, which has no update"),
+        ({"instruments": lambda s, m: {"fast": Clock("x")}}, "period is 'x'; None is allowed"),
+        ({"instruments": lambda s, m: {"fast": Clock(0.01)}}, "estimate raised KeyError: 'slow'"),
+    ],
+)
+def test_a_part_that_fails_is_named(registry: dict, methods: dict, text: str) -> None:
+    with pytest.raises(PluginFailedError, match=rf"perception 'broken': {text}.*\(.*:\d+\)"):
+        broken(registry, **methods).reset(seed=0)
+
+
+def test_an_estimate_that_is_not_finite_is_named(registry: dict) -> None:
+    class Lost(Ages):
+        def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+            ground, angles = super().estimate(time)
+            return ground, SensedAngles(front=np.nan, rear=angles.rear, pitch=angles.pitch)
+
+    env = broken(registry, estimator=lambda s, robot: Lost())
+    with pytest.raises(NonFiniteError, match="'broken': estimate returned SensedAngles"):
+        env.reset(seed=0)
+
+
+def test_a_sensor_needs_over_or_both_parts(registry: dict) -> None:
+    class Half(api.Sensor):
+        def instruments(self, mounting: api.Mounting) -> Mapping[str, api.Instrument]:
+            return {}
+
+    with pytest.raises(TypeError, match=r"Half needs a method over\(profile, margin\), or both"):
+        api.sensor("half")(Half)
