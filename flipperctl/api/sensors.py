@@ -56,6 +56,7 @@ class Sensor(ObservationLayout, Plugin, ABC):
     """Perceives the ground in the layout of the observation."""
 
     kind: ClassVar[str] = "perception"
+    not_sampled: ClassVar[frozenset[str]] = frozenset(ObservationLayout.model_fields)
     delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
     @abstractmethod

@@ -124,7 +124,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         # Spawned from the start's, so that it leaves those of this and of later episodes alone.
         (self._engine_rng,) = start_rng.spawn(1)
         config, episode = self.config, self.config.episode
-        drawn = config.randomise.sample(randomise_rng)
+        drawn = config.sample(randomise_rng)
         sections = config.with_drawn_values(drawn)
         self.robot = sections[1]
         self.profile = self._draw(terrain_rng, float(difficulty))
@@ -165,7 +165,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
         ground = self.profile, margin + 2.0
         if exact:  # it tells the drawn physics as well
-            friction = getattr(engine, "friction", None)
+            friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), *ground, robot, rngs, friction)
         return Perceiver(sensor, *ground, self.config.robot, rngs)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
 
 from flipperctl.api import ObservationLayout, Robot, registry
 from flipperctl.cli import conditions
@@ -24,6 +25,7 @@ from flipperctl.config import (
     container,
     resolver,
 )
+from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
@@ -66,7 +68,17 @@ def register_defaults() -> None:
             for name, info in model.model_fields.items()
             if name not in GROUPS
         }
-        store.store(name=primary, node=sections)
+        store.store(name=primary, node=_with_paths(sections))
+
+
+def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections with those mappings of ``randomise`` that take any key without a +."""
+    randomise = sections["randomise"]
+    open_for_keys = {
+        section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
+        for section in PATH_SECTIONS
+    }
+    return {**sections, "randomise": {**randomise, **open_for_keys}}
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
@@ -88,7 +100,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     if isinstance(config, TrainConfig):
         primary = EVAL_CHECKPOINT
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
-        node = {"defaults": choices, **own}
+        node = {"defaults": choices, **_with_paths(own)}
         store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
@@ -96,7 +108,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
         *("_self_", {"conditions": conditions.NOMINAL}),
     ]
-    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    store.store(name=primary, node={"defaults": defaults, **_with_paths(nominal), **kept})
     return primary
 
 
