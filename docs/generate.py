@@ -57,6 +57,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "controller": ("Controllers", "controller"),
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
+    "measure": ("Measures", "measure"),
 }
 """Kind of plugin → heading, key of its settings."""
 

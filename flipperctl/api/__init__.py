@@ -31,6 +31,7 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
+from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
@@ -68,6 +69,7 @@ __all__ = [
     "FloatArray",
     "GroundSensor",
     "Limits",
+    "Measure",
     "MirroredSurface",
     "Network",
     "ObservationLayout",
@@ -97,6 +99,7 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "measure",
     "network",
     "registry",
     "reward",

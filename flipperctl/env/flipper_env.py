@@ -28,9 +28,10 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, with_overrides
-from flipperctl.env import ground, measures
+from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
+from flipperctl.env.metrics import EpisodeMetrics, Pitches, measures
 from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import HEIGHT, WIDTH, Scene
@@ -90,7 +91,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """The robot with the values that the episode drew."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
-        self._reward = RewardSum(config.rewards)
+        self._reward, self._measures = RewardSum(config.rewards), measures()
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
@@ -146,8 +147,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
-        self._pitches = [self.state.pitch]
-        self._metrics = measures.EpisodeMetrics(measures.MEASURES)
+        self._pitches = Pitches(self.state.pitch)
+        self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
         return self.perception.observation, {}
@@ -209,7 +210,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         Raises:
             ValueError: there is no such action.
             ResetNeeded: no episode is running.
-            PluginFailedError: the code of a reward term, the engine or the sensor failed.
+            PluginFailedError: the code of a reward term, measure, engine or sensor failed.
             NonFiniteError: the state or a reward is not a finite number.
         """
         index = action_index(action)
@@ -220,9 +221,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
-        self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, poses = np.array(self._pitches), self.drive.poses
+        pitches, poses = self._pitches.append(after.pitch), self.drive.poses
         self.transition = Transition(
             before,
             after,

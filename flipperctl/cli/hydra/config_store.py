@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from flipperctl.api import ObservationLayout, Robot, registry
+from flipperctl.api import Measure, ObservationLayout, Robot, registry
 from flipperctl.cli import conditions
 from flipperctl.config import (
     DEFAULT_ENGINE,
@@ -56,6 +56,8 @@ def register_defaults() -> None:
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
     for (kind, name), cls in registry.items():
+        if kind == Measure.kind:
+            continue  # every measure is taken of every episode; none is chosen
         defaults = resolver.defaults(cls)
         store.store(group=kind, name=name, node=defaults)
         if kind == "controller":
