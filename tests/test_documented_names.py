@@ -89,6 +89,8 @@ def test_every_setting_that_is_named_exists() -> None:
             continue
         path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
         path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
+        if path.startswith(("randomise.sim.", "randomise.robot.", "randomise.perception.")):
+            path = path.removeprefix("randomise.")  # a setting by its path
         own = re.search(rf"^    {path.rpartition('.')[2]}: ", TEXTS[page], re.MULTILINE)
         if path not in known and not own:  # a field of the plugin that the page writes
             missing.add((page, path))

@@ -27,10 +27,12 @@ from flipperctl.api.engines import (
     Engine,
     Limits,
     RayWorld,
+    SharedSetting,
     Start,
     World,
     engine,
 )
+from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
@@ -78,6 +80,7 @@ __all__ = [
     "GroundSensor",
     "Instrument",
     "Limits",
+    "Measure",
     "Measured",
     "MirroredSurface",
     "Mounting",
@@ -99,6 +102,7 @@ __all__ = [
     "Sensor",
     "Settings",
     "Shaping",
+    "SharedSetting",
     "Simulator",
     "Start",
     "Surface",
@@ -110,6 +114,7 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "measure",
     "network",
     "registry",
     "reward",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,17 @@ class Settings(BaseModel):
         arbitrary_types_allowed=True,
         validate_default=True,
     )
+    not_sampled: ClassVar[frozenset[str]] = frozenset()
+    """Names of the settings that ``randomise`` must not sample, since policies rely on them."""
+
+    @classmethod
+    def nearest_allowed(cls, name: str, value: float) -> float:
+        """Return the value nearest to ``value`` that the setting ``name`` can have.
+
+        ``randomise`` samples from a continuous range and calls this for each sample. Override it
+        for a setting that allows only some numbers; integers are rounded anyway.
+        """
+        return value
 
 
 class RobotGeometry(Settings):

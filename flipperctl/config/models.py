@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, cast
 
+import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from flipperctl.api import (
@@ -24,7 +25,7 @@ from flipperctl.api import (
 from flipperctl.config.combinations import check_decisions, check_episode
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import container, create
-from flipperctl.config.sampled import check_ranges, replace_settings
+from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -115,6 +116,10 @@ class EnvConfig(Settings):
     @property
     def _sampled_sections(self) -> dict[str, Settings]:
         return {"sim": self.sim, "robot": self.robot, "perception": self.perception}
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """Sample a value of each randomised setting, by name in SI units; a switch is 1 or 0."""
+        return sample(self._sampled_sections, self.randomise, rng)
 
     def with_drawn_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
         """Return the engine, robot and sensor of an episode with the sampled ``values``.

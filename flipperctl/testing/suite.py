@@ -80,6 +80,12 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("finite", reward.finite)
             yield at_all("bounded", reward.bounded)
             yield at_all("pure", reward.pure)
+        case "measure":
+            from flipperctl.testing import measure
+
+            yield at_defaults("named", measure.named)
+            yield at_defaults("finite", measure.finite)
+            yield at_defaults("pure", measure.pure)
         case "network":
             from flipperctl.testing import network
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from flipperctl.env import measures
+from flipperctl.env.metrics import measures
 from flipperctl.errors import WriteError
 from flipperctl.files import failure, make_folder, write_csv
 
@@ -36,7 +36,7 @@ class Listener(Protocol):
 
 def columns() -> tuple[str, ...]:
     """Return the columns that every ``metrics.csv`` has."""
-    named = [measure.name for measure in measures.MEASURES if measure.name != "decisions"]
+    named = [name for name in measures() if name != "decisions"]
     return (
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
         *("success_rate", "decisions", "return", *named),

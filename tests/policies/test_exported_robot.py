@@ -86,6 +86,7 @@ def test_what_the_robot_is_like_may_be_overridden(file: Path, field: str) -> Non
 
 def test_randomise_has_nothing_that_a_file_applies() -> None:
     assert not APPLIED & (SECTION_OF.keys() | Randomise.model_fields.keys())
+    assert Robot.not_sampled >= APPLIED
 
 
 def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> None:

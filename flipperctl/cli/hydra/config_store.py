@@ -11,8 +11,9 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
 
-from flipperctl.api import ObservationLayout, Robot, registry
+from flipperctl.api import Measure, ObservationLayout, Robot, registry
 from flipperctl.cli import conditions
 from flipperctl.config import (
     DEFAULT_ENGINE,
@@ -24,6 +25,7 @@ from flipperctl.config import (
     container,
     resolver,
 )
+from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
@@ -54,6 +56,8 @@ def register_defaults() -> None:
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
     for (kind, name), cls in registry.items():
+        if kind == Measure.kind:
+            continue  # every measure is taken of every episode; none is chosen
         defaults = resolver.defaults(cls)
         store.store(group=kind, name=name, node=defaults)
         if kind == "controller":
@@ -66,7 +70,17 @@ def register_defaults() -> None:
             for name, info in model.model_fields.items()
             if name not in GROUPS
         }
-        store.store(name=primary, node=sections)
+        store.store(name=primary, node=_with_paths(sections))
+
+
+def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections with those mappings of ``randomise`` that take any key without a +."""
+    randomise = sections["randomise"]
+    open_for_keys = {
+        section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
+        for section in PATH_SECTIONS
+    }
+    return {**sections, "randomise": {**randomise, **open_for_keys}}
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
@@ -88,7 +102,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     if isinstance(config, TrainConfig):
         primary = EVAL_CHECKPOINT
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
-        node = {"defaults": choices, **own}
+        node = {"defaults": choices, **_with_paths(own)}
         store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
@@ -96,7 +110,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
         *("_self_", {"conditions": conditions.NOMINAL}),
     ]
-    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    store.store(name=primary, node={"defaults": defaults, **_with_paths(nominal), **kept})
     return primary
 
 
