@@ -30,6 +30,7 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
+from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
@@ -67,6 +68,8 @@ __all__ = [
     "FloatArray",
     "GroundSensor",
     "Limits",
+    "Listener",
+    "Logger",
     "MirroredSurface",
     "Network",
     "ObservationLayout",
@@ -79,6 +82,7 @@ __all__ = [
     "Robot",
     "RobotGeometry",
     "RobotState",
+    "RunInfo",
     "SensedAngles",
     "SensedGround",
     "Sensor",
@@ -95,9 +99,11 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "logger",
     "network",
     "registry",
     "reward",
+    "scalars",
     "sensor",
     "terrain",
 ]
