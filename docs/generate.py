@@ -20,7 +20,6 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.bench.settings import BenchSettings
-from flipperctl.cli.hydra.search_space import SearchSettings
 from flipperctl.cli.main import app
 from flipperctl.config import (
     Agent,
@@ -34,6 +33,7 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
+from flipperctl.runs.search import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,
@@ -57,6 +57,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "controller": ("Controllers", "controller"),
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
+    "logger": ("Loggers", "logger.<name>"),
 }
 """Kind of plugin → heading, key of its settings."""
 

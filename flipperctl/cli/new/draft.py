@@ -38,6 +38,7 @@ _USAGE = {
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
+    "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
 }
 
 
