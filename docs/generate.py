@@ -58,6 +58,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
     "measure": ("Measures", "measure"),
+    "logger": ("Loggers", "logger.<name>"),
 }
 """Kind of plugin → heading, key of its settings."""
 

@@ -32,6 +32,7 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
+from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
 from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
@@ -80,6 +81,8 @@ __all__ = [
     "GroundSensor",
     "Instrument",
     "Limits",
+    "Listener",
+    "Logger",
     "Measure",
     "Measured",
     "MirroredSurface",
@@ -97,6 +100,7 @@ __all__ = [
     "Robot",
     "RobotGeometry",
     "RobotState",
+    "RunInfo",
     "SensedAngles",
     "SensedGround",
     "Sensor",
@@ -114,10 +118,12 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "logger",
     "measure",
     "network",
     "registry",
     "reward",
+    "scalars",
     "sensor",
     "terrain",
 ]

@@ -18,6 +18,7 @@ from flipperctl import guard
 from flipperctl.api import Plugin, Settings
 from flipperctl.api.plugin import mapping, registered_names, selected
 from flipperctl.config.guarded import guard_class
+from flipperctl.config.loggers import by_name
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
 from flipperctl.messages import close_match, explain, reinstall_hint
 
@@ -118,6 +119,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             key == "rewards" and value == {}
         ):  # an empty mapping replaces the terms instead of merging into them
             result[key] = {}
+            continue
+        if key == "logger" and not isinstance(value, Mapping):  # names replace the loggers there
+            result[key] = by_name(value)
             continue
         *parents, leaf = key.split(".")
         node = result

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,11 +22,9 @@ from flipperctl.api import (
 from flipperctl.core.ground_map import GroundMap
 from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
+from flipperctl.lookahead.mpc_settings import MpcSettings
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.sim.thinning import kept_points
-
-if TYPE_CHECKING:
-    from flipperctl.lookahead.mpc import Mpc
 
 NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
@@ -46,7 +43,7 @@ _AS_EXPECTED = np.array([0.04, 0.04, 0.05])
 class MpcPolicy:
     """Plans anew at each decision; remembers the map, its flippers' targets and its last plan."""
 
-    def __init__(self, settings: Mpc) -> None:
+    def __init__(self, settings: MpcSettings) -> None:
         self._settings = settings
         self._robot = Robot()
         self._forget()

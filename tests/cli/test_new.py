@@ -13,7 +13,7 @@ from tests.cli.call import RUN, Done, call
 from tests.cli.test_errors import refused
 
 ROOT = Path(__file__).parents[2]
-KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure")
+KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 

@@ -25,6 +25,7 @@ from flipperctl.config import (
     container,
     resolver,
 )
+from flipperctl.config.loggers import METRICS_ALONE
 from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.search import SearchSettings
 
@@ -38,7 +39,7 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
 GROUPS = (
-    *("terrain", "rewards", "network", "collector", "teacher"),
+    *("terrain", "rewards", "network", "collector", "teacher", "logger"),
     *("sim", "perception", "conditions"),
 )
 """Config groups whose choice is stored under a key of the same name."""
@@ -55,11 +56,13 @@ def register_defaults() -> None:
     store.store(group="teacher", name="none", node=teaching)
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
+    store.store(group="logger", name=METRICS_ALONE, node={})
     for (kind, name), cls in registry.items():
         if kind == Measure.kind:
             continue  # every measure is taken of every episode; none is chosen
         defaults = resolver.defaults(cls)
-        store.store(group=kind, name=name, node=defaults)
+        package = f"logger.{name}" if kind == "logger" else None  # several may be chosen
+        store.store(group=kind, name=name, node=defaults, package=package)
         if kind == "controller":
             store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
     for collector in (LocalCollector(), RayCollector()):

@@ -42,6 +42,7 @@ _USAGE = {
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
+    "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
 }
 
 

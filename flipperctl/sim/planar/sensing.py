@@ -23,7 +23,7 @@ from flipperctl.api import (
     sensor,
 )
 from flipperctl.core.bins import mean_heights
-from flipperctl.sim.planar.occlusion import SeenGround
+from flipperctl.sim.planar.occlusion import Mast, SeenGround
 
 
 @sensor("planar")
@@ -94,7 +94,11 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
-        self._seen_ground = SeenGround(profile, settings, margin) if settings.occlusion else None
+        self._seen_ground: SeenGround | None = None
+        if settings.occlusion:
+            mount = settings.mount_x, settings.mount_z
+            mast = Mast(mount, settings.body_length, settings.horizon)
+            self._seen_ground = SeenGround(profile, mast, settings.density, margin)
 
     def sense(
         self, state: RobotState, rng: np.random.Generator

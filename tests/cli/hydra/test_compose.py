@@ -79,6 +79,22 @@ def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
 # Teachers
 
 
+def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
+    chosen = {
+        "": ["tensorboard"],
+        "logger=csv": [],
+        "logger=[]": [],
+        "~logger": [],
+        "logger=[tensorboard,wandb]": ["tensorboard", "wandb"],
+        "+logger@logger.second=wandb": ["tensorboard", "second"],
+    }
+    for override, names in chosen.items():
+        (config,) = compose.compose_train([override] if override else [])
+        assert list(config.logger) == names
+    (config,) = compose.compose_train(["logger=wandb", "logger.wandb.project=stairs"])
+    assert container(config)["logger"]["wandb"]["project"] == "stairs"
+
+
 def test_there_is_a_teacher_only_on_request() -> None:
     paper, quick = (
         compose.compose_train(words)[0].teacher
