@@ -18,7 +18,14 @@ from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
 
 ROOT = Path(__file__).parents[1]
-BASES = {"RobotGeometry", "ObservationLayout", "EnvConfig", "TrainConfig", "EvalConfig"}
+BASES = {
+    "CommonSettings",
+    "RobotGeometry",
+    "ObservationLayout",
+    "EnvConfig",
+    "TrainConfig",
+    "EvalConfig",
+}
 """Classes of settings that others inherit, or that hold the sections."""
 
 

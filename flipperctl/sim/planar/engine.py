@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
-from flipperctl.errors import ConfigError
 
 
 @engine("planar")
@@ -55,14 +54,3 @@ class Planar(Engine):
         import pymunk
 
         return {"pymunk": pymunk.version}
-
-
-def planar(chosen: Engine) -> Planar:
-    """Return the settings as those of the planar engine, for benchmarks of this engine alone.
-
-    Raises:
-        ConfigError: another engine was chosen.
-    """
-    if not isinstance(chosen, Planar):
-        raise ConfigError(f"sim: this is measured with sim=planar only; got {chosen.plugin_name}")
-    return chosen

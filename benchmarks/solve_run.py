@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from flipperctl.bench.settings import BenchSettings
+from benchmarks.settings import BenchmarkSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import success_rate
@@ -23,7 +23,7 @@ class SolveRun:
     """Validations of one run, during the run and after it. Its clock starts at construction."""
 
     seed: int
-    settings: BenchSettings
+    settings: BenchmarkSettings
     validations: list[dict[str, float]] = field(default_factory=list)
     """``decision``, ``seconds`` since the start and ``success_rate`` of each validation."""
     validation_seconds: float = 0.0
