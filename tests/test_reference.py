@@ -18,7 +18,13 @@ from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
 
 ROOT = Path(__file__).parents[1]
-BASES = {"RobotGeometry", "EnvConfig", "TrainConfig", "EvalConfig"}
+BASES = {
+    "CommonSettings",
+    "RobotGeometry",
+    "EnvConfig",
+    "TrainConfig",
+    "EvalConfig",
+}
 """Classes of settings that others inherit, or that hold the sections."""
 
 

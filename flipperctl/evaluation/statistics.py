@@ -23,15 +23,6 @@ def reached(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["outcome"] == Outcome.REACHED]
 
 
-def success_rate(rows: Sequence[Row]) -> float:
-    """Return the fraction of the rows' episodes that reached the finish, 0 to 1.
-
-    Raises:
-        ZeroDivisionError: there are no rows.
-    """
-    return len(reached(rows)) / len(rows)
-
-
 def summarise(terrain: str, episodes: Sequence[EpisodeResult]) -> Summary:
     """Return the summary of one policy's episodes on a terrain.
 

@@ -23,9 +23,6 @@ from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.sim.mujoco.ground import Box
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
-HINGES = ("front_left", "rear_left", "front_right", "rear_right")
-"""Flippers in the order of joints and motors."""
-
 LARGEST_PICTURE = 1920, 1080
 """Width and height of the largest picture [pixels]."""
 
@@ -54,7 +51,8 @@ class Model(NamedTuple):
     """A compiled scene."""
 
     model: Any
-    """``mujoco.MjModel``; the robot's free joint comes first, then ``HINGES``."""
+    """``mujoco.MjModel``; the robot's free joint comes first, then the flippers' hinges, in the
+    order front left, rear left, front right, rear right."""
     belts: FloatArray
     """(G, 6) ``geom_surfacevel`` of belts that run at the robot's speed."""
     sides: FloatArray
@@ -135,7 +133,7 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
             # One drum for the ends of main track and flipper, which turn about the same axle.
             drum = sign * (inner + outer) / 2, (outer - inner) / 2
             _add_end(chassis, f"{end}_drum_{side}", x, *drum, robot, sim)
-    # In the order of HINGES
+    # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for end, ahead in (("front", 1.0), ("rear", -1.0)):
             flipper = chassis.add_body(

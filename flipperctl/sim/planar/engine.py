@@ -7,7 +7,6 @@ from typing import ClassVar
 import numpy as np
 
 from flipperctl.api import Engine, Profile, Robot, Start, World, engine
-from flipperctl.errors import ConfigError
 from flipperctl.sim.planar.settings import PlanarSettings
 
 
@@ -33,14 +32,3 @@ class Planar(PlanarSettings, Engine):
         import pymunk
 
         return {"pymunk": pymunk.version}
-
-
-def planar(chosen: Engine) -> Planar:
-    """Return the settings as those of the planar engine, for benchmarks of this engine alone.
-
-    Raises:
-        ConfigError: another engine was chosen.
-    """
-    if not isinstance(chosen, Planar):
-        raise ConfigError(f"sim: this is measured with sim=planar only; got {chosen.plugin_name}")
-    return chosen

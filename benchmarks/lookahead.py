@@ -11,9 +11,9 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from benchmarks.prediction import MEASURES, prediction_errors
+from benchmarks.settings import FAMILIES, Benchmark
 from flipperctl.api import Perception, Simulator
-from flipperctl.bench.prediction import MEASURES, prediction_errors
-from flipperctl.bench.settings import FAMILIES, Bench
 from flipperctl.bench.statistics import Values, quantile, quantity, ratio
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
@@ -66,7 +66,7 @@ class Round:
     """CPU time of the environment's steps with the same actions [s]."""
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure times [s] and rates [1/s] of decisions, and errors of predictions."""
     s, config = bench.settings, bench.config.environment()
     terrains = {f: with_overrides(config, {"terrain": f}) for f in FAMILIES[: s.families]}
@@ -131,7 +131,7 @@ def _first_decision(policy: MpcPolicy, config: EnvConfig) -> float:
     raise AssertionError("an episode has a decision")
 
 
-def _predictions(bench: Bench, terrains: list[EnvConfig]) -> dict[str, Any]:
+def _predictions(bench: Benchmark, terrains: list[EnvConfig]) -> dict[str, Any]:
     """Return the prediction errors by controller and measure."""
     s = bench.settings
     quantities: dict[str, Any] = {}

@@ -2,16 +2,17 @@
 
 import pytest
 
-from flipperctl.bench import lookahead
-from flipperctl.bench.prediction import MEASURES, prediction_errors
+from benchmarks import lookahead
+from benchmarks.prediction import MEASURES, prediction_errors
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.rollout.episode import play
-from tests.bench.small import check, check_ratio, small_bench
+from tests.bench.small import check, check_ratio
+from tests.benchmarks.small import small_benchmark
 
 
 def test_every_decision_is_timed_and_every_prediction_compared() -> None:
-    bench = small_bench()
+    bench = small_benchmark()
     found = lookahead.measure(bench)
     check(found)
     quantities = found["quantities"]
@@ -49,7 +50,7 @@ def test_rates_by_hand() -> None:
 
 def test_a_second_search_counts_too() -> None:
     """A plan that loses any time at all is searched for again, at thrice the width."""
-    config = small_bench().config.environment()
+    config = small_benchmark().config.environment()
     counts = {}
     for name, from_ in (("once", 100.0), ("twice", 1e-6)):
         policy = Mpc(beam=2, horizon=2, stuck_from=from_).build()
@@ -62,7 +63,7 @@ def test_a_second_search_counts_too() -> None:
 
 
 def test_predictions_agree_with_the_engine() -> None:
-    errors = prediction_errors(small_bench().config.environment(), "okada", [1, 2])
+    errors = prediction_errors(small_benchmark().config.environment(), "okada", [1, 2])
     assert sorted(errors["position"])[len(errors["position"]) // 2] < 0.01
     assert sorted(errors["pitch"])[len(errors["pitch"]) // 2] < 0.01
     assert len(errors["swing"]) == len(errors["pitch"]) > 20

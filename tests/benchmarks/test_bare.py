@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks import bare
 from flipperctl.api import Profile, Robot
-from flipperctl.sim.planar import Planar, bare
+from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
 
 LEVEL = Profile([(0, 0), (1, 0)])

@@ -2,13 +2,16 @@
 
 import pytest
 
-from flipperctl.bench import startup
+from benchmarks import startup
 from flipperctl.errors import FlipperctlError
-from tests.bench.small import check, check_ratio, small_bench
+from tests.bench.small import check, check_ratio
+from tests.benchmarks.small import small_benchmark
 
 
 def test_each_command_is_compared_with_pythons_own_start() -> None:
-    found = startup.measure(small_bench(commands=2), [("--version",), ("eval", "--help"), ("x",)])
+    found = startup.measure(
+        small_benchmark(commands=2), [("--version",), ("eval", "--help"), ("x",)]
+    )
     check(found)
     names = [startup.PYTHON, "flipperctl --version", "flipperctl eval --help"]
     assert list(found["quantities"]) == names
@@ -18,4 +21,4 @@ def test_each_command_is_compared_with_pythons_own_start() -> None:
 
 def test_a_command_that_fails_is_named() -> None:
     with pytest.raises(FlipperctlError, match="flipperctl evil failed"):
-        startup.measure(small_bench(), [("evil",)])
+        startup.measure(small_benchmark(), [("evil",)])

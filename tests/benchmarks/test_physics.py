@@ -2,13 +2,14 @@
 
 import pytest
 
-from flipperctl.bench import physics
+from benchmarks import physics
 from flipperctl.env.flipper_env import FlipperEnv
-from tests.bench.small import check, check_ratio, small_bench
+from tests.bench.small import check, check_ratio
+from tests.benchmarks.small import small_benchmark
 
 
 def test_the_parts_of_a_decision_add_up() -> None:
-    bench = small_bench()
+    bench = small_benchmark()
     found = physics.measure(bench)
     check(found)
     check_ratio(
@@ -43,7 +44,7 @@ def test_rates_by_hand() -> None:
 
 
 def test_both_sides_do_the_same_work() -> None:
-    bench = small_bench()
+    bench = small_benchmark()
     config = bench.config.environment()
     recorded = physics.record(config, "okada", 5)
     env = FlipperEnv(config=config)

@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from benchmarks.planar import planar
+from benchmarks.policy_accuracy import measure_policies
+from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD
-from flipperctl.bench.policy_accuracy import measure_policies
-from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.sim.planar import planar
 
 ABOUT = (
     "θ̂_R of a rule at 100 Hz and at decisions on the paper's scenes, from several starts, by "
@@ -33,7 +33,7 @@ _RULE = 0.4
 """Fraction of the progress for the rule on the paper's scenes; the rest is for the policies."""
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure θ̂_R [rad] by scene and substep [ms], its ratios, and changes with a policy [-]."""
     # The sample period is the coarsest substep that the simulator accepts.
     substeps = [f * planar(bench.config.sim).substep for f in FACTORS]
@@ -64,7 +64,7 @@ def measure(bench: Bench) -> dict[str, Any]:
     }
 
 
-def _play(bench: Bench, scene: str, substep: float) -> list[Row]:
+def _play(bench: Benchmark, scene: str, substep: float) -> list[Row]:
     """Play an episode from each start."""
     changes = {"terrain": scene, "sim.substep": substep}
     env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from flipperctl.bench import accuracy, policy_accuracy
-from tests.bench.small import check, check_ratio, small_bench
+from benchmarks import accuracy, policy_accuracy
+from tests.bench.small import check, check_ratio
+from tests.benchmarks.small import small_benchmark
 
 
 def test_each_substep_is_compared_with_the_finest() -> None:
-    found = accuracy.measure(small_bench(starts=2))
+    found = accuracy.measure(small_benchmark(starts=2))
     check(found)
     assert len(found["quantities"]) == 2 * 2 * 4 + 4
     for policy in ("okada", "generalist"):
@@ -44,7 +45,7 @@ def test_changes_by_hand() -> None:
 
 
 def test_a_policy_for_another_observation_is_left_out() -> None:
-    bench = small_bench()
+    bench = small_benchmark()
     config = bench.config.model_validate(
         {**bench.config.model_dump(), "perception": {"name": "planar", "bins": 9}}
     )

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import bare
+from benchmarks.planar import planar
+from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
@@ -23,7 +25,6 @@ from flipperctl.env.rewards import RewardSum
 from flipperctl.env.world import GuardedWorld
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.sim.planar import bare, planar
 from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (
@@ -162,7 +163,7 @@ def run(world: PlanarWorld, target: tuple[float, float], samples: int) -> None:
     world.advance(samples)
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure rates [1/s], their ratio, and the time of each part of a decision [µs].
 
     The parts are ``physics`` (Chipmunk alone), ``contacts`` (the additional time of belts, commands

@@ -14,10 +14,10 @@ from typing import Any
 
 import torch
 
+from benchmarks.extras import import_extra
+from benchmarks.settings import Benchmark, BenchmarkSettings
+from benchmarks.solve_run import SolveRun, ValidationRecorder
 from flipperctl import checkpoint
-from flipperctl.bench.extras import import_extra
-from flipperctl.bench.settings import Bench, BenchSettings
-from flipperctl.bench.solve_run import SolveRun, ValidationRecorder
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
@@ -29,13 +29,13 @@ ABOUT = (
 )
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure time [s] and decisions until solved for each seed; None for an unsolved run."""
     contestants: dict[str, Callable[[TrainConfig, SolveRun, Callable[[], None]], None]]
     contestants, missing = {"flipperctl": solve}, []
     details: dict[str, Any] = {}
     try:
-        sb3 = import_extra("flipperctl.bench.sb3", "stable-baselines3", "bench")
+        sb3 = import_extra("benchmarks.sb3", "stable-baselines3", "bench")
         contestants["sb3"], details["sb3_settings"] = sb3.solve, sb3.SETTINGS
     except MissingExtraError as error:
         missing.append(str(error))
@@ -53,10 +53,17 @@ def measure(bench: Bench) -> dict[str, Any]:
                 runs[name].append(run.report())
     finally:
         torch.set_num_threads(threads)
-    return {"about": ABOUT, **summary(runs, s), **details, "missing": missing}
+    unfinished = f"not within {s.limit:g} s"
+    return {
+        "about": ABOUT,
+        **summary(runs, s),
+        **details,
+        "unfinished": unfinished,
+        "missing": missing,
+    }
 
 
-def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchSettings) -> dict[str, Any]:
+def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchmarkSettings) -> dict[str, Any]:
     """Return quantities and ratios (other learners over flipperctl) of the runs' reports."""
     units = {"seconds": "s", "training_seconds": "s", "decisions": "-"}
     values = {(n, what): [r[what] for r in found] for n, found in runs.items() for what in units}
@@ -78,7 +85,7 @@ def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchSettings) -> dict[
     }
 
 
-def configured(bench: Bench, seed: int) -> TrainConfig:
+def configured(bench: Benchmark, seed: int) -> TrainConfig:
     """Return the training configuration of one run."""
     s = bench.settings
     changes = {
@@ -102,7 +109,9 @@ def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> Non
         Trainer(config, directory, [ValidationRecorder(run)]).run(stop)
 
 
-def _reporter(bench: Bench, run: SolveRun, name: str, done: int, total: int) -> Callable[[], None]:
+def _reporter(
+    bench: Benchmark, run: SolveRun, name: str, done: int, total: int
+) -> Callable[[], None]:
     def report() -> None:
         fraction = min(1.0, run.elapsed / run.settings.limit)
         last = run.validations[-1]["success_rate"] if run.validations else 0.0

@@ -19,8 +19,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 
 import flipperctl.env  # noqa: F401  # registers the environment
+from benchmarks.solve_run import SolveRun, Validation
 from flipperctl.agent.replay import Replay
-from flipperctl.bench.solve_run import SolveRun, Validation
 from flipperctl.config import TrainConfig
 
 SETTINGS: Mapping[str, Any] = {

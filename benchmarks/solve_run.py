@@ -9,10 +9,10 @@ from typing import Any
 
 import torch
 
-from flipperctl.bench.settings import BenchSettings
+from benchmarks.settings import BenchmarkSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.statistics import success_rate
+from flipperctl.evaluation.statistics import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import validation_seed
@@ -23,7 +23,7 @@ class SolveRun:
     """Validations of one run, during the run and after it. Its clock starts at construction."""
 
     seed: int
-    settings: BenchSettings
+    settings: BenchmarkSettings
     validations: list[dict[str, float]] = field(default_factory=list)
     """``decision``, ``seconds`` since the start and ``success_rate`` of each validation."""
     validation_seconds: float = 0.0
@@ -108,4 +108,4 @@ class Validation:
         """Return the success rate, the fraction of episodes that reach the finish [-]."""
         policy = TrainedPolicy(module)
         seeds = (validation_seed(self._seed, i) for i in range(self._episodes))
-        return success_rate([play(self._env, policy, seed) for seed in seeds])
+        return len(reached([play(self._env, policy, seed) for seed in seeds])) / self._episodes

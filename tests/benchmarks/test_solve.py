@@ -5,10 +5,11 @@ from itertools import pairwise
 
 import pytest
 
-from flipperctl.bench import solve
-from flipperctl.bench.solve_run import SolveRun, Validation, ValidationRecorder
+from benchmarks import solve
+from benchmarks.solve_run import SolveRun, Validation, ValidationRecorder
 from flipperctl.training.trainer import Trainer
-from tests.bench.small import check, small_bench
+from tests.bench.small import check
+from tests.benchmarks.small import small_benchmark
 
 
 class Clock:
@@ -16,7 +17,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
-        monkeypatch.setattr("flipperctl.bench.solve_run.time.perf_counter", lambda: self.now)
+        monkeypatch.setattr("benchmarks.solve_run.time.perf_counter", lambda: self.now)
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def solve_run(**changes: object) -> SolveRun:
-    return SolveRun(1, small_bench(limit=60.0, in_a_row=3, **changes).settings)
+    return SolveRun(1, small_benchmark(limit=60.0, in_a_row=3, **changes).settings)
 
 
 def test_solved_is_three_perfect_validations_in_a_row(clock: Clock) -> None:
@@ -75,7 +76,7 @@ def test_medians_count_the_unsolved_as_longest() -> None:
             "solved": seconds is not None,
         }
 
-    s = small_bench(seeds=3, limit=50.0).settings
+    s = small_benchmark(seeds=3, limit=50.0).settings
     found = solve.summary(
         {"flipperctl": [run(10.0), run(20.0), run(30.0)], "sb3": [run(40.0), run(None), run(None)]},
         s,
@@ -88,7 +89,7 @@ def test_medians_count_the_unsolved_as_longest() -> None:
 
 
 def test_both_learners_run_and_are_validated_alike() -> None:
-    found = solve.measure(small_bench())
+    found = solve.measure(small_benchmark())
     check(found)
     assert found["missing"] == []
     for name in ("flipperctl", "sb3"):
@@ -100,7 +101,7 @@ def test_both_learners_run_and_are_validated_alike() -> None:
 
 
 def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
-    config = solve.configured(small_bench(), 5)
+    config = solve.configured(small_benchmark(), 5)
     trainer = Trainer(config, tmp_path)
     (tmp_path / "checkpoints").mkdir()
     trainer.run()
@@ -113,8 +114,8 @@ def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
 
 def test_without_sb3_our_side_still_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.delitem(sys.modules, "flipperctl.bench.sb3", raising=False)
-    found = solve.measure(small_bench())
+    monkeypatch.delitem(sys.modules, "benchmarks.sb3", raising=False)
+    found = solve.measure(small_benchmark())
     check(found)
     assert "flipperctl[bench]" in found["missing"][0]
     assert list(found["runs"]) == ["flipperctl"]

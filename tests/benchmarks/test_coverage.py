@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flipperctl.evaluation import coverage
-from flipperctl.evaluation.coverage import main, mean_coverage, paired_coverage, rate_coverage
+from benchmarks import coverage
+from benchmarks.coverage import main, mean_coverage, paired_coverage, rate_coverage
 
 
 @pytest.mark.parametrize("count", [5, 10, 100])

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks.settings import Benchmark
 from flipperctl.bench.process import output
-from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import measure_in_turn, quantity
 
 ABOUT = "plugins.load() with installed plugin modules, against importing the same modules by name"
@@ -42,7 +42,7 @@ assert sum(name.startswith("bench_") for _, name in registry) == len(sys.argv) -
 """
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure the time of both [ms], round by round, and their difference.
 
     Raises:

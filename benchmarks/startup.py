@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import typer.main
+
+from benchmarks.settings import Benchmark
 from flipperctl.bench.process import output
-from flipperctl.bench.settings import Bench
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.cli.main import app
 
 ABOUT = "wall-clock of commands as processes of their own, in turn, beside Python's own start"
 PYTHON = "python -c pass"
@@ -18,15 +21,17 @@ Command = tuple[str, ...]
 """Arguments of ``flipperctl`` on the command line."""
 
 
-def measure(bench: Bench, commands: Sequence[Command]) -> dict[str, Any]:
+def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict[str, Any]:
     """Measure the time of each command [ms], and its ratio to the start of Python itself.
+
+    Without ``commands``, they are every subcommand's help and two short ones.
 
     Raises:
         FlipperctlError: a command failed.
     """
     s = bench.settings
     processes = {PYTHON: [sys.executable, "-c", "pass"]}
-    for command in commands[: s.commands]:
+    for command in (short_commands() if commands is None else commands)[: s.commands]:
         processes[" ".join(("flipperctl", *command))] = [
             sys.executable,
             "-m",
@@ -51,6 +56,19 @@ def measure(bench: Bench, commands: Sequence[Command]) -> dict[str, Any]:
             if name != PYTHON
         },
     }
+
+
+def short_commands() -> list[Command]:
+    """Return every subcommand's help, in its order there, and two short views of ``inspect``."""
+    root = typer.main.get_command(app)
+    helps = [(*path, "--help") for path in _paths(root, ())]
+    return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
+
+
+def _paths(command: Any, path: Command) -> Iterator[Command]:
+    yield path
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _paths(inner, (*path, name))
 
 
 def _clock(name: str, process: list[str]) -> Callable[[], float]:

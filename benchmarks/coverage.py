@@ -1,6 +1,6 @@
 """Simulates how often the 95 % intervals of evaluations contain the truth.
 
-    python -m flipperctl.evaluation.coverage [episodes.csv ...] [--repetitions N] [--seed N]
+    python -m benchmarks.coverage [episodes.csv ...] [--repetitions N] [--seed N]
 
 For each distribution and number of values, the intervals of many samples are computed, and the
 fraction is printed that contains the distribution's mean. A file that ``eval --output`` wrote adds
@@ -41,7 +41,7 @@ Sample = Callable[[np.random.Generator, tuple[int, int]], FloatArray]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table of coverages; leave with code 2 if an argument or a file is wrong."""
     parser = argparse.ArgumentParser(
-        prog="python -m flipperctl.evaluation.coverage",
+        prog="python -m benchmarks.coverage",
         description="Simulate how often the 95 % intervals of evaluations contain the truth.",
     )
     parser.add_argument(

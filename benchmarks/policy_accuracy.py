@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from benchmarks.planar import planar
+from benchmarks.settings import FAMILIES, Benchmark
 from flipperctl import checkpoint
-from flipperctl.bench.settings import FAMILIES, Bench
 from flipperctl.bench.statistics import quantity
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
@@ -19,7 +20,6 @@ from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.sim.planar import planar
 
 SHIPPED = "generalist"
 """The shipped policy that drives."""
@@ -28,7 +28,7 @@ FINER = 0.25
 _KEY = "pitch_variation_100hz"
 
 
-def measure_policies(bench: Bench, begun: float) -> dict[str, Any]:
+def measure_policies(bench: Benchmark, begun: float) -> dict[str, Any]:
     """Measure relative changes of θ̂_R and changed outcomes [-] by policy, and by terrain too.
 
     ``begun``: fraction of the whole measure that is done before this part.
@@ -83,7 +83,7 @@ def changed_outcomes(pairs: Sequence[tuple[Row, Row]]) -> float:
     return sum(changed) / len(changed)
 
 
-def _play_both(bench: Bench, config: EnvConfig, source: PolicySource) -> list[tuple[Row, Row]]:
+def _play_both(bench: Benchmark, config: EnvConfig, source: PolicySource) -> list[tuple[Row, Row]]:
     """Play each episode at the configured and at the finer substep."""
     s = bench.settings
     finer = {"sim.substep": FINER * planar(config.sim).substep}
