@@ -67,6 +67,9 @@ def _guard_attribute(name: str, found: Any) -> object:
         return found if getter is found.fget else property(getter, doc=found.__doc__)
     if inspect.isfunction(found):
         return _guard(name, found)
+    if isinstance(found, classmethod) and inspect.isfunction(found.__func__):
+        method = _guard(name, found.__func__)
+        return found if method is found.__func__ else classmethod(method)
     if not hasattr(type(found), "__get__"):
         return found
     if isinstance(found, functools.cached_property):
@@ -74,7 +77,7 @@ def _guard_attribute(name: str, found: Any) -> object:
 
     @functools.wraps(_bound(found))
     def call(self: Plugin, *given: object, **named: object) -> object:
-        """Call a static, class or partial method, or a compiled function."""
+        """Call a static or partial method, or a compiled function."""
         method: Callable[..., object] = found.__get__(self, type(self))
         return method(*given, **named)
 
@@ -98,7 +101,7 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
     shown = _NAMES.get(name, name)
 
     @functools.wraps(function)
-    def guarded(self: Plugin, *given: object, **named: object) -> object:
+    def guarded(self: Plugin | type[Plugin], *given: object, **named: object) -> object:
         try:
             result = function(self, *given, **named)
         except BaseException as error:
