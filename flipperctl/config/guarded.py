@@ -11,6 +11,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from typing import Any
+from weakref import WeakSet
 
 from flipperctl.api import Plugin
 from flipperctl.errors import (
@@ -23,8 +24,8 @@ from flipperctl.errors import (
 from flipperctl.guard import is_called_by_core, raise_named
 
 _CONTRACT = "flipperctl.api"
-_GUARDED = "__guarded__"
-"""Attribute of the functions that this module has made."""
+_made: WeakSet[Callable[..., object]] = WeakSet()
+"""The guarded functions; an attribute would be copied by an author's ``functools.wraps``."""
 
 _RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
     ("network", "build"): ConfigError,
@@ -96,7 +97,7 @@ def _bound(descriptor: Any) -> Callable[[Plugin], object]:
 
 def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
     """Return the function, which names its plugin if it fails in a call of the core."""
-    if hasattr(function, _GUARDED):
+    if function in _made:
         return function
     shown = _NAMES.get(name, name)
 
@@ -116,5 +117,5 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
             guard_class(type(result))
         return result
 
-    setattr(guarded, _GUARDED, True)
+    _made.add(guarded)
     return guarded
