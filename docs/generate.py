@@ -57,7 +57,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "controller": ("Controllers", "controller"),
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
-    "logger": ("Loggers", "logger.<name>"),
+    "logger": ("Loggers", "logger.<logger>"),
 }
 """Kind of plugin → heading, key of its settings."""
 

@@ -88,6 +88,7 @@ def test_every_setting_that_is_named_exists() -> None:
         if page == UPGRADE or not named or named[1].partition(".")[0] not in sections:
             continue
         path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
+        path = re.sub(r"^logger\.\w+\.", "logger.<logger>.", path)
         path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
         own = re.search(rf"^    {path.rpartition('.')[2]}: ", TEXTS[page], re.MULTILINE)
         if path not in known and not own:  # a field of the plugin that the page writes
