@@ -20,7 +20,6 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.bench.settings import BenchSettings
-from flipperctl.cli.hydra.search_space import SearchSettings
 from flipperctl.cli.main import app
 from flipperctl.config import (
     Agent,
@@ -34,6 +33,7 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
+from flipperctl.runs.search import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,
@@ -57,6 +57,8 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "controller": ("Controllers", "controller"),
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
+    "measure": ("Measures", "measure"),
+    "logger": ("Loggers", "logger.<name>"),
 }
 """Kind of plugin → heading, key of its settings."""
 
@@ -236,7 +238,7 @@ def _entry(module: str, name: str, value: object) -> list[str]:
 
 def _attribute_doc(module: str, name: str) -> list[str]:
     """Return the string below the assignment of a module's name, wherever it was imported from."""
-    for inner in sorted(n for n in _modules(module)):
+    for inner in (*sorted(_modules(module)), *sorted(_modules("flipperctl.core"))):
         found = ModuleAnalyzer.for_module(inner).find_attr_docs()
         if ("", name) in found:
             return list(found["", name])

@@ -1,13 +1,11 @@
 """Names the plugin, method, file and line of an error that a plugin's code raised.
 
 In: an exception raised while the core called a plugin. Out: one of the package's own exceptions,
-with one line of text. Every such call stands in a ``try``, which costs nothing until something is
-raised:
+with one line of text. The methods of a plugin itself are guarded once, where the plugin is made
+(``config.guarded``). What a plugin returns, such as a world, is called within a context:
 
-    try:
-        profile = terrain.generate(rng)
-    except BaseException as error:
-        raise fault(error, terrain, "generate") from error
+    with naming(engine, "advance"):
+        poses = world.advance(samples, limits)
 
 ``SystemExit`` and ``GeneratorExit`` count as errors of the plugin too; only ``KeyboardInterrupt``
 comes from the user.
@@ -20,8 +18,8 @@ import sysconfig
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
-from typing import Any
+from types import FrameType, TracebackType
+from typing import Any, NoReturn
 
 from flipperctl.api import Plugin
 from flipperctl.errors import FlipperctlError, PluginFailedError
@@ -29,9 +27,43 @@ from flipperctl.errors import FlipperctlError, PluginFailedError
 _LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 _CORE = "flipperctl"
+_NO_CALLERS = ("flipperctl.api", "flipperctl.testing")
 
 
-def fault(
+class naming:  # noqa: N801  # used like a function, as contextlib's own contexts are
+    """A context that raises every error again as one that names a plugin and its method.
+
+    A class, since a generator of ``contextlib`` would take six times as long to enter and leave.
+    """
+
+    __slots__ = ("_method", "_plugin", "_raised", "_while")
+
+    def __init__(
+        self,
+        plugin: Plugin | type[Plugin],
+        method: str,
+        raised: type[FlipperctlError] = PluginFailedError,
+        *,
+        while_: str = "",
+    ) -> None:
+        """``while_`` says what the method is called for."""
+        self._plugin, self._method, self._raised, self._while = plugin, method, raised, while_
+
+    def __enter__(self) -> None:
+        """Begin the context."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Name the plugin in ``error``, if there is one; see ``raise_named``."""
+        if error is not None:
+            raise_named(error, self._plugin, self._method, self._raised, while_=self._while)
+
+
+def raise_named(
     error: BaseException,
     plugin: Plugin | type[Plugin],
     method: str,
@@ -39,16 +71,13 @@ def fault(
     *,
     while_: str = "",
     plain: bool = False,
-) -> FlipperctlError:
-    """Return the exception to raise for ``error``, which a plugin's method raised.
+) -> NoReturn:
+    """Raise an error that names the plugin whose ``method`` raised ``error``.
 
     If the error was raised in another plugin that this one called, the text names that other
-    plugin. ``while_`` says what the method was called for; ``plain`` leaves out the exception's
-    type, for methods that raise it to refuse a request.
-
-    Raises:
-        BaseException: ``error`` itself, where no plugin is at fault: an interrupt, or an error of
-            the core that passed through the plugin.
+    plugin. ``plain`` leaves out the exception's type, for methods that raise it to refuse a
+    request. Where no plugin is at fault, ``error`` itself is raised: an interrupt, or an error of
+    the core that passed through the plugin.
     """
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     if isinstance(error, KeyboardInterrupt):
@@ -59,7 +88,26 @@ def fault(
     where = error_place(error, plugin, method)
     what = _text(error) if plain else f"{method} raised {error_line(error)}"
     where = f"{method}, {where}" if plain else where
-    return raised(f"{plugin_label(plugin)}{while_}: {what} ({where})")
+    raise raised(f"{plugin_label(plugin)}{while_}: {what} ({where})") from error
+
+
+def is_called_by_core(error: BaseException) -> bool:
+    """Return whether the core called the function that catches ``error``.
+
+    The contract's base classes and the conformance suite do not count: what they call is as if
+    another plugin, or its author's own test, called it.
+    """
+    trace = error.__traceback__
+    caller = trace.tb_frame.f_back if trace is not None else None
+    if caller is None or not _is_core(caller):
+        return False
+    return not _module(caller).startswith(_NO_CALLERS)
+
+
+def with_path(error: FlipperctlError, plugin: Plugin, path: str) -> FlipperctlError:
+    """Return the error with the plugin's path in the configuration beside the plugin's name."""
+    label = plugin_label(plugin)
+    return type(error)(str(error).replace(f"{label}:", f"{label} ({path}):", 1))
 
 
 def refusal(
@@ -116,7 +164,8 @@ def definition(plugin: Plugin | type, method: str = "") -> str:
     """Return file and line where a method is defined, else those of its plugin, else its module."""
     cls: type = plugin if isinstance(plugin, type) else type(plugin)
     found = inspect.getattr_static(cls, method, None) if method else None
-    code = getattr(getattr(found, "fget", found), "__code__", None)
+    function = getattr(found, "fget", found)
+    code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
     if code is not None:
         return f"{_flat(code.co_filename, 400)}:{code.co_firstlineno}"
     try:

@@ -131,9 +131,9 @@ def with_budget(command: list[str]) -> list[str]:
         return [*command, *quick, *trials, *own]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
-        quick = ["physics", "engines", "startup"] if every else []  # each has a test in tests/bench
+        quick = ["engines"] if every else []  # each has a test in tests/bench
         words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
-        return [*words, *quick, "--small", "--repeats", "2", "bench.limit=1"]
+        return [*words, *quick, "--small", "--repeats", "2"]
     if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
@@ -201,9 +201,10 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
     lines = {
         line.partition("#")[0].strip() for block in blocks("sh") for line in block.splitlines()
     }
-    long = "python -m tests.long."  # test_documented_names.py reads their options
+    # test_documented_names.py reads the options of both.
+    long = ("python -m tests.long.", "python -m benchmarks ")
     others = {line for line in lines if line and not _LOOP.fullmatch(line)}
-    assert {line for line in others if not line.startswith(("flipperctl ", long))} == {
+    assert {line for line in others if not line.startswith(("flipperctl ", *long))} == {
         "make train",  # takes minutes
         "make test",  # runs this test
         "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
@@ -211,8 +212,7 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
-        # tests/evaluation/test_coverage.py
-        "python -m flipperctl.evaluation.coverage evaluated/episodes.csv",
+        "python -m benchmarks.coverage evaluated/episodes.csv",  # tests/benchmarks/test_coverage.py
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

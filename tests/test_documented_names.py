@@ -15,8 +15,10 @@ from pathlib import Path
 import pytest
 import typer.main
 
+from benchmarks import __main__ as benchmarks
 from docs import generate
-from flipperctl.cli.main import COMMANDS, app
+from flipperctl.cli import bench
+from flipperctl.cli.main import COMMANDS, app, run_app
 
 ROOT = Path(__file__).parents[1]
 NAMES = ["README.md", "CONTRIBUTING.md", "SECURITY.md"]
@@ -72,7 +74,8 @@ def test_every_file_that_is_named_exists() -> None:
         span
         for _, span in spans()
         if re.fullmatch(
-            r"(\.ci|\.github|configs|docs|examples|flipperctl|plugins|tests)/[\w./]*", span
+            r"(\.ci|\.github|benchmarks|configs|docs|examples|flipperctl|plugins|tests)/[\w./]*",
+            span,
         )
     ]
     assert len(paths) > 10
@@ -89,6 +92,8 @@ def test_every_setting_that_is_named_exists() -> None:
             continue
         path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
         path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
+        if path.startswith(("randomise.sim.", "randomise.robot.", "randomise.perception.")):
+            path = path.removeprefix("randomise.")  # a setting by its path
         own = re.search(rf"^    {path.rpartition('.')[2]}: ", TEXTS[page], re.MULTILINE)
         if path not in known and not own:  # a field of the plugin that the page writes
             missing.add((page, path))
@@ -98,6 +103,20 @@ def test_every_setting_that_is_named_exists() -> None:
 def long_checks() -> list[str]:
     text = "\n".join([*TEXTS.values(), *(span for _, span in spans())])
     return list(dict.fromkeys(re.findall(r"^python -m (tests\.long\..*)$", text, re.MULTILINE)))
+
+
+def measures() -> list[str]:
+    """Return the words of each ``python -m benchmarks`` in blocks and within sentences."""
+    text = "\n".join([*TEXTS.values(), *(span for _, span in spans())])
+    return list(dict.fromkeys(re.findall(r"^python -m benchmarks (.*)$", text, re.MULTILINE)))
+
+
+@pytest.mark.parametrize("words", measures())
+def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[str] = []
+    monkeypatch.setattr(bench, "run_measures", lambda *_, **__: called.append(words))
+    run_app(benchmarks.app, shlex.split(words), "benchmarks")
+    assert called == [words]
 
 
 class _ParsedError(Exception):

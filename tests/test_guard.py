@@ -2,23 +2,34 @@
 
 import pickle
 import re
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import Field
 
 from flipperctl import errors, plugins
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
 from flipperctl.agent.noise import Noise
-from flipperctl.api import ObservationLayout
+from flipperctl.api import (
+    AnyTerrain,
+    Network,
+    ObservationLayout,
+    Profile,
+    Terrain,
+    network,
+    terrain,
+)
 from flipperctl.config import EnvConfig, EvalConfig, resolver, with_overrides
+from flipperctl.config.identity import read_files
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.guard import fault
+from flipperctl.guard import raise_named
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 from tests.cli.call import RUN, call
@@ -137,12 +148,76 @@ def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
     assert str(error.value) == f"terrain 'odd': generate raised IndexError: seven ({file}:{line})"
 
 
+def test_only_a_call_of_the_core_gets_the_plugin_s_error_renamed(registry: dict) -> None:
+    """An author's test, and a plugin that calls another one, get what its method raised."""
+
+    @terrain("moody")
+    class Moody(Terrain):
+        def generate(self, rng: np.random.Generator) -> Profile:
+            raise KeyError("seven")
+
+    @terrain("patient")
+    class Patient(Terrain):
+        inner: AnyTerrain = Field("moody", validate_default=True, description="terrain [-]")
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            with pytest.raises(KeyError, match="seven"):
+                self.inner.labelled(rng)
+            return Profile([(0.0, 0.0)])
+
+    rng = np.random.default_rng(0)
+    for _ in range(2):  # before and after the core guards the class
+        with pytest.raises(KeyError, match="seven"):
+            Moody().generate(rng)
+        moody = EnvConfig(terrain="moody").terrain
+        with pytest.raises(PluginFailedError, match=r"terrain 'moody': generate raised KeyError"):
+            ground.draw_profile(moody, rng, 1.0)
+    assert moody == Moody()
+    assert pickle.loads(pickle.dumps(resolver.create("terrain", "stair", "")))
+    assert ground.draw_profile(EnvConfig(terrain="patient").terrain, rng, 1.0).label == "patient"
+
+
+def test_methods_of_every_form_are_guarded(registry: dict) -> None:
+    @network("varied")
+    class Varied(Network):
+        @cached_property
+        def frames(self) -> int:
+            return [][3]
+
+        @staticmethod
+        def build(layout: ObservationLayout, n_actions: int) -> None:
+            raise KeyError("seven")
+
+        @classmethod
+        def files_read(cls) -> tuple[Path, ...]:
+            raise KeyError("seven")
+
+    for name, use in {
+        "frames": lambda network: build_network(network, ObservationLayout(), 9),
+        "files_read": read_files,
+    }.items():
+        with pytest.raises(FlipperctlError, match=rf"network 'varied': {name} raised .*\.py:\d+"):
+            use(resolver.create("network", "varied", "network"))
+    Varied.frames = 1
+    with pytest.raises(ConfigError, match=r"network 'varied': build raised KeyError.*\.py:\d+"):
+        build_network(resolver.create("network", "varied", "network"), ObservationLayout(), 9)
+
+
+def test_a_controller_may_be_derived_from_one_in_use() -> None:
+    okada = resolver.create("controller", "okada", "controller")
+
+    class Mine(type(okada)):  # a warning that its begin is deprecated would be an error here
+        """Another Okada."""
+
+    assert not Mine.searches_first
+
+
 def test_an_error_of_the_core_passes_through_a_plugin() -> None:
     okada = resolver.create("controller", "okada", "controller")
     with pytest.raises(ConfigError) as raised:
         resolver.get("terrain", "no such", "terrain")
     with pytest.raises(ConfigError, match="there is no terrain plugin 'no such'"):
-        fault(raised.value, okada, "begin")
+        raise_named(raised.value, okada, "begin")
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
     "typed",
     [
         *("none", "info", "resume", "foo", "x", "qwerty", "lr", "help", "config", "yes", "123"),
-        *("asdf", "model", "name", "nope", "hello", "verbose", "epochs", "tensorboard", ""),
+        *("asdf", "model", "name", "nope", "hello", "verbose", "epochs", "mlflow", ""),
     ],
 )
 def test_another_word_finds_nothing(typed: str) -> None:

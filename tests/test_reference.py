@@ -18,7 +18,13 @@ from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
 
 ROOT = Path(__file__).parents[1]
-BASES = {"RobotGeometry", "ObservationLayout", "EnvConfig", "TrainConfig", "EvalConfig"}
+BASES = {
+    "CommonSettings",
+    "RobotGeometry",
+    "EnvConfig",
+    "TrainConfig",
+    "EvalConfig",
+}
 """Classes of settings that others inherit, or that hold the sections."""
 
 
@@ -52,7 +58,8 @@ def sections(cls: type[Settings] = Settings) -> Iterator[type[Settings]]:
     for inner in cls.__subclasses__():
         if inner.__module__.startswith("flipperctl.") and not issubclass(inner, Plugin):
             yield from sections(inner)
-            if inner.__name__ not in BASES:
+            inherited = any(issubclass(plugin, inner) for plugin in registry.values())
+            if inner.__name__ not in BASES and not inherited:
                 yield inner
 
 

@@ -74,7 +74,7 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
     templates = (ROOT / "flipperctl" / "cli" / "new" / "templates").iterdir()
     wanted |= {str(path.relative_to(ROOT)) for path in templates}
     assert wanted - held == set()
-    assert not any(name.startswith(("tests", "examples")) for name in held)
+    assert not any(name.startswith(("tests", "examples", "benchmarks")) for name in held)
 
 
 def requirements(wheel: Path) -> list[str]:

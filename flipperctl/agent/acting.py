@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.building import describe_fault, module_fault
+from flipperctl.agent.building import describe_fault, naming_network
 from flipperctl.api import ACTIONS
 from flipperctl.errors import NonFiniteError, PluginFailedError
 
@@ -26,13 +26,11 @@ def greedy(
         NonFiniteError: a Q-value is not a finite number.
         PluginFailedError: the network's code failed, or gave another number of Q-values.
     """
-    try:
+    with naming_network(module, "forward"):
         with torch.inference_mode():
             output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
         (values,) = output.tolist()
         best, total = int(values.index(max(values))), float(sum(values))
-    except BaseException as error:
-        raise module_fault(error, module, "forward") from error
     if len(values) != len(ACTIONS):
         text = f"gave {len(values)} Q-values for an observation; {len(ACTIONS)} are allowed"
         raise PluginFailedError(describe_fault(module, "forward", text))

@@ -7,7 +7,7 @@ and on one observation, in ``train()`` and in ``eval()`` mode.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -18,7 +18,7 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.heads import Distributional
 from flipperctl.api import MAX_HISTORY, Network, ObservationLayout
 from flipperctl.errors import ConfigError, FlipperctlError
-from flipperctl.guard import definition, fault, plugin_label, refusal, short_repr
+from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
 
 TRAINING_COPIES = 6
 """Copies of the parameters in a training: online and target network, two moments, two gradients."""
@@ -35,10 +35,7 @@ def build_network(
         ConfigError: the network does not map (B, frames · (N + 3)) to (B, n_actions) finite
             float32 numbers, raises an exception, or does not fit into memory.
     """
-    try:
-        frames = network.frames
-    except BaseException as error:
-        raise fault(error, network, "frames", ConfigError) from error
+    frames: object = network.frames
     if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
         text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
         raise refusal(network, "frames", text, ConfigError)
@@ -57,12 +54,10 @@ def record_plugin(module: torch.nn.Module, network: Network) -> None:
     _plugins[module] = network
 
 
-def module_fault(error: BaseException, module: torch.nn.Module, method: str) -> FlipperctlError:
-    """Return the exception to raise for an error in a module's method; see ``guard.fault``."""
+def naming_network(module: torch.nn.Module, method: str) -> naming | nullcontext[None]:
+    """Return a context for calls of a module's ``method``, whose errors name its plugin."""
     network = _plugins.get(module)
-    if network is None or isinstance(error, KeyboardInterrupt):
-        raise error
-    return fault(error, network, method)
+    return nullcontext() if network is None else naming(network, method)
 
 
 def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
@@ -87,16 +82,18 @@ def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: 
     hook = torch.nn.modules.module.register_module_parameter_registration_hook(count)
     try:
         return network.build(layout, n_actions)
-    except BaseException as error:
-        if not (isinstance(error, MemoryError | _TooLargeError) or _is_out_of_memory(error)):
-            raise fault(error, network, "build", ConfigError) from error
+    except _TooLargeError:
+        pass
+    except ConfigError as error:
+        if not _is_out_of_memory(error.__cause__):
+            raise
     finally:
         hook.remove()
     raise _too_large(network, layout, n_actions, copies, sum(counted.values()))
 
 
-class _TooLargeError(Exception):
-    """The parameters counted so far do not fit into memory."""
+class _TooLargeError(FlipperctlError):
+    """The parameters counted so far do not fit into memory; it passes through the plugin."""
 
 
 def _too_large(
@@ -122,8 +119,9 @@ def _too_large(
     )
 
 
-def _is_out_of_memory(error: BaseException) -> bool:
-    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+def _is_out_of_memory(error: BaseException | None) -> bool:
+    failed = isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+    return failed or isinstance(error, MemoryError)
 
 
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
@@ -169,10 +167,8 @@ def _unfit(network: Network, text: str) -> ConfigError:
 def _call(
     network: Network, module: Any, probe: torch.Tensor, use: str, method: str = "forward"
 ) -> Any:
-    try:
+    with naming(network, method, ConfigError, while_=use):
         return module(probe) if method == "forward" else getattr(module, method)(probe)
-    except BaseException as error:
-        raise fault(error, network, method, ConfigError, while_=use) from error
 
 
 @contextmanager

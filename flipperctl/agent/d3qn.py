@@ -16,7 +16,7 @@ from flipperctl.agent.adam import Adam
 from flipperctl.agent.building import (
     TRAINING_COPIES,
     build_network,
-    module_fault,
+    naming_network,
     record_plugin,
 )
 from flipperctl.agent.heads import choose_head
@@ -31,7 +31,7 @@ from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
 from flipperctl.errors import ConfigError, NonFiniteError
-from flipperctl.guard import fault, refusal
+from flipperctl.guard import naming, refusal
 
 __all__ = ["D3qn", "arrays", "build_network", "greedy"]
 
@@ -80,7 +80,7 @@ class D3qn:
             built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(network, "build", "made a network with nothing to learn", ConfigError)
-        try:
+        with naming(network, "build", ConfigError):
             self.online = built.to(self.device)
             self.target = copy.deepcopy(self.online).requires_grad_(False)
             # Each network's parameters lie in one vector, so that the optimiser, the clipping and
@@ -88,8 +88,6 @@ class D3qn:
             self._online = _flatten_parameters(self.online)
             self._target = _flatten_parameters(self.target)
             self._buffers = _persistent_buffers(self.online)
-        except BaseException as error:
-            raise fault(error, network, "build", ConfigError) from error
         for module in (self.online, self.target):
             record_plugin(module, network)
         self._parameters = list(self.online.parameters())
@@ -123,10 +121,8 @@ class D3qn:
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
-        try:
+        with naming_network(self.online, "forward"):  # nothing but its own code can fail here
             return self._update(batch, fraction)
-        except BaseException as error:  # nothing but the networks' own code can raise here
-            raise module_fault(error, self.online, "forward") from error
 
     def _update(self, batch: Batch, fraction: float) -> float:
         s = self.settings

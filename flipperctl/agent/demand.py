@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from flipperctl.agent import memory
-from flipperctl.agent.building import TRAINING_COPIES, build_network, module_fault
+from flipperctl.agent.building import TRAINING_COPIES, build_network, naming_network
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import row_bytes
 from flipperctl.api import Network, ObservationLayout
@@ -64,9 +64,6 @@ def _numbers_inside(module: torch.nn.Module, inputs: int) -> int:
 
     for part in module.modules():  # the module is discarded after this
         part.register_forward_hook(add)
-    try:
-        with torch.no_grad():
-            module.eval()(torch.zeros(1, inputs))
-    except BaseException as error:
-        raise module_fault(error, module, "forward") from error
+    with naming_network(module, "forward"), torch.no_grad():
+        module.eval()(torch.zeros(1, inputs))
     return count

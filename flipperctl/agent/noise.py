@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import module_fault
+from flipperctl.agent.building import naming_network
 
 
 @runtime_checkable
@@ -28,7 +28,5 @@ class Noise:
     def draw(self, rng: np.random.Generator) -> None:
         """Draw new noise for every noisy submodule; without one, ``rng`` is not used."""
         for part in self._parts:
-            try:
+            with naming_network(self._module, "draw_noise"):
                 part.draw_noise(rng)
-            except BaseException as error:
-                raise module_fault(error, self._module, "draw_noise") from error

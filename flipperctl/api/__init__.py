@@ -1,7 +1,7 @@
 """The whole contract for plugin authors: the values, the plugin families and their decorators.
 
-This package imports nothing of the rest of flipperctl but ``core`` and holds everything that a
-plugin may import from it.
+Of the rest of flipperctl, this package imports ``flipperctl.core`` alone; it holds everything that
+a plugin may import from it.
 SI units and radians throughout. Frames: world (x forward, z up, the profile's own
 coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
 the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front
@@ -27,10 +27,13 @@ from flipperctl.api.engines import (
     Engine,
     Limits,
     RayWorld,
+    SharedSetting,
     Start,
     World,
     engine,
 )
+from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
+from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
@@ -46,9 +49,7 @@ from flipperctl.api.sensors import (
 from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
 from flipperctl.api.values import (
-    ACTIONS,
     MAX_HISTORY,
-    FloatArray,
     ObservationLayout,
     Outcome,
     Perception,
@@ -57,8 +58,9 @@ from flipperctl.api.values import (
     RobotState,
     Settings,
     Transition,
-    action_index,
 )
+from flipperctl.core.actions import ACTIONS, ActionTable, action_index
+from flipperctl.core.arrays import FloatArray
 from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
 
 __all__ = [
@@ -67,6 +69,7 @@ __all__ = [
     "NAME_RULE",
     "NO_LIMITS",
     "SAMPLE_PERIOD",
+    "ActionTable",
     "AnyTerrain",
     "Controller",
     "CostPolicy",
@@ -78,6 +81,9 @@ __all__ = [
     "GroundSensor",
     "Instrument",
     "Limits",
+    "Listener",
+    "Logger",
+    "Measure",
     "Measured",
     "MirroredSurface",
     "Mounting",
@@ -94,11 +100,13 @@ __all__ = [
     "Robot",
     "RobotGeometry",
     "RobotState",
+    "RunInfo",
     "SensedAngles",
     "SensedGround",
     "Sensor",
     "Settings",
     "Shaping",
+    "SharedSetting",
     "Simulator",
     "Start",
     "Surface",
@@ -110,9 +118,12 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "logger",
+    "measure",
     "network",
     "registry",
     "reward",
+    "scalars",
     "sensor",
     "terrain",
 ]

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from flipperctl.api.values import FloatArray, RobotGeometry
+from flipperctl.api.values import RobotGeometry
+from flipperctl.core.arrays import FloatArray
 
 
 def candidate_angle(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.values import (
-    FloatArray,
     Outcome,
     Perception,
     Profile,
     RobotGeometry,
     RobotState,
 )
+from flipperctl.core.arrays import FloatArray
 
 
 class Simulator(Protocol):
@@ -136,9 +137,9 @@ class Controller(Plugin):
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
         """Raise TypeError for a controller that implements neither ``act`` nor ``build``."""
-        if cls.act is Controller.act and cls.build is Controller.build:
+        if not any(_implements(cls, name) for name in ("act", "build")):
             raise TypeError(f"controller {cls.__name__} needs a method act(p) or build()")
-        if cls.begin is not Controller.begin:
+        if _implements(cls, "begin"):
             warnings.warn(
                 f"controller {cls.__name__}: begin is deprecated since flipperctl 0.2; "
                 "write build(), which returns an object with reset and act",
@@ -157,6 +158,11 @@ class Controller(Plugin):
 
     def begin(self, simulator: Simulator) -> None:
         """Begin an episode; deprecated in favour of ``build``."""
+
+
+def _implements(cls: type[Controller], method: str) -> bool:
+    """Return whether the method is not the contract's own, which the core may have wrapped."""
+    return inspect.unwrap(getattr(cls, method)) is not getattr(Controller, method)
 
 
 class Rule:

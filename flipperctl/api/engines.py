@@ -11,14 +11,15 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.robot import Robot
-from flipperctl.api.values import FloatArray, Outcome, Profile, RobotState
+from flipperctl.api.values import Outcome, Profile, RobotState
+from flipperctl.core.arrays import FloatArray
 
 SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""
@@ -136,8 +137,17 @@ class RayWorld(Protocol):
         """
 
 
+SharedSetting = Literal["friction", "gravity", "roll_limit"]
+"""A setting that means the same in every engine that has it: the friction between track and ground
+[-], the downward acceleration [m/s²], the absolute roll that ends as overturned [rad]."""
+
+
 class Engine(Plugin, ABC):
-    """Simulates the robot; equal arguments, ``rng`` included, give worlds equal bit for bit."""
+    """Simulates the robot; equal arguments, ``rng`` included, give worlds equal bit for bit.
+
+    The names of ``SharedSetting`` are kept for settings with that meaning and unit. A setting
+    ``substep`` is a time step [s], of which ``SAMPLE_PERIOD`` is a whole multiple.
+    """
 
     kind: ClassVar[str] = "sim"
     without_effect: ClassVar[frozenset[str]] = frozenset()
@@ -152,6 +162,21 @@ class Engine(Plugin, ABC):
         Whatever else varies between episodes, such as a heading, is drawn from ``rng``. Each world
         of an episode is placed with an equal generator.
         """
+
+    def shared_setting(self, name: SharedSetting) -> float | None:
+        """Return the value of a setting that engines share; None for an engine without it.
+
+        Privileged controllers are told the friction, and other engines are set up with equal
+        values. Override it if the engine knows the value without a setting of this name.
+        """
+        return getattr(self, name, None)
+
+    @classmethod
+    def nearest_allowed(cls, name: str, value: float) -> float:
+        """Return the nearest divisor of ``SAMPLE_PERIOD`` for ``substep``, else ``value``."""
+        if name == "substep" and value > 0:
+            return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
+        return value
 
     def versions(self) -> dict[str, str]:
         """Return the versions of the libraries that affect the results, for checkpoints."""

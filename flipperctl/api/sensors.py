@@ -90,6 +90,7 @@ class Sensor(ObservationLayout, Plugin):
     """
 
     kind: ClassVar[str] = "perception"
+    not_sampled: ClassVar[frozenset[str]] = frozenset(ObservationLayout.model_fields)
     delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
     def over(self, profile: Profile, margin: float) -> GroundSensor:

@@ -8,26 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from flipperctl.api.surface import Surface
+from flipperctl.core import observation
+from flipperctl.core.actions import PAIRS, ActionTable
+from flipperctl.core.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
-"""An array of floats of any shape."""
-
-ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1))
-"""Action index → (front, rear); +1 raises the flipper pair by one angle step (paper Eq. 3)."""
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""
-
-
-def action_index(front: int, rear: int) -> int:
-    """Return the index of the action that turns the pairs by ``front``, ``rear`` in {-1, 0, 1}."""
-    return 3 * (front + 1) + (rear + 1)
 
 
 class Settings(BaseModel):
@@ -40,6 +33,17 @@ class Settings(BaseModel):
         arbitrary_types_allowed=True,
         validate_default=True,
     )
+    not_sampled: ClassVar[frozenset[str]] = frozenset()
+    """Names of the settings that ``randomise`` must not sample, since policies rely on them."""
+
+    @classmethod
+    def nearest_allowed(cls, name: str, value: float) -> float:
+        """Return the value nearest to ``value`` that the setting ``name`` can have.
+
+        ``randomise`` samples from a continuous range and calls this for each sample. Override it
+        for a setting that allows only some numbers; integers are rounded anyway.
+        """
+        return value
 
 
 class RobotGeometry(Settings):
@@ -71,6 +75,11 @@ class RobotGeometry(Settings):
                     f"({self.track_radius:g} m), since it includes two round ends"
                 )
         return self
+
+    @property
+    def actions(self) -> ActionTable:
+        """The actions of the policy, by the names of the joints that they turn."""
+        return PAIRS
 
     @property
     def hinge_offset(self) -> float:
@@ -230,17 +239,17 @@ class ObservationLayout(Settings):
     @property
     def size(self) -> int:
         """Length of an observation, N + 3 [-]."""
-        return self.bins + 3
+        return observation.size(self.bins)
 
     @property
     def reach(self) -> float:
         """Half the length of the perceived ground [m]."""
-        return self.bins * self.bin_width / 2
+        return observation.reach(self.bins, self.bin_width)
 
     @property
     def scale(self) -> FloatArray:
         """Typical magnitude of each number, by which networks divide, (N + 3,) in SI units."""
-        return np.concatenate([np.full(self.bins, 0.5), np.full(3, math.pi / 3)])
+        return observation.scale(self.bins)
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Benchmarks; each measure of ``flipperctl bench`` is a module with ``ABOUT`` and ``measure``."""
+"""Measures of ``flipperctl bench``; each is a module with ``ABOUT`` and ``measure``."""

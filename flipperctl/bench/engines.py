@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from flipperctl.api.plugin import registered_names
-from flipperctl.bench.settings import ENGINE_GROUNDS, Bench
+from flipperctl.bench.settings import ENGINE_GROUNDS, Bench, BenchSettings
 from flipperctl.bench.statistics import Values, measure_in_turn, quantity, ratio
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
@@ -80,7 +80,7 @@ class Clock:
         return simulated / spent
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
     """Measure simulated time over CPU time [-] by engine and terrain, and ratios of the engines.
 
     The engine that ``sim=…`` chooses has its settings, the others have their defaults.
@@ -104,7 +104,7 @@ def measure(bench: Bench) -> dict[str, Any]:
     }
 
 
-def _clocks(bench: Bench) -> tuple[dict[str, Clock], list[str]]:
+def _clocks(bench: Bench[BenchSettings]) -> tuple[dict[str, Clock], list[str]]:
     """Return the clock of each engine and terrain, and why engines are left out."""
     config, s = bench.config.environment(), bench.settings
     clocks: dict[str, Clock] = {}
@@ -124,7 +124,7 @@ def _clocks(bench: Bench) -> tuple[dict[str, Clock], list[str]]:
     return clocks, missing
 
 
-def _report(bench: Bench, fraction: float) -> None:
+def _report(bench: Bench[BenchSettings], fraction: float) -> None:
     bench.report_progress("engines in turn", fraction)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from flipperctl import checkpoint
 from flipperctl.bench.process import output
-from flipperctl.bench.settings import Bench
+from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
@@ -54,7 +54,7 @@ sys.exit(process.returncode)
 """
 
 
-def measure(bench: Bench) -> dict[str, Any]:
+def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
     """Measure times [µs, ms] and memory [MiB]."""
     s = bench.settings
     missing: list[str] = []
@@ -125,7 +125,7 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
     return found
 
 
-def peak(bench: Bench, folder: Path) -> float:
+def peak(bench: Bench[BenchSettings], folder: Path) -> float:
     """Return the peak of the total memory of all processes of a short training [MiB]."""
     decisions = bench.settings.decisions
     command = [
@@ -146,5 +146,7 @@ def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
     return clock
 
 
-def _part(bench: Bench, what: str, low: float, high: float) -> Callable[[float], None]:
+def _part(
+    bench: Bench[BenchSettings], what: str, low: float, high: float
+) -> Callable[[float], None]:
     return lambda fraction: bench.report_progress(what, low + fraction * (high - low))

@@ -19,7 +19,7 @@ import torch
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.api import ACTIONS
-from flipperctl.bench.settings import Bench
+from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, container
 from flipperctl.env.flipper_env import FlipperEnv
@@ -152,7 +152,7 @@ def worker_counts(cores: int | None = None) -> tuple[int, ...]:
 
 
 def measure(
-    bench: Bench, found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
+    bench: Bench[BenchSettings], found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
 ) -> dict[str, Any]:
     """Measure decisions per second [1/s] of each collector, and their ratios."""
     s, threads = bench.settings, torch.get_num_threads()

@@ -6,7 +6,6 @@ In: JSON text of any origin. Out: a ``Document``, whose values all have their ty
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -22,6 +21,8 @@ from pydantic import (
 )
 
 from flipperctl import plugins
+from flipperctl.checkpoint.strict_json import decode
+from flipperctl.core.actions import PAIRS
 from flipperctl.messages import explain
 
 FORMAT: Final = 2
@@ -70,6 +71,24 @@ class ConfigOutline(Record):
     rewards: dict[Label, RewardOutline]
     network: PluginOutline
     seed: Count
+
+
+class Actions(Record):
+    """By how many steps each action turns each joint of the robot."""
+
+    joints: tuple[Label, ...]
+    """Names of the J joints."""
+    steps: tuple[tuple[int, ...], ...]
+    """(A, J) in multiples of the robot's ``angle_step``, in the order of the Q-values."""
+
+    @model_validator(mode="after")
+    def _are_those_of_pairs(self) -> Self:
+        if (self.joints, self.steps) != (PAIRS.joints, PAIRS.steps):
+            raise ValueError(
+                f"they turn {', '.join(self.joints) or 'nothing'} by {len(self.steps)} actions; "
+                f"this version turns {', '.join(PAIRS.joints)} by its {len(PAIRS.steps)}"
+            )
+        return self
 
 
 class PluginReference(Record):
@@ -214,6 +233,8 @@ class Document(Record):
     config: ConfigOutline
     versions: dict[Label, Label]
     plugins: tuple[PluginReference, ...]
+    actions: Actions | None = None
+    """What the Q-values are of; files of version 0.2 leave it out, and have the same."""
     decision: Count | None = None
     """Decisions of the run at which the best policy was validated."""
     validation: Validation | None = None
@@ -259,41 +280,3 @@ def parse(text: str) -> Document:
         return Document.model_validate_json(json.dumps(raw))
     except ValidationError as error:
         raise ValueError(explain(error, "document", Document)) from error
-
-
-def decode(text: str) -> dict[str, Any]:
-    """Return the mapping of a JSON text whose keys are unique and whose numbers are finite.
-
-    Raises:
-        ValueError: the text is none.
-    """
-    try:
-        raw = json.loads(
-            text,
-            object_pairs_hook=_unique_keys,
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
-        )
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
-    if not isinstance(raw, dict):
-        raise ValueError(f"it must be a mapping; it is a {type(raw).__name__}")
-    return raw
-
-
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        duplicate = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"it holds the key {duplicate!r:.40} twice")
-    return found
-
-
-def _refuse_constant(constant: str) -> float:
-    raise ValueError(f"it holds {constant}; finite numbers are allowed")
-
-
-def _finite(number: str) -> float:
-    value = float(number)
-    return value if math.isfinite(value) else _refuse_constant(number[:40])

@@ -116,6 +116,9 @@ def describe(
             **engine_versions(config.sim),
         },
         plugins=plugin_references(config),
+        actions=documents.Actions(
+            joints=config.robot.actions.joints, steps=config.robot.actions.steps
+        ),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),
         state=state,
@@ -125,7 +128,7 @@ def describe(
 def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
     """Return the plugins that a configuration names, each with its file if it is not installed."""
     plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
-    plugged += config.rewards.values()
+    plugged += [*config.rewards.values(), *config.logger.values()]
     if config.teacher.controller is not None:
         plugged.append(config.teacher.controller)
     used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]

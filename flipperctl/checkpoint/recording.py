@@ -28,9 +28,11 @@ from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_valida
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.checkpoint import sealed
-from flipperctl.checkpoint.document import EPISODES, Count, Label, Record, RewardOutline, decode
+from flipperctl.checkpoint.document import EPISODES, Count, Label, Record, RewardOutline
 from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.checkpoint.strict_json import decode
 from flipperctl.config import EnvConfig, container
+from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import explain
@@ -39,7 +41,6 @@ from flipperctl.sim.versions import engine_versions
 FORMAT: Final = 1
 """Format number of these files."""
 NOUN = "file of recorded episodes"
-_ANGLES = 3  # numbers of an observation beside the heights
 _SUM = 1e-3  # largest error of a label's sum
 
 
@@ -78,7 +79,7 @@ class EnvironmentOutline(Record):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
     perception: PerceptionOutline
-    robot: dict[Label, float]
+    robot: dict[Label, float | None]
     rewards: dict[Label, RewardOutline]
 
 
@@ -167,7 +168,7 @@ def write(
             for at, episode in placed
         ),
     )
-    size = parts[0][0].perception.bins + _ANGLES if parts else _ANGLES
+    size = observation.size(parts[0][0].perception.bins if parts else 0)
     episodes = [episode for _, episode in placed]
     tensors = {
         "observation": _joined([e.observations for e in episodes], (size,), np.float32),
@@ -245,7 +246,7 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     rows = count + len(document.episodes)
     bins = document.environments[0].perception.bins if document.environments else 0
     shapes = {
-        "observation": (torch.float32, (rows, bins + _ANGLES)),
+        "observation": (torch.float32, (rows, observation.size(bins))),
         "action": (torch.int64, (count,)),
         "reward": (torch.float64, (count,)),
         "label": (torch.float32, (count, len(ACTIONS))),

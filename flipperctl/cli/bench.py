@@ -1,11 +1,12 @@
-"""``flipperctl bench``."""
+"""``flipperctl bench``, and how measures of any suite are run."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,38 +17,40 @@ from flipperctl.cli.options import AsJson, PluginPaths, with_flags
 from flipperctl.errors import ConfigError, RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.bench.settings import Bench, BenchSettings
+    from flipperctl.bench.settings import BenchSettings, Sizes, Suite
     from flipperctl.config import TrainConfig
 
-MEASURES = (
-    *("physics", "engines", "accuracy", "lookahead", "learner", "solve"),
-    *("latency", "startup", "discovery", "scaling"),
-)
+MEASURES = ("engines", "learner", "latency", "scaling")
+MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
+"""Measures of version 0.2 that are run in a clone of the repository since."""
 SECTION = "bench."
 
-HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
+HELP = """Measure how fast flipperctl is on this machine.
 
-[bold]physics[/] the environment against Chipmunk alone; [bold]engines[/] simulated time per CPU
-time of each engine; [bold]accuracy[/] of the substep;
-[bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
-[bold]learner[/] updates against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes
-succeed, against it too;
-[bold]latency[/] an exported policy, checkpoints, memory; [bold]startup[/] of each command;
-[bold]discovery[/] of installed plugins;
+[bold]engines[/] simulated time per CPU time of each engine, alone and in the environment;
+[bold]learner[/] updates per second;
+[bold]latency[/] an exported policy, checkpoints, memory of a training;
 [bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
 
-OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
-families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
-in_a_row, calls, decisions, commands, modules.
+OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, families,
+updates, batch_sizes, transitions, calls, decisions.
 
 [bold]Examples[/]
 
-  flipperctl bench physics learner
+  flipperctl bench engines learner
 
   flipperctl bench --small --json
 
-  flipperctl bench solve bench.seeds=3 bench.limit=300 terrain=step --output speed
+  flipperctl bench scaling bench.decisions=5000 terrain=step --output speed
 """
+
+Small = Annotated[
+    bool, typer.Option("--small", help="Run everything in seconds, to test that it works.")
+]
+Repeats = Annotated[
+    str | None, typer.Option(metavar="N", help="Rounds in which contestants take turns [10].")
+]
+OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -56,7 +59,6 @@ def add_to(app: typer.Typer) -> None:
 
 
 def bench(
-    context: typer.Context,
     arguments: Annotated[
         list[str] | None,
         typer.Argument(
@@ -65,62 +67,93 @@ def bench(
             show_default=False,
         ),
     ] = None,
-    small: Annotated[
-        bool, typer.Option("--small", help="Run everything in seconds, to test that it works.")
-    ] = False,
-    repeats: Annotated[
-        str | None, typer.Option(metavar="N", help="Rounds in which contestants take turns [10].")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")
-    ] = None,
+    small: Small = False,
+    repeats: Repeats = None,
+    output: OutputFolder = None,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    measures, overrides = split_arguments(arguments or [])
+    words = arguments or []
+    for name in MOVED:
+        if name in words:
+            raise RequestError(
+                f"the measure {name!r} is not installed any more; in a clone of the repository: "
+                f"python -m benchmarks {name}"
+            )
+    measures, overrides = split_arguments(words, MEASURES)
+    run_measures(
+        suite(),
+        measures,
+        with_flags(overrides, SECTION.rstrip("."), repeats=repeats),
+        small=small,
+        output=output,
+        as_json=as_json,
+        plugins=plugins,
+    )
+
+
+def suite() -> Suite[BenchSettings]:
+    """Return the installed measures."""
+    from flipperctl.bench.settings import SMALL, BenchSettings, Suite
+
+    return Suite("flipperctl.bench", MEASURES, BenchSettings, SMALL)
+
+
+def run_measures(
+    suite: Suite[Sizes],
+    measures: Sequence[str],
+    overrides: list[str],
+    *,
+    small: bool,
+    output: Path | None,
+    as_json: bool,
+    plugins: Sequence[Path] | None,
+) -> None:
+    """Run measures of a suite one after another; print their tables, or one JSON document.
+
+    Raises:
+        RequestError: the overrides are wrong, or ``output`` cannot be written.
+    """
     from flipperctl import plugins as loader
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
     from flipperctl.files import write_json
     from flipperctl.runs.results import result_folder
     from flipperctl.terminal.bench import tables
+    from flipperctl.terminal.console import console
 
     loader.load(plugins or ())
-    overrides = with_flags(overrides, SECTION.rstrip("."), repeats=repeats)
-    config, settings = compose_bench(overrides, small=small)
+    config, settings = compose_bench(suite, overrides, small=small)
     document: dict[str, Any] = {
         "machine": machine(),
         "settings": settings.model_dump(mode="json"),
         "overrides": overrides,
         "measures": {},
     }
-    commands = startup_commands(context)
     training_overrides = tuple(o for o in overrides if not o.startswith(SECTION))
     with ExitStack() as stack:
         folder = None
         if output:
             folder = stack.enter_context(result_folder(output, "bench", ["bench.json"]))
-        for measure in measures:
-            with _progress(measure) as report:
-                bench = Bench(config, settings, report, training_overrides)
-                found = _measure(measure, bench, commands)
-            document["measures"][measure] = {**found, "load_average": load()}
+        for name in measures:
+            with _progress(name) as report:
+                inputs = Bench(config, settings, report, training_overrides)
+                found = import_module(f"{suite.package}.{name}").measure(inputs)
+            document["measures"][name] = {**found, "load_average": load()}
             for text in found.get("missing", ()):
-                print(f"{measure}: {text}", file=sys.stderr)
+                print(f"{name}: {text}", file=sys.stderr)
             if folder:  # after each, since the next may take an hour
                 folder.replace(lambda part: write_json(part / "bench.json", document))
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
         return
-    from flipperctl.terminal.console import console
-
     for table in tables(document):
         table.print(console())
 
 
-def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Return the measures, in the order of ``MEASURES``, and the overrides.
+def split_arguments(arguments: list[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the measures, in the order of those ``known``, and the overrides.
 
     Raises:
         RequestError: a word is neither of them.
@@ -129,24 +162,25 @@ def split_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
 
     overrides = [a for a in arguments if "=" in a or a.startswith("~")]
     names = [a for a in arguments if a not in overrides]
+    allowed = ("all", *known)
     for name in names:
-        if name != "all" and name not in MEASURES:
-            known = ("all", *MEASURES)
+        if name not in allowed:
             raise RequestError(
-                f"there is no measure {name!r}{close_match(name, known)}; "
-                f"known: {', '.join(known)}; an override is key=value"
+                f"there is no measure {name!r}{close_match(name, allowed)}; "
+                f"known: {', '.join(allowed)}; an override is key=value"
             )
     every = not names or "all" in names
-    return [m for m in MEASURES if every or m in names], overrides
+    return [m for m in known if every or m in names], overrides
 
 
-def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, BenchSettings]:
-    """Return the training configuration and the benchmark's own settings.
+def compose_bench(
+    suite: Suite[Sizes], overrides: list[str], *, small: bool
+) -> tuple[TrainConfig, Sizes]:
+    """Return the training configuration and the sizes of the measures.
 
     Raises:
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
     """
-    from flipperctl.bench.settings import sizes
     from flipperctl.cli.hydra import compose, config_store
     from flipperctl.cli.hydra.errors import convert_hydra_errors
     from flipperctl.cli.hydra.overrides import check_once, override_values
@@ -157,7 +191,7 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
     with convert_hydra_errors():
         changes = override_values(own)
     try:
-        settings = sizes(small=small, changes=changes)
+        settings = suite.settings(small=small, changes=changes)
     except ConfigError as error:
         raise ConfigError(f"{SECTION}{error}") from error
     resolver.get("controller", settings.controller, f"{SECTION}controller")
@@ -166,29 +200,6 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
     if len(configs) > 1:
         raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
     return configs[0], settings
-
-
-def startup_commands(context: typer.Context) -> list[tuple[str, ...]]:
-    """Return the commands that startup measures: every subcommand's help and two short ones."""
-    helps: list[tuple[str, ...]] = []
-
-    def visit(command: Any, path: tuple[str, ...]) -> None:
-        helps.append((*path, "--help"))
-        for name, inner in getattr(command, "commands", {}).items():
-            visit(inner, (*path, name))
-
-    visit(context.find_root().command, ())
-    return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
-
-
-def _measure(name: str, settings: Bench, commands: list[tuple[str, ...]]) -> dict[str, Any]:
-    from importlib import import_module
-
-    module = import_module(f"flipperctl.bench.{name}")
-    found: dict[str, Any] = (
-        module.measure(settings, commands) if name == "startup" else module.measure(settings)
-    )
-    return found
 
 
 @contextmanager

@@ -35,20 +35,14 @@ def check_effect(config: EvalConfig, overrides: Sequence[str]) -> None:
     """
     for override in parse_overrides(overrides):
         key = override.key_or_group
-        for section, name, ends in config.randomise.ranges():
+        for one in config.randomise.sampled():
             # The nominal turning rate still sets the decision period.
-            if key == f"{section}.{name}" and name != "flipper_speed":
-                shown = "[{:g},{:g}]".format(*ends)
+            if key == f"{one.section}.{one.field}" and one.field != "flipper_speed":
+                value = one.value
+                shown = "[{:g},{:g}]".format(*value) if isinstance(value, tuple) else f"{value:g}"
                 raise ConfigError(
-                    f"{override.input_line}: it has no effect, since randomise.{name}={shown} "
-                    f"samples it for every episode; add randomise.{name}=null, or change that range"
-                )
-        for section, name, probability in config.randomise.probabilities():
-            if key == f"{section}.{name}":
-                raise ConfigError(
-                    f"{override.input_line}: it has no effect, since "
-                    f"randomise.{name}={probability:g} samples it for every episode; add "
-                    f"randomise.{name}=null, or change that probability"
+                    f"{override.input_line}: it has no effect, since {one.key}={shown} "
+                    f"samples it for every episode; add {one.key}=null, or change that value"
                 )
 
 

@@ -58,13 +58,23 @@ def _run(arguments: list[str]) -> int:
 
         print(f"flipperctl {__version__}")
         return 0
+    return run_app(app, arguments, "flipperctl")
+
+
+def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
+    """Run an application, called ``name`` in its help; return its exit code.
+
+    Raises:
+        RequestError: the arguments are wrong.
+        KeyboardInterrupt: Ctrl-C was pressed.
+    """
     try:
         command = typer.main.get_command(app)
-        code = command.main(args=arguments, prog_name="flipperctl", standalone_mode=False)
+        code = command.main(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         # The text is empty without arguments, where the help is shown.
         if words := error.format_message().rstrip("."):
-            raise RequestError(f"{words}; see flipperctl --help") from error
+            raise RequestError(f"{words}; see {name} --help") from error
         return RequestError.exit_code
     except typer.Abort as error:
         raise KeyboardInterrupt from error

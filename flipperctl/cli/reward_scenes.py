@@ -73,9 +73,10 @@ def _robot(overrides: Sequence[str], sources: Mapping[str, PolicySource]) -> Rob
             values = getattr(ours, field), getattr(theirs, field)
             key = f"robot.{field}"
             if values[0] != values[1] and key not in chosen:
+                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
                 raise ConfigError(
-                    f"--compare: {first} is for {key}={values[0]:.6g}, {other} for "
-                    f"{values[1]:.6g}; give {key}=… for the robot that both drive"
+                    f"--compare: {first} is for {key}={first_value}, {other} for "
+                    f"{value}; give {key}=… for the robot that both drive"
                 )
     return ours
 

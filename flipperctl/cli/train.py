@@ -17,7 +17,7 @@ HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
     *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
 ]
-_RESUMABLE = ("train.", "device")
+_RESUMABLE = ("train.", "device", "logger")
 
 HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
 
@@ -223,7 +223,7 @@ def _resume(run: Path, overrides: list[str]) -> None:
         if "=" not in override or not override.startswith(_RESUMABLE):
             raise ConfigError(
                 f"{override!r}: a resumed run keeps its configuration; "
-                "only train.<field>=… and device=… can be given with --resume"
+                "only train.<field>=…, device=… and logger=… can be given with --resume"
             )
     with convert_hydra_errors():
         changes = override_values(overrides)

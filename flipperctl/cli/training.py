@@ -29,7 +29,8 @@ from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.pitch_variation import swing_text
 from flipperctl.terminal.progress import progress
 from flipperctl.training.closing import open_all
-from flipperctl.training.events import MetricsCsv, TensorBoard
+from flipperctl.training.events import MetricsCsv
+from flipperctl.training.loggers import openers
 from flipperctl.training.trainer import Trainer
 
 
@@ -113,7 +114,7 @@ def _begin(
         return _train(trainer, None, stop)
     except RequestError:
         if trainer.progress.decision == 0:  # the corrected request may have the directory
-            run_folder.discard(directory)
+            run_folder.discard(directory, config.logger)
         raise
 
 
@@ -172,7 +173,7 @@ def _train(trainer: Trainer, resume_at: int | None, stop: Callable[[], bool]) ->
     trainer.listeners += open_all(
         [
             lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
-            lambda: TensorBoard(directory / run_folder.TENSORBOARD, resume_at),
+            *openers(config, directory, resume_at),
             lambda: progress(config.train.decisions, trainer.progress.decision),
         ]
     )

@@ -48,7 +48,8 @@ class AbsentReward(RewardTerm):
 def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     """Return a plain configuration with stand-ins where terrain or reward plugins are missing.
 
-    A teacher's controller that is missing is left out, since only a training needs it.
+    A teacher's controller and loggers that are missing are left out, since only a training needs
+    them.
     """
     result = dict(settings)
     result["terrain"] = _present(AbsentTerrain, settings["terrain"], files)
@@ -58,6 +59,9 @@ def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     teacher = settings.get("teacher") or {}
     if any(_missing("controller", teacher.get("controller"))):
         result["teacher"] = {**teacher, "controller": None}
+    loggers = settings.get("logger") or {}
+    if "logger" in settings:
+        result["logger"] = {k: v for k, v in loggers.items() if not any(_missing("logger", v))}
     return result
 
 

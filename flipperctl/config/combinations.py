@@ -20,20 +20,21 @@ def check_decisions(robot: Robot, sensor: Sensor, randomise: Randomise) -> None:
     """
     period = robot.decision_period
     if period < SAMPLE_PERIOD:
+        given = robot.control_period is not None
+        cause = "control_period:" if given else "angle_step: angle_step / flipper_speed,"
         raise ConfigError(
-            f"robot.angle_step: a decision, angle_step / flipper_speed, would take {period:.3g} s; "
-            f"at least {SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
+            f"robot.{cause} a decision would take {period:.3g} s; at least "
+            f"{SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
         )
     delays = (
-        ("robot", "actuator_delay", robot.actuator_delay, randomise.actuator_delay),
-        ("perception", "delay", sensor.delay, randomise.delay),
+        ("robot", "actuator_delay", robot.actuator_delay),
+        ("perception", "delay", sensor.delay),
     )
-    for section, name, own, sampled in delays:
-        longest, where = (own, section) if sampled is None else (sampled[1], "randomise")
+    for section, name, own in delays:
+        sampled = randomise.find(section, name)
+        longest, key = (sampled.ends[1], sampled.key) if sampled else (own, f"{section}.{name}")
         if longest > period:
-            raise ConfigError(
-                f"{where}.{name}: {longest:g} s is longer than a decision, {period:g} s"
-            )
+            raise ConfigError(f"{key}: {longest:g} s is longer than a decision, {period:g} s")
 
 
 def check_episode(robot: Robot, episode: Episode, randomise: Randomise) -> None:
@@ -47,11 +48,13 @@ def check_episode(robot: Robot, episode: Episode, randomise: Randomise) -> None:
             f"episode.start_angle: {episode.start_angle:g} rad is beyond robot.angle_limit, "
             f"{robot.angle_limit:g} rad"
         )
-    slowest = robot.track_speed if randomise.track_speed is None else randomise.track_speed[0]
-    farthest = slowest * episode.stuck_window * robot.decision_period
+    sampled = randomise.find("robot", "track_speed")
+    slowest = sampled.ends[0] if sampled else robot.track_speed
+    window = episode.stuck_decisions(robot.decision_period)
+    farthest = slowest * window * robot.decision_period
     if episode.stuck_progress > farthest:
         raise ConfigError(
-            f"episode.stuck_progress: {episode.stuck_progress:g} m in {episode.stuck_window} "
+            f"episode.stuck_progress: {episode.stuck_progress:g} m in {window} "
             f"decisions is more than a robot of {slowest:g} m/s drives on level ground; at most "
             f"{farthest:.3g} m is allowed, or every robot is stuck"
         )

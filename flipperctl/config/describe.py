@@ -79,7 +79,7 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
         nested = list(_nested(value, where))
         if not nested or isinstance(value, tuple | list):
-            yield Setting(path, where, plain[field.name], field)
+            yield Setting(path, where, plain.get(field.name, {}), field)
         inside += nested
     for where, part in inside:
         yield from _choice(where, part)

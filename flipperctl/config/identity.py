@@ -44,10 +44,8 @@ def read_files(plugin: Plugin) -> tuple[Path, ...]:
     Raises:
         PluginFailedError: ``files_read`` failed, or returned something else than paths.
     """
-    try:
+    with guard.naming(plugin, "files_read"):  # what it returned may fail as well
         found = tuple(plugin.files_read())
-    except BaseException as error:
-        raise guard.fault(error, plugin, "files_read") from error
     if not all(isinstance(file, Path) for file in found):
         text = f"returned {guard.short_repr(found)}; allowed: Paths"
         raise guard.refusal(plugin, "files_read", text)

@@ -9,22 +9,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, cast
 
+import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from flipperctl.api import (
+    NAME_RULE,
     Engine,
+    Logger,
     Network,
+    Plugin,
     RewardTerm,
     Robot,
     Sensor,
     Settings,
     Shaping,
     Terrain,
+    is_plugin_name,
 )
 from flipperctl.config.combinations import check_decisions, check_episode
+from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import container, create
-from flipperctl.config.sampled import check_ranges, replace_settings
+from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -74,8 +80,24 @@ def _rewards(value: object) -> object:
     return {str(k): create("reward", v, f"rewards.{k}") for k, v in value.items()}
 
 
-def _reward_containers(value: Mapping[str, RewardTerm]) -> dict[str, Any]:
-    return {name: container(term) for name, term in value.items()}
+def _loggers(value: object) -> object:
+    found = by_name(value)
+    if not isinstance(found, Mapping):
+        raise ConfigError(f"logger: names, or a mapping of loggers, are allowed; got {value!r}")
+    complete = [str(k) for k, v in found.items() if not isinstance(v, Mapping) or "name" in v]
+    for key in map(str, found):
+        if key not in complete:  # a field of a logger that was not chosen
+            raise ConfigError(
+                f"logger.{key}: there is no such logger{close_match(key, complete)}; "
+                f"chosen: {', '.join(complete) or 'none'}; logger={key} chooses it"
+            )
+        if not is_plugin_name(key):  # it is the name of the logger's folder, too
+            raise ConfigError(f"logger.{key}: {NAME_RULE}")
+    return {str(k): create("logger", v, f"logger.{k}") for k, v in found.items()}
+
+
+def _containers(value: Mapping[str, Plugin]) -> dict[str, Any]:
+    return {name: container(plugin) for name, plugin in value.items()}
 
 
 ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(container)]
@@ -83,11 +105,13 @@ AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(conta
 AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(container)]
 AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(container)]
 AnyRewards = Annotated[
-    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_reward_containers)
+    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_containers)
 ]
+AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerializer(_containers)]
 
 DEFAULT_ENGINE = "planar"
 """Name of the default engine and of the default sensor."""
+DEFAULT_LOGGER = "tensorboard"
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
@@ -115,6 +139,10 @@ class EnvConfig(Settings):
     @property
     def _sampled_sections(self) -> dict[str, Settings]:
         return {"sim": self.sim, "robot": self.robot, "perception": self.perception}
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """Sample a value of each randomised setting, by name in SI units; a switch is 1 or 0."""
+        return sample(self._sampled_sections, self.randomise, rng)
 
     def with_drawn_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
         """Return the engine, robot and sensor of an episode with the sampled ``values``.
@@ -148,6 +176,9 @@ class TrainConfig(EnvConfig):
     collector: LocalCollector | RayCollector = Field(LocalCollector(), discriminator="name")
     teacher: Teacher = Teacher()
     eval: Eval = Eval()
+    logger: AnyLoggers = Field(
+        default_factory=lambda: cast("dict[str, Logger]", {DEFAULT_LOGGER: DEFAULT_LOGGER})
+    )
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 

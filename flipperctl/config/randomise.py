@@ -1,18 +1,28 @@
 """Randomisation of an episode's physics and sensing: which settings are sampled, in which range.
 
-In: the section ``randomise`` of a configuration and a generator. Out: values that replace
-the settings of the same names for one episode; ``sampled`` puts them there.
+In: the section ``randomise`` of a configuration. Out: the sampled settings in the order in which
+their values are sampled; ``sampled`` samples them and puts the values into the sections.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Self
 
-import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 
-from flipperctl.api import SAMPLE_PERIOD, Settings
+from flipperctl.api import Settings
+from flipperctl.errors import ConfigError
 
 
 def _pair(value: object) -> object:
@@ -26,8 +36,34 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
+def _of_paths(value: object, info: ValidationInfo) -> object:
+    """Return the ranges and probabilities of one section, without those that are None."""
+    if not isinstance(value, Mapping):
+        return value
+    where = f"randomise.{info.field_name}"
+    given = {str(name): item for name, item in value.items() if item is not None}
+    return {name: _range_or_number(item, f"{where}.{name}") for name, item in given.items()}
+
+
+def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
+    items = list(value) if isinstance(value, list | tuple) else [value]
+    numbers = [float(item) for item in items if isinstance(item, int | float)]
+    if len(numbers) == len(items) == 1 and items == [value] and math.isfinite(numbers[0]):
+        return numbers[0]
+    if len(numbers) == len(items) == 2 and all(map(math.isfinite, numbers)):
+        try:
+            return _ordered((numbers[0], numbers[1]))
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from error
+    raise ConfigError(
+        f"{where}: a range [low, high] or one number is allowed; the value is {value!r:.60}"
+    )
+
+
 Range = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)] | None
 """Bounds of a uniform distribution; None leaves the setting as it is."""
+Paths = Annotated[dict[str, tuple[float, float] | float], BeforeValidator(_of_paths)]
+"""Setting of a section → its range, or one number: its value, or a switch's probability."""
 
 SECTION_OF = {
     "friction": "sim",
@@ -50,19 +86,54 @@ SECTION_OF = {
     "substep": "sim",
     "iterations": "sim",
 }
-"""Section of each setting that is sampled from a range; values are sampled in this order."""
+"""Section of each setting with a short form; their values are sampled in this order."""
 
 SWITCHES = {"occlusion": "perception"}
-"""Section of each setting that is on with a probability; sampled after those with a range."""
+"""Section of each short form that is on with a probability; sampled after those with a range."""
+
+PATH_SECTIONS = ("sim", "robot", "perception")
+"""Sections whose settings are sampled by path, after all short forms and in this order."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One setting that is sampled for every episode."""
+
+    section: str
+    field: str
+    name: str
+    """Short form or path below ``randomise``, which is also the name of the column in files."""
+    value: tuple[float, float] | float
+    """Range, or one number: the value of a setting with numbers, the probability of a switch."""
+
+    @property
+    def key(self) -> str:
+        """Key of the override."""
+        return f"randomise.{self.name}"
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the range."""
+        return self.value if isinstance(self.value, tuple) else (self.value, self.value)
+
+
+def target(name: str) -> tuple[str, str]:
+    """Return the section and the field of a short form or of a path such as ``sim.yaw``."""
+    section = SECTION_OF.get(name) or SWITCHES.get(name)
+    if section is not None:
+        return section, name
+    section, _, field = name.partition(".")
+    return section, field
 
 
 class Randomise(Settings):
     """The settings that are sampled anew for every episode of a training or an evaluation.
 
-    Each range names a setting of the sections ``sim``, ``robot`` and ``perception``, has its unit
-    and must lie within its bounds, and all combinations must be possible; a setting that is on or
-    off has a probability. The start is sampled by ``episode.start_noise`` and
-    ``episode.start_angle_noise``.
+    ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
+    ``robot`` and ``perception``, also one of a plugin; the other names are short forms. Each range
+    has the unit of its setting and must lie within its bounds, and all combinations must be
+    possible; a setting that is on or off has a probability. The start is sampled by
+    ``episode.start_noise`` and ``episode.start_angle_noise``.
     """
 
     friction: Range = Field(None, description="of sim.friction [-]")
@@ -96,36 +167,53 @@ class Randomise(Settings):
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )
+    sim: Paths = Field(
+        default_factory=dict, description="ranges of settings of the engine, by name [-]"
+    )
+    robot: Paths = Field(
+        default_factory=dict, description="ranges of settings of the robot, by name [-]"
+    )
+    perception: Paths = Field(
+        default_factory=dict, description="ranges of settings of the sensor, by name [-]"
+    )
 
-    def ranges(self) -> Iterator[tuple[str, str, tuple[float, float]]]:
-        """Yield the section, name and range of each sampled setting."""
-        for name, section in SECTION_OF.items():
-            if (found := getattr(self, name)) is not None:
-                yield section, name, found
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        seen: dict[tuple[str, str], str] = {}
+        for one in self.sampled():
+            if (other := seen.get((one.section, one.field))) is not None:
+                raise ConfigError(
+                    f"{one.key}: it is the setting that randomise.{other} samples; drop one of the "
+                    f"two, as with {one.key}=null"
+                )
+            seen[one.section, one.field] = one.name
+        return self
 
-    def probabilities(self) -> Iterator[tuple[str, str, float]]:
-        """Yield the section, name and probability of each setting that is switched at random."""
-        for name, section in SWITCHES.items():
+    @model_serializer(mode="wrap")
+    def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out sections without a path, so that files and hashes stay those of version 0.2."""
+        plain = serialize(self).items()
+        return {name: value for name, value in plain if value or name not in PATH_SECTIONS}
+
+    def sampled(self) -> Iterator[Sampled]:
+        """Yield each sampled setting, in the order in which values are sampled.
+
+        The order of the paths in a file does not matter, and a path leaves the samples of the
+        short forms as they are.
+        """
+        for name, section in (*SECTION_OF.items(), *SWITCHES.items()):
             if (found := getattr(self, name)) is not None:
-                yield section, name, found
+                yield Sampled(section, name, name, found)
+        for section in PATH_SECTIONS:
+            for field, value in sorted(getattr(self, section).items()):
+                yield Sampled(section, field, f"{section}.{field}", value)
+
+    def find(self, section: str, field: str) -> Sampled | None:
+        """Return how a setting is sampled, None if it is not."""
+        found = (s for s in self.sampled() if (s.section, s.field) == (section, field))
+        return next(found, None)
 
     @property
     def names(self) -> list[str]:
         """Names of the sampled settings."""
-        return [name for _, name, _ in (*self.ranges(), *self.probabilities())]
-
-    def sample(self, rng: np.random.Generator) -> dict[str, float]:
-        """Sample a value of each randomised setting, in SI units; a switch is 1 or 0."""
-        values = {name: fitting(name, rng.uniform(*found)) for _, name, found in self.ranges()}
-        for _, name, probability in self.probabilities():
-            values[name] = float(rng.random() < probability)
-        return values
-
-
-def fitting(name: str, value: float) -> float:
-    """Return the value that the setting can have next to a sampled one."""
-    if name == "iterations":
-        return round(value)
-    if name == "substep" and value > 0:  # the engine refuses any other
-        return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
-    return float(value)
+        return [one.name for one in self.sampled()]

@@ -7,6 +7,7 @@ by ``--resume``) passes through ``parse``.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -16,6 +17,8 @@ from pydantic_core import PydanticSerializationError
 from flipperctl import guard
 from flipperctl.api import Plugin, Settings
 from flipperctl.api.plugin import mapping, registered_names, selected
+from flipperctl.config.guarded import guard_class
+from flipperctl.config.loggers import by_name
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
 from flipperctl.messages import close_match, explain, reinstall_hint
 
@@ -50,7 +53,7 @@ def create(kind: str, settings: object, where: str) -> Any:
                 f"{where}: {type(settings).__name__} is not registered; "
                 f"decorate it with @{kind}(<name>)"
             )
-        return settings
+        return _guarded(settings)
     try:
         cls, fields = selected(kind, settings)
     except TypeError as error:
@@ -67,19 +70,27 @@ def create(kind: str, settings: object, where: str) -> Any:
 
 
 def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
-    """Return an instance of a plugin.
+    """Return an instance of a plugin, whose methods are guarded (``config.guarded``).
 
     Raises:
         ValidationError: a field is unknown, of the wrong type or out of bounds.
         PluginError: the plugin's own code raised anything else.
     """
     try:
-        return cls(**fields)
+        plugin = cls(**fields)
     except BaseException as error:
         own_title = cls.model_config.get("title") or cls.__name__
         if isinstance(error, ValidationError) and error.title == own_title:
             raise  # an error of another model in the plugin's code is the plugin's fault
-        raise guard.fault(error, cls, "its construction", PluginError) from error
+        guard.raise_named(error, cls, "its construction", PluginError)
+    return _guarded(plugin)
+
+
+def _guarded(plugin: Plugin) -> Plugin:
+    """Return the plugin after guarding its methods and those of the plugins in its fields."""
+    for one in nested_plugins(plugin):
+        guard_class(type(one))
+    return plugin
 
 
 def parse(model: type[SettingsT], container: Mapping[str, Any]) -> SettingsT:
@@ -108,6 +119,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             key == "rewards" and value == {}
         ):  # an empty mapping replaces the terms instead of merging into them
             result[key] = {}
+            continue
+        if key == "logger" and not isinstance(value, Mapping):  # names replace the loggers there
+            result[key] = by_name(value)
             continue
         *parents, leaf = key.split(".")
         node = result
@@ -142,8 +156,8 @@ def container(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
     if isinstance(settings, Plugin):
         try:
             return mapping(settings, brief=brief)
-        except BaseException as error:
-            raise guard.fault(_unwrap(error), settings, "its serialisation", PluginError) from error
+        except BaseException as error:  # noqa: BLE001  # raised again
+            guard.raise_named(_unwrap(error), settings, "its serialisation", PluginError)
     try:
         return settings.model_dump(mode="json", context={"brief": brief})
     except PydanticSerializationError as error:
@@ -176,9 +190,9 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
 
 def nested_plugins(plugin: Plugin) -> list[Plugin]:
     """Return the plugin and those in its fields, at any depth."""
-    found, waiting = [plugin], [getattr(plugin, name) for name in type(plugin).model_fields]
+    found, waiting = [plugin], deque(getattr(plugin, name) for name in type(plugin).model_fields)
     while waiting:
-        value = waiting.pop(0)
+        value = waiting.popleft()
         if isinstance(value, Plugin):
             found += nested_plugins(value)
         elif isinstance(value, tuple | list):

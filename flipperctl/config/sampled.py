@@ -6,20 +6,40 @@ Out: the sections of one episode, or an error before any episode if some would b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+import types
+from collections.abc import Iterator, Mapping
 from itertools import product
-from typing import Any
+from typing import Annotated, Any, Union, get_args, get_origin
 
+import numpy as np
 from pydantic import ValidationError
 
 from flipperctl.api import Plugin, Settings
-from flipperctl.config.randomise import SECTION_OF, SWITCHES, Randomise, fitting
+from flipperctl.config.randomise import Randomise, Sampled, target
 from flipperctl.config.resolver import construct
 from flipperctl.errors import ConfigError
-from flipperctl.messages import explain
+from flipperctl.messages import close_match, explain
 
 Sections = Mapping[str, Settings]
 """Section's name → its settings."""
+_MOST = 2**16
+"""Largest number of combinations of the ranges' ends in one section, each of which is checked."""
+
+
+def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -> dict[str, float]:
+    """Sample a value of each randomised setting, by name in SI units; a switch is 1 or 0.
+
+    ``randomise`` has passed ``check_ranges`` with these sections.
+    """
+    values = {}
+    for one in randomise.sampled():
+        settings = type(sections[one.section])
+        if _kind(settings, one.field) is bool:
+            values[one.name] = float(rng.random() < one.ends[0])
+        else:
+            values[one.name] = _allowed(settings, one.field, rng.uniform(*one.ends))
+    return values
 
 
 def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[str, Any]:
@@ -29,8 +49,8 @@ def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[s
         ConfigError: the values are not possible together.
     """
     result = dict(sections)
-    for section in {_section(name): None for name in sampled}:
-        values = {name: value for name, value in sampled.items() if _section(name) == section}
+    for section in {target(name)[0]: None for name in sampled}:
+        values = {name: value for name, value in sampled.items() if target(name)[0] == section}
         try:
             result[section] = _with_values(result[section], values)
         except ValidationError as error:
@@ -39,52 +59,109 @@ def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[s
 
 
 def check_ranges(sections: Sections, randomise: Randomise) -> None:
-    """Check that every combination of the ranges' ends is possible.
+    """Check that each setting can be sampled, and that the ranges' ends are possible together.
 
     Raises:
         ConfigError: one is not, or a section has no such setting; the text names the ranges.
     """
-    ends: dict[str, dict[str, Iterable[float]]] = {}
-    for section, name, limits in randomise.ranges():
-        ends.setdefault(section, {})[name] = {fitting(name, limit) for limit in limits}
-    for section, name, probability in randomise.probabilities():
-        ends.setdefault(section, {})[name] = {float(probability > 0), float(probability == 1)}
+    ends: dict[str, dict[str, list[float]]] = {}
+    for one in randomise.sampled():
+        low, high = _check(one, sections[one.section])
+        ends.setdefault(one.section, {})[one.name] = [low] if low == high else [low, high]
     for section, found in ends.items():
-        settings = sections[section]
-        for name in found:
-            if name not in type(settings).model_fields:
-                raise ConfigError(
-                    f"randomise.{name}: {section}={getattr(settings, 'plugin_name', '')} has no "
-                    f"setting {name!r}; drop it with randomise.{name}=null"
-                )
+        if math.prod(map(len, found.values())) > _MOST:
+            raise ConfigError(
+                f"randomise: {len(found)} settings of {section} are sampled; at most "
+                f"{_MOST.bit_length() - 1} with a range are allowed"
+            )
         for combination in product(*found.values()):
             values = dict(zip(found, combination, strict=True))
             try:
-                _with_values(settings, values)
+                _with_values(sections[section], values)
             except ValidationError as error:
-                raise _refusal(error, settings, values) from error
+                raise _refusal(error, sections[section], values) from error
 
 
-def _section(name: str) -> str:
-    return SWITCHES[name] if name in SWITCHES else SECTION_OF[name]
+def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
+    """Return the ends of the samples of a setting that exists and can be sampled.
+
+    Raises:
+        ConfigError: it does not exist, cannot be sampled, or has no such probability.
+    """
+    cls, known = type(settings), sorted(type(settings).model_fields)
+    chosen = f"{one.section}={cls.plugin_name}" if issubclass(cls, Plugin) else one.section
+    if one.field not in known:
+        raise ConfigError(
+            f"{one.key}: {chosen} has no setting {one.field!r}{close_match(one.field, known)}; "
+            f"drop it with {one.key}=null"
+        )
+    kind = _kind(cls, one.field)
+    if one.field in cls.not_sampled or kind is None:
+        what = "policies rely on it" if kind else "it is no number and no switch"
+        names = [n for n in known if n not in cls.not_sampled and _kind(cls, n)]
+        raise ConfigError(
+            f"{one.key}: {what}, so that it is not sampled; settings of {chosen} that can be "
+            f"sampled: {', '.join(names)}"
+        )
+    if kind is bool:
+        probability = one.value
+        if isinstance(probability, tuple) or not 0 <= probability <= 1:
+            raise ConfigError(
+                f"{one.key}: a probability of {one.section}.{one.field}, 0 to 1, is allowed; the "
+                f"value is {probability}"
+            )
+        return float(probability > 0), float(probability == 1)
+    low, high = (_allowed(cls, one.field, end) for end in one.ends)
+    return low, high
+
+
+def _kind(cls: type[Settings], field: str) -> type[bool | int | float] | None:
+    """Return the type of a setting that can be sampled, None for any other setting."""
+    found = set(_types(cls.model_fields[field].annotation)) - {types.NoneType}
+    if found == {bool}:
+        return bool
+    if found == {int}:
+        return int
+    return float if found in ({float}, {int, float}) else None
+
+
+def _types(annotation: Any) -> Iterator[Any]:
+    """Yield the types in a union, without their bounds."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        yield from _types(parts[0])
+    elif origin in (Union, types.UnionType):
+        for part in parts:
+            yield from _types(part)
+    else:
+        yield annotation
+
+
+def _allowed(cls: type[Settings], field: str, value: float) -> float:
+    """Return the value next to a sampled one that the setting can have."""
+    nearest = cls.nearest_allowed(field, value)
+    return round(nearest) if _kind(cls, field) is int else float(nearest)
 
 
 def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
-    """Return the settings with the sampled values.
+    """Return the settings with the sampled values, which are given by name.
 
     Raises:
         ValidationError: the values are not possible.
     """
-    values = {name: bool(v) if name in SWITCHES else v for name, v in sampled.items()}
-    fields, cls = {**dict(settings), **values}, type(settings)
+    cls, values = type(settings), {target(name)[1]: value for name, value in sampled.items()}
+    switched = {name: bool(v) if _kind(cls, name) is bool else v for name, v in values.items()}
+    fields = {**dict(settings), **switched}
     return construct(cls, fields) if issubclass(cls, Plugin) else cls(**fields)
 
 
 def _refusal(error: ValidationError, settings: Settings, values: Mapping[str, float]) -> Exception:
     """Return the error that names the ranges without which the section would be possible."""
     first = error.errors()[0]["loc"]
-    if first and first[0] in values:
-        return ConfigError(explain(error, "randomise", type(settings)))
+    for name in values:
+        if first and first[0] == target(name)[1]:
+            where = f"randomise.{name}".rpartition(".")[0]
+            return ConfigError(explain(error, where, type(settings)))
     to_blame = [name for name in values if _possible_without(name, settings, values)]
     where = ", ".join(f"randomise.{name}" for name in to_blame or values)
     return ConfigError(explain(error, where, type(settings)))

@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flipperctl.api import Outcome, Settings
+
+_STUCK_WINDOW = 20
+"""Default of ``Episode.stuck_window`` [decisions]."""
 
 
 class Episode(Settings):
@@ -60,10 +63,18 @@ class Episode(Settings):
         description="t_max in multiples of the time of a level drive; not given in the paper [-]",
     )
     stuck_window: int = Field(
-        20,
+        _STUCK_WINDOW,
         ge=2,
         le=1000,
-        description="decisions over which progress is measured; not given in the paper [-]",
+        description="decisions over which progress is measured where stuck_time is null; not given "
+        "in the paper [-]",
+    )
+    stuck_time: float | None = Field(
+        None,
+        gt=0,
+        le=600,
+        description="time over which progress is measured, at least two decisions; null is that of "
+        "stuck_window [s]",
     )
     stuck_progress: float = Field(
         0.1,
@@ -71,6 +82,21 @@ class Episode(Settings):
         le=10,
         description="less progress than this in the window is stuck; not given in the paper [m]",
     )
+
+    @model_validator(mode="after")
+    def _one_window(self) -> Self:
+        if self.stuck_time is not None and self.stuck_window != _STUCK_WINDOW:
+            raise ValueError(
+                f"stuck_window ({self.stuck_window} decisions) has no effect beside stuck_time "
+                f"({self.stuck_time:g} s); give one of them"
+            )
+        return self
+
+    def stuck_decisions(self, period: float) -> int:
+        """Return over how many decisions of ``period`` [s] progress is measured."""
+        if self.stuck_time is None:
+            return self.stuck_window
+        return max(2, round(self.stuck_time / period))
 
 
 class Agent(Settings):

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from flipperctl.api import (
-    ACTIONS,
     SAMPLE_PERIOD,
     EndingWorld,
     Engine,
@@ -27,9 +26,9 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import Episode
+from flipperctl.core.targets import TargetRule
 from flipperctl.env.ends import Ends
 from flipperctl.env.world import place
-from flipperctl.runtime.targets import TargetRule
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
@@ -65,6 +64,7 @@ class Drive:
         """Poses of the last decision at 100 Hz, from the pose before it on, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
+        self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
         whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
@@ -94,11 +94,8 @@ class Drive:
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
-        front, rear = ACTIONS[action]
-        step, state = self.robot.angle_step, self.state
-        self.targets = self._rule.next_targets(
-            self.targets, (state.front, state.rear), (front * step, rear * step)
-        )
+        state, turns = self.state, self._turns[action]
+        self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turns)
         outcome = self._run()
         self.state = self.world.state()
         if self._undelayed or outcome is not None:

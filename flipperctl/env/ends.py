@@ -41,7 +41,7 @@ class Ends:
                 f"{self.finish - start:g} m takes no finite number of decisions"
             )
         self.t_max = math.ceil(longest)
-        self._trail: deque[float] = deque([start], maxlen=episode.stuck_window + 1)
+        self._trail: deque[float] = deque([start], maxlen=episode.stuck_decisions(period) + 1)
         self._decisions = 0
 
     def instant(self, world: World) -> Outcome | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.api import SensedAngles, SensedGround, Sensor
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginFailedError
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import naming, refusal, short_repr
 
 _NUMBERS = "fiu"
 """Kinds of numpy's types that are real numbers."""
@@ -35,10 +35,8 @@ def checked(
         text = f"returned {found}; allowed: {allowed}"
         return refusal(sensor, method, text, raised, owner=owner)
 
-    try:
+    with naming(sensor, method):  # a generator runs the plugin's code
         ground, angles = found
-    except BaseException as error:  # a generator runs the plugin's code
-        raise fault(error, sensor, method) from error
     _check_ground(ground, sensor.layout.bins, refuse)
     _check_angles(angles, refuse)
     return ground, angles

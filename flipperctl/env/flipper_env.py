@@ -28,9 +28,10 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, with_overrides
-from flipperctl.env import ground, measures
+from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
+from flipperctl.env.metrics import EpisodeMetrics, Pitches, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
@@ -87,9 +88,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """The robot with the values that the episode drew."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
+        self._reward, self._measures = RewardSum(config.rewards), measures()
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
-        self._reward = RewardSum(config.rewards)
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
@@ -123,7 +124,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         # Spawned from the start's, so that it leaves those of this and of later episodes alone.
         (self._engine_rng,) = start_rng.spawn(1)
         config, episode = self.config, self.config.episode
-        drawn = config.randomise.sample(randomise_rng)
+        drawn = config.sample(randomise_rng)
         sections = config.with_drawn_values(drawn)
         self.robot = sections[1]
         self.profile = self._draw(terrain_rng, float(difficulty))
@@ -147,8 +148,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
-        self._pitches = [self.state.pitch]
-        self._metrics = measures.EpisodeMetrics(measures.MEASURES)
+        self._pitches = Pitches(self.state.pitch)
+        self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
         return self.perception.observation, {}
@@ -170,7 +171,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         (mounted,) = rngs[0].spawn(1)
         mounting = Mounting(robot, self.profile, margin + 2.0, drive.world, mounted)
         if exact:  # it tells the drawn physics as well
-            friction = getattr(engine, "friction", None)
+            friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)
         return Perceiver(sensor, mounting, self.config.robot, rngs)
 
@@ -214,7 +215,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         Raises:
             ValueError: there is no such action.
             ResetNeeded: no episode is running.
-            PluginFailedError: the code of a reward term, the engine or the sensor failed.
+            PluginFailedError: the code of a reward term, measure, engine or sensor failed.
             NonFiniteError: the state or a reward is not a finite number.
         """
         index = action_index(action)
@@ -225,9 +226,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
-        self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, poses = np.array(self._pitches), self.drive.poses
+        pitches, poses = self._pitches.append(after.pitch), self.drive.poses
         self.transition = Transition(
             before,
             after,

@@ -12,7 +12,7 @@ import numpy as np
 
 from flipperctl.api import Profile, Terrain
 from flipperctl.errors import PluginFailedError, TerrainError
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import refusal, short_repr
 from flipperctl.sim.ground import check_extent, thinned
 
 LONGEST = 1000.0
@@ -31,18 +31,11 @@ def draw_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) 
             exceeds the bounds of length, height or coordinates.
         PluginFailedError: the terrain raised any other error.
     """
-    method = "at"
-    try:
-        at = terrain.at(difficulty)
-        if not isinstance(at, Terrain):
-            raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
-        method = "generate"
-        profile = at.labelled(rng)
-        _check(profile, terrain)
-    except ValueError as error:
-        raise fault(error, terrain, method, TerrainError, plain=True) from error
-    except BaseException as error:
-        raise fault(error, terrain, method) from error
+    at = terrain.at(difficulty)
+    if not isinstance(at, Terrain):
+        raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
+    profile = at.labelled(rng)
+    _check(profile, terrain)
     return profile
 
 
@@ -96,11 +89,7 @@ def first_difficulty(terrain: Terrain) -> float:
     Raises:
         PluginFailedError: the terrain raised an error, or returned no number from 0 to 1.
     """
-    try:
-        value: object = terrain.first_difficulty
-    except BaseException as error:
-        raise fault(error, terrain, "first_difficulty") from error
-    return _difficulty(value, terrain, "first_difficulty")
+    return _difficulty(terrain.first_difficulty, terrain, "first_difficulty")
 
 
 def next_difficulty(terrain: Terrain, difficulty: float, reached: bool) -> float:
@@ -109,11 +98,8 @@ def next_difficulty(terrain: Terrain, difficulty: float, reached: bool) -> float
     Raises:
         PluginFailedError: the terrain raised an error, or returned no number from 0 to 1.
     """
-    try:
-        value: object = terrain.next_difficulty(difficulty, reached)
-    except BaseException as error:
-        raise fault(error, terrain, "next_difficulty") from error
-    return _difficulty(value, terrain, "next_difficulty")
+    following = terrain.next_difficulty(difficulty, reached)
+    return _difficulty(following, terrain, "next_difficulty")
 
 
 def _difficulty(value: object, terrain: Terrain, method: str) -> float:

@@ -24,6 +24,7 @@ from flipperctl.api import (
     Sensor,
     World,
 )
+from flipperctl.core.observation import assemble
 from flipperctl.env.drive import Drive
 from flipperctl.env.sensing import InUse, put_to_use
 
@@ -114,23 +115,22 @@ class Perceiver:
             else:
                 self._pending.append(measured)
         ground, angles = self._estimator.estimate(state.time)
-        layout = self._layout
-        observation = np.empty(layout.size, dtype=np.float32)
-        observation[: layout.bins] = ground.heights
-        observation[layout.bins :] = angles.front, angles.rear, angles.pitch
+        observation = assemble(
+            ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
+        )
         self._recent.append(observation)
         return Perception(
-            observation,
-            ground.points,
-            angles.pitch,
-            angles.front,
-            angles.rear,
-            self._robot,
-            layout,
-            self._controller_rng,
-            tuple(self._recent),
-            ground.filled,
-            self._friction,
+            observation=observation,
+            points=ground.points,
+            pitch=angles.pitch,
+            front=angles.front,
+            rear=angles.rear,
+            robot=self._robot,
+            layout=self._layout,
+            rng=self._controller_rng,
+            recent=tuple(self._recent),
+            filled=ground.filled,
+            friction=self._friction,
         )
 
     def save(self) -> tuple[Any, ...]:

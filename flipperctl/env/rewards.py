@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from flipperctl.api import RewardTerm, Transition
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginError, PluginFailedError
-from flipperctl.guard import definition, fault, plugin_label, refusal, short_repr
+from flipperctl.guard import definition, plugin_label, refusal, short_repr, with_path
 
 _ROUNDING = 1e-9
 """Tolerance of a term's bounds for rounding, relative to bounds above 1 [-]."""
@@ -52,8 +52,8 @@ class RewardSum:
         for name, term, weight, low, high in self._terms:
             try:
                 value = term(t)
-            except BaseException as error:
-                raise fault(error, term, "__call__", while_=f" (rewards.{name})") from error
+            except PluginFailedError as error:
+                raise with_path(error, term, f"rewards.{name}") from error.__cause__
             if type(value) is not float:
                 value = _to_float(name, term, value, t)
             part = weight * value
@@ -66,8 +66,8 @@ class RewardSum:
 def _prepare(name: str, term: RewardTerm) -> _Term:
     try:
         bounds, weight = term.bounds, term.weight
-    except BaseException as error:
-        raise fault(error, term, "bounds", PluginError, while_=f" (rewards.{name})") from error
+    except PluginError as error:
+        raise with_path(error, term, f"rewards.{name}") from error.__cause__
     pair = isinstance(bounds, tuple | list) and len(bounds) == 2
     if not (pair and all(isinstance(b, Real) for b in bounds) and bounds[0] <= bounds[1]):
         raise PluginError(

@@ -28,7 +28,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import naming, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
@@ -44,12 +44,10 @@ def place(
     Raises:
         PluginFailedError: the engine's code failed, or returned something else than a world.
     """
-    try:
+    with naming(engine, "place"):  # what it returned may fail as well
         world = engine.place(profile, robot, start, rng)
         missing = [name for name in _METHODS if not hasattr(world, name)]
         draws = isinstance(world, DrawingWorld)
-    except BaseException as error:
-        raise fault(error, engine, "place") from error
     if missing:
         text = f"returned {short_repr(world)}, which has no {', '.join(missing)}"
         raise refusal(engine, "place", f"{text}; a flipperctl.api.World is allowed")
@@ -74,20 +72,16 @@ class GuardedWorld:
     @property
     def position(self) -> tuple[float, float]:
         """World coordinates (x, z) of the chassis centre [m]."""
-        try:
+        with naming(self._engine, "position"):
             x, z = self.unguarded.position
-        except BaseException as error:
-            raise fault(error, self._engine, "position") from error
         self._require_finite("position", (x, z), ("x", "z"))
         return float(x), float(z)
 
     @property
     def pitch(self) -> float:
         """Pitch of the chassis, nose up positive [rad]."""
-        try:
+        with naming(self._engine, "pitch"):
             pitch = self.unguarded.pitch
-        except BaseException as error:
-            raise fault(error, self._engine, "pitch") from error
         self._require_finite("pitch", (pitch,), ("pitch",))
         return float(pitch)
 
@@ -175,10 +169,8 @@ class GuardedWorld:
         self._call("load", saved)
 
     def _call(self, method: str, *given: Any) -> Any:
-        try:
+        with naming(self._engine, method):
             return getattr(self.unguarded, method)(*given)
-        except BaseException as error:
-            raise fault(error, self._engine, method) from error
 
     def _refusal(
         self,

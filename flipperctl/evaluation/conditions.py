@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +48,8 @@ class Conditions:
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
             for section in _SECTIONS
         }
+        for section in ("robot", "episode"):  # a null follows from the other settings
+            sections[section] = {k: v for k, v in sections[section].items() if v is not None}
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
         if files := _digests(config):
@@ -79,11 +81,7 @@ class Conditions:
 
         The terrain is left out, since the tables name it.
         """
-        randomised = [
-            _format_setting(Randomise, name, value)
-            for name, value in self.settings["randomise"].items()
-            if value is not None
-        ]
+        randomised = list(self._randomised())
         shift, turn = (self.settings["episode"][name] for name in _START)
         sections = {
             "sensing": self._differences("perception"),
@@ -99,6 +97,16 @@ class Conditions:
             *([f"default {', '.join(default)}"] if default else []),
         ]
         return "; ".join(parts)
+
+    def _randomised(self) -> Iterator[str]:
+        """Yield each sampled setting with its range; one sampled by path has its path."""
+        for name, value in self.settings["randomise"].items():
+            if isinstance(value, Mapping):
+                model = type(self.defaults[name])
+                for field, item in value.items():
+                    yield f"{name}.{_format_setting(model, field, item)}"
+            elif value is not None:
+                yield _format_setting(Randomise, name, value)
 
     def _differences(self, section: str, *apart: str) -> str:
         default, values = self.defaults[section], self.settings[section]

@@ -11,7 +11,7 @@ from typing import Any
 
 from flipperctl.api import Outcome
 from flipperctl.checkpoint.recording import RecordedEpisode
-from flipperctl.env import measures
+from flipperctl.env.metrics import further_measures
 from flipperctl.rollout.episode import SEARCH
 
 _REWARD = "reward_"
@@ -47,7 +47,7 @@ class EpisodeResult:
     sampled: Mapping[str, float]
     """Values sampled for the start and for the settings of ``randomise``, by name; SI units."""
     further: Mapping[str, float] = field(default_factory=dict)
-    """Measures of ``env.measures.MEASURES`` beyond those above, by name, in their own units."""
+    """Measures beyond those above, by name, in their own units."""
     search: Mapping[str, float | str] = field(default_factory=dict)
     """What the policy reported about its search, by name; empty for policies without one."""
     crossed_by: str | None = None
@@ -65,7 +65,7 @@ class EpisodeResult:
         """
         rest = dict(row)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
-        further = {measure.name: rest.pop(measure.name) for measure in further_measures()}
+        further = {m.plugin_name: rest.pop(m.plugin_name) for m in further_measures()}
         return cls(
             episode,
             seed=rest.pop("seed"),
@@ -109,8 +109,3 @@ class EpisodeResult:
             **{f"{SEARCH}{name}": value for name, value in self.search.items()},
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
         }
-
-
-def further_measures() -> list[type[measures.Measure]]:
-    """Return the measures for which ``EpisodeResult`` has no field."""
-    return [m for m in measures.MEASURES if m.name not in EpisodeResult.__dataclass_fields__]

@@ -21,8 +21,8 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class Measure(Interval):
-    """A measure over episodes: times [s], angles [rad], returns [-]."""
+class Estimate(Interval):
+    """The mean of a measure over episodes: times [s], angles [rad], returns [-]."""
 
     range: float
     """Largest value minus the smallest."""

@@ -1,6 +1,6 @@
 """95 % intervals and exact tests: means, rates, differences of paired rates, many comparisons.
 
-In: numbers or counts. Out: an ``Interval`` or a p-value. ``evaluation.coverage`` simulates how
+In: numbers or counts. Out: an ``Interval`` or a p-value. ``benchmarks/coverage.py`` simulates how
 often the intervals contain the truth.
 """
 
@@ -24,7 +24,7 @@ _HALVINGS = 60
 def interval(values: Sequence[float]) -> Interval:
     """Return the mean of (K,) values with the 95 % interval of Student's t (Student 1908).
 
-    It is exact for normal data; ``evaluation.coverage`` says what it is for others. Fewer than
+    It is exact for normal data; ``benchmarks/coverage.py`` says what it is for others. Fewer than
     ``FEWEST`` values have no interval: its ends are None.
 
     Raises:

@@ -14,7 +14,7 @@ from typing import Any
 from flipperctl.api import Outcome
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.estimates import Interval, Measure, PairedDifference, PairedSuccess
+from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,7 @@ class Passable:
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
-        return {
-            "episodes": self.episodes,
-            "success_rate": self.success_rate,
-            "success": _data(self.success),
-            "beyond": self.beyond,
-        }
+        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -65,18 +60,22 @@ class NotReached:
 
     episodes: int
     """Number of these episodes."""
-    duration: Measure
+    duration: Estimate
     """Time to the end of the episode [s]."""
-    pitch_variation: Measure
+    pitch_variation: Estimate
     """θ̂_R at decisions [rad]."""
-    pitch_variation_100hz: Measure
+    pitch_variation_100hz: Estimate
     """θ̂_R at samples 10 ms apart [rad]."""
-    flipper_travel: Measure
+    flipper_travel: Estimate
     """Angle that both flipper pairs turned [rad]."""
+    further: Mapping[str, Estimate] = field(default_factory=dict)
+    """Further measures that are compared where the finish was reached, by name."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
-        return asdict(self)
+        plain = asdict(self)
+        further: dict[str, Any] = plain.pop("further")
+        return {**plain, **further}
 
 
 @dataclass(frozen=True)
@@ -92,21 +91,21 @@ class Summary:
     success_rate: float
     success: Interval
     outcomes: Outcomes
-    t_cost: Measure | None
+    t_cost: Estimate | None
     """Time from start to finish [s]."""
-    pitch_variation: Measure | None
+    pitch_variation: Estimate | None
     """θ̂_R at decisions [rad]."""
-    pitch_variation_100hz: Measure | None
+    pitch_variation_100hz: Estimate | None
     """θ̂_R at samples 10 ms apart [rad]."""
-    flipper_travel: Measure | None
+    flipper_travel: Estimate | None
     """Angle that both flipper pairs turned [rad]."""
-    max_pitch: Measure
+    max_pitch: Estimate
     """Largest absolute pitch [rad]."""
-    episode_return: Measure
+    episode_return: Estimate
     """Sum of all weighted reward terms over the episode [-]."""
     passable: Passable | None
     """Success on passable episodes; None if no reference policy was used."""
-    further: Mapping[str, Measure | None]
+    further: Mapping[str, Estimate | None]
     """Further measures by name, in their own units."""
     parts: Mapping[str, Summary]
     """Where several kinds of terrain were sampled, the summary of each by label; else empty."""
@@ -150,6 +149,8 @@ class Differences:
     """θ̂_R at decisions [rad]."""
     pitch_variation_100hz: PairedDifference | None
     """θ̂_R at samples 10 ms apart [rad]."""
+    further: Mapping[str, PairedDifference | None]
+    """Further measures by name, in their own units."""
     parts: Mapping[str, Differences]
     """Where several kinds of terrain were sampled, the differences of each by label; else empty."""
 
@@ -160,6 +161,7 @@ class Differences:
             "t_cost": _data(self.t_cost),
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
+            **{name: _data(found) for name, found in self.further.items()},
             **_parts(self.parts),
         }
 

@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from flipperctl.api import Outcome
-from flipperctl.evaluation.episode import EpisodeResult, further_measures
-from flipperctl.evaluation.estimates import Interval, Measure, PairedDifference
+from flipperctl.api import Measure, Outcome
+from flipperctl.env.metrics import further_measures
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
 from flipperctl.evaluation.results import Differences, NotReached, Outcomes, Passable, Summary
 
@@ -20,15 +21,6 @@ Pair = tuple[EpisodeResult, EpisodeResult]
 def reached(rows: Sequence[Row]) -> list[Row]:
     """Return the rows of episodes that reached the finish."""
     return [row for row in rows if row["outcome"] == Outcome.REACHED]
-
-
-def success_rate(rows: Sequence[Row]) -> float:
-    """Return the fraction of the rows' episodes that reached the finish, 0 to 1.
-
-    Raises:
-        ZeroDivisionError: there are no rows.
-    """
-    return len(reached(rows)) / len(rows)
 
 
 def summarise(terrain: str, episodes: Sequence[EpisodeResult]) -> Summary:
@@ -67,7 +59,7 @@ def _summary(
         max_pitch=measure([e.max_pitch for e in episodes]),
         episode_return=measure([e.episode_return for e in episodes]),
         further={
-            m.name: _measure([e.further[m.name] for e in (good if m.reached_only else episodes)])
+            m.plugin_name: _measure(_further(m, good if m.reached_only else episodes))
             for m in further_measures()
         },
         passable=_passable(episodes),
@@ -86,6 +78,10 @@ def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str,
         numbers = [value for value in values if not isinstance(value, str)]
         found[name] = dict(Counter(words).most_common()) if words else sum(numbers) / len(numbers)
     return found
+
+
+def _further(measure: type[Measure], episodes: Sequence[EpisodeResult]) -> list[float]:
+    return [e.further[measure.plugin_name] for e in episodes]
 
 
 def _success(episodes: Sequence[EpisodeResult]) -> Interval:
@@ -113,20 +109,25 @@ def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
         pitch_variation=measure([e.pitch_variation for e in failed]),
         pitch_variation_100hz=measure([e.pitch_variation_100hz for e in failed]),
         flipper_travel=measure([e.flipper_travel for e in failed]),
+        further={
+            m.plugin_name: measure(_further(m, failed))
+            for m in further_measures()
+            if m.reached_only
+        },
     )
 
 
-def measure(values: Sequence[float]) -> Measure:
+def measure(values: Sequence[float]) -> Estimate:
     """Return the interval of (K,) values, and their range.
 
     Raises:
         ValueError: there are no values.
     """
     found = interval(values)
-    return Measure(found.mean, found.low, found.high, float(max(values) - min(values)))
+    return Estimate(found.mean, found.low, found.high, float(max(values) - min(values)))
 
 
-def _measure(values: Sequence[float]) -> Measure | None:
+def _measure(values: Sequence[float]) -> Estimate | None:
     return measure(values) if values else None
 
 
@@ -159,8 +160,18 @@ def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Di
         t_cost=_difference(pairs, lambda e: e.t_cost),
         pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
         pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),
+        further={m.plugin_name: _further_difference(m, played) for m in further_measures()},
         parts=parts,
     )
+
+
+def _further_difference(measure: type[Measure], played: Sequence[Pair]) -> PairedDifference | None:
+    pairs = [
+        (mine, other)
+        for mine, other in played
+        if not measure.reached_only or (mine.reached and other.reached)
+    ]
+    return _difference(pairs, lambda e: e.further[measure.plugin_name])
 
 
 def _difference(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from flipperctl.env.metrics import further_measures, heading
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.results import EvaluationResult, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
@@ -29,8 +30,8 @@ _HEADINGS = (
     r"$\hat\theta_R$ at decisions [rad]",
     "largest pitch [rad]",
     "flipper travel [rad]",
-    r"$\hat\theta_R$ where not reached [rad]",
 )
+_LAST = r"$\hat\theta_R$ where not reached [rad]"
 _ESCAPES = str.maketrans(
     {
         **{char: f"\\{char}" for char in "&%$#_{}"},
@@ -80,6 +81,8 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 def latex(result: EvaluationResult) -> str:
     """Return a tabular for LaTeX with the package booktabs."""
     stopped = result.interruption
+    further = [_escape(heading(measure)) for measure in further_measures()]
+    headings = (*_HEADINGS, *further, _LAST)
     lines = [
         *([] if stopped is None else [f"% {_escape(stopped.text)}"]),
         *(
@@ -88,9 +91,9 @@ def latex(result: EvaluationResult) -> str:
             for scene in result.scenes
         ),
         "% 95 % intervals; needs \\usepackage{booktabs}",
-        r"\begin{tabular}{lll" + "r" * (len(_HEADINGS) - 3) + "}",
+        r"\begin{tabular}{lll" + "r" * (len(headings) - 3) + "}",
         r"\toprule",
-        _latex_row(_HEADINGS),
+        _latex_row(headings),
     ]
     for scene in result.scenes:
         lines.append(r"\midrule")
@@ -157,6 +160,10 @@ def _cells(summary: Summary) -> list[Cell]:
         Cell("pitch_variation", summary.pitch_variation, 2),
         Cell("max_pitch", summary.max_pitch, 2),
         Cell("flipper_travel", summary.flipper_travel, 2),
+        *(
+            Cell(m.plugin_name, summary.further[m.plugin_name], m.digits)
+            for m in further_measures()
+        ),
         Cell(
             "not_reached_pitch_variation_100hz",
             failed.pitch_variation_100hz if failed else None,

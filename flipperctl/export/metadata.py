@@ -7,14 +7,16 @@ In: a training configuration. Out: what a robot must know to run the policy, as 
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from typing import Any
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
+from flipperctl.core import observation
+from flipperctl.core.targets import MEANING
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
-from flipperctl.runtime.targets import MEANING
 
 
 def policy_metadata(config: TrainConfig) -> dict[str, str]:
@@ -23,8 +25,6 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
     ``config``: that of its training, with the robot that the policy is exported for.
     """
     layout, robot = config.perception, config.robot
-    table = [[front * robot.angle_step, rear * robot.angle_step] for front, rear in ACTIONS]
-    geometry = robot.model_dump(mode="json")
     values: dict[str, Any] = {
         "format_version": FORMAT_VERSION,
         "package_version": __version__,
@@ -32,10 +32,11 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
         "bins": layout.bins,
         "bin_width": layout.bin_width,
         "frames": config.network.frames,
-        "actions": table,
+        "joints": robot.actions.joints,
+        "actions": robot.actions.turns(robot.angle_step).tolist(),
         "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
         "decision_period": robot.decision_period,
-        "robot": geometry,
+        "robot": robot.model_dump(mode="json", exclude_none=True),
         "terrain": config.terrain.plugin_name,
         "terrain_config": resolver.container(config.terrain),
         "seed": config.seed,
@@ -51,21 +52,22 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
 
 def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
     """Return name, unit, frame and meaning of each of the N + 3 numbers of an observation."""
-    low, width = -layout.reach, layout.bin_width
+    edges = pairwise(observation.edges(layout.bins, layout.bin_width))
     heights = [
         {
             "name": f"h_{i + 1}",
             "unit": "m",
             "frame": "L",
-            "meaning": "mean terrain height, up positive, for x in "
-            f"[{low + i * width:.3f}, {low + (i + 1) * width:.3f}) m",
+            "meaning": f"mean terrain height, up positive, for x in [{low:.3f}, {high:.3f}) m",
         }
-        for i in range(layout.bins)
+        for i, (low, high) in enumerate(edges)
     ]
-    flipper = {"unit": "rad", "frame": "R"}
-    return [
-        *heights,
-        {"name": "theta_f1", **flipper, "meaning": "front flippers, above chassis positive"},
-        {"name": "theta_f2", **flipper, "meaning": "rear flippers, above chassis positive"},
-        {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch, nose up positive"},
+    angles = (
+        ("R", "front flippers, above chassis positive"),
+        ("R", "rear flippers, above chassis positive"),
+        ("L", "pitch, nose up positive"),
+    )
+    return heights + [
+        {"name": name, "unit": "rad", "frame": frame, "meaning": meaning}
+        for name, (frame, meaning) in zip(observation.ANGLES, angles, strict=True)
     ]

@@ -20,7 +20,7 @@ from flipperctl.export.onnx import export_onnx
 from flipperctl.export.parity import compare, rollout_observations
 from flipperctl.export.pt2 import export_pt2
 from flipperctl.files import write_bytes
-from flipperctl.guard import fault
+from flipperctl.guard import naming
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 
@@ -51,15 +51,14 @@ def export(
     module = policy_module(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
     metadata = policy_metadata(config)
-    try:
+    # The exporters run the network's code, and wrap its errors.
+    with naming(config.network, "forward", ExportError, while_=" (export)"):
         if format == "onnx":
             metadata = {**metadata, CHECKSUM: PLACEHOLDER}
             data, q_values = export_onnx(folded(module), config, metadata)
             data = add_checksum(data)
         else:
             data, q_values = export_pt2(folded(module), config, metadata)
-    except BaseException as error:  # the exporters run the network's code, and wrap its errors
-        raise fault(error, config.network, "forward", ExportError, while_=" (export)") from error
     found = compare(module, q_values, observations)
     write_bytes(output, data)
     return {
@@ -72,8 +71,8 @@ def export(
 
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:
-    """Return what differs between two robots, their decision periods included."""
-    names = (*Robot.model_fields, "decision_period")
+    """Return what differs between two robots; the decision period stands for control_period."""
+    names = [*(name for name in Robot.model_fields if name != "control_period"), "decision_period"]
     pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}
     return {
         name: {"training": before, "file": after}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Robot
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
-from flipperctl.lookahead.mpc import STEEP, STEEP_FROM
+from flipperctl.lookahead.mpc_settings import STEEP, STEEP_FROM
 from flipperctl.lookahead.search import HOLD, moves
 
 _ROUNDS = 8

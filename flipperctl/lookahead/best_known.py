@@ -7,18 +7,15 @@ is played from the start in the simulator, so that the episode repeats it exactl
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from flipperctl.api import Perception, Policy, Simulator
 from flipperctl.config import Episode, resolver
 from flipperctl.lookahead.beam import Beam, Goal
 from flipperctl.lookahead.model import Model
+from flipperctl.lookahead.planner_settings import PlannerSettings
 from flipperctl.lookahead.policy import nominal
 from flipperctl.lookahead.pursuit import Drive, Pursuit, play
 from flipperctl.lookahead.search import HOLD
-
-if TYPE_CHECKING:
-    from flipperctl.lookahead.planner import Planner
 
 _STARTS = ("level", "okada", "mpc")
 """Controllers whose drives the search starts from."""
@@ -45,7 +42,7 @@ _ROLLOUTS = 0.15
 class PlannerPolicy:
     """Search for a plan at the start of an episode, then play it."""
 
-    def __init__(self, settings: Planner, trained: Policy | None) -> None:
+    def __init__(self, settings: PlannerSettings, trained: Policy | None) -> None:
         """``trained``: a policy whose drive the search starts from."""
         self._settings = settings
         self._starts = {
@@ -72,7 +69,7 @@ class PlannerPolicy:
 class _Search:
     """The search in one scene: what is known, and what it has cost."""
 
-    def __init__(self, simulator: Simulator, settings: Planner) -> None:
+    def __init__(self, simulator: Simulator, settings: PlannerSettings) -> None:
         self._simulator, self._settings = simulator, settings
         self._robot = nominal(simulator.robot)
         profile = simulator.profile

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,13 +19,12 @@ from flipperctl.api import (
     RobotGeometry,
     Simulator,
 )
-from flipperctl.lookahead.ground_map import GroundMap
+from flipperctl.core.ground_map import GroundMap
+from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
+from flipperctl.lookahead.mpc_settings import MpcSettings
 from flipperctl.lookahead.search import Plan, Search
-from flipperctl.runtime.targets import TargetRule
-
-if TYPE_CHECKING:
-    from flipperctl.lookahead.mpc import Mpc
+from flipperctl.sim.thinning import kept_points
 
 NO_PLAN = 1000.0
 """Cost of an action with which no plan survives the search [s]."""
@@ -45,13 +43,13 @@ _AS_EXPECTED = np.array([0.04, 0.04, 0.05])
 class MpcPolicy:
     """Plans anew at each decision; remembers the map, its flippers' targets and its last plan."""
 
-    def __init__(self, settings: Mpc) -> None:
+    def __init__(self, settings: MpcSettings) -> None:
         self._settings = settings
         self._robot = Robot()
         self._forget()
 
     def _forget(self) -> None:
-        self._map = GroundMap(self._settings.memory)
+        self._map = GroundMap(self._settings.memory, kept_points)
         self._targets = 0.0, 0.0
         self._plan: Plan | None = None
         self._former: tuple[int, ...] = ()

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from flipperctl.api import ACTIONS, FloatArray, Outcome, Policy, Simulator
+from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.beam import Beam
 from flipperctl.lookahead.model import TARGETS
 from flipperctl.lookahead.search import HOLD
-from flipperctl.runtime.targets import TargetRule
 
 _LEANING = 0.5
 """Pitch at the end of a short search that is taken for granted [rad]."""

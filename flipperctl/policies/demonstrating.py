@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from flipperctl.api import Perception, Policy, Simulator
 from flipperctl.policies import labels
-from flipperctl.policies.plugin import PluginPolicy
 
 
 class DemonstratingPolicy:
     """Labels by the costs of the actions where its policy offers them, else by its action."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy = policy
+        self._policy, self._labeller = policy, labels.Labeller(policy)
         self.label = labels.from_action(0)
         """The distribution over actions at the last decision, (9,)."""
 
@@ -24,13 +23,6 @@ class DemonstratingPolicy:
 
     def act(self, p: Perception) -> int:
         """Return the policy's action, the cheapest if it offers costs; keep the label."""
-        policy = self._policy
-        if isinstance(policy, PluginPolicy) and policy.offers_costs:
-            costs = policy.costs(p)
-            action = int(costs.argmin())
-            policy.took(action)
-            self.label = labels.from_costs(costs)
-        else:
-            action = policy.act(p)
-            self.label = labels.from_action(action)
+        action, self.label = self._labeller.choose(p)
+        self._labeller.took(action)
         return action

@@ -6,6 +6,7 @@ and whether a robot agrees with what the file itself applies.
 
 from __future__ import annotations
 
+import json
 import math
 import shlex
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, Perception, Robot, Simulator
+from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import ConfigError, PolicyError
@@ -22,6 +23,8 @@ from flipperctl.runtime.interface import Interface
 
 _CLOSE = 1e-6
 """Largest difference of angles, speeds and periods that counts as rounding [SI units]."""
+_APPLIED = ("angle_step", "angle_limit", "flipper_speed", "control_period")
+"""Settings of a robot that a file applies itself."""
 
 
 class ExportedPolicy:
@@ -85,17 +88,17 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     if not found:
         return
     own = parse(Robot, interface.robot)
-    names = ("angle_step", "angle_limit", "flipper_speed")  # those that a file applies
-    changed = [name for name in names if not _close(getattr(own, name), getattr(robot, name))]
+    changed = [name for name in _APPLIED if not _close(getattr(own, name), getattr(robot, name))]
     if not changed:
         raise ConfigError(
             f"{file} applies {', '.join(found)}: it contradicts the robot in its own metadata; "
             f"flipperctl inspect conventions --checkpoint {shlex.quote(str(file))} shows where"
         )
-    asked = " ".join(f"robot.{name}={getattr(robot, name)!r}" for name in changed)
+    values = {name: json.dumps(getattr(robot, name)) for name in changed}
+    asked = " ".join(f"robot.{name}={value}" for name, value in values.items())
     advice = f"export a file with it: flipperctl export onnx --checkpoint RUN {asked}"
     if changed == ["flipper_speed"]:
-        speed = f"{robot.flipper_speed!r}"
+        speed = values["flipper_speed"]
         advice += f", or keep the file's period with randomise.flipper_speed={speed}"
     raise ConfigError(f"{file} applies {', '.join(found)}, on the robot as well; {advice}")
 
@@ -104,7 +107,7 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     """Yield in words what the file applies instead of the robot's own."""
     rule = interface.targets
     step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
-    if not np.allclose(interface.actions, step * np.array(ACTIONS), rtol=0.0, atol=_CLOSE):
+    if not np.allclose(interface.actions, robot.actions.turns(step), rtol=0.0, atol=_CLOSE):
         largest = np.abs(interface.actions).max()
         yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
     elif math.isfinite(rule.window) and not _close(rule.window, step):
@@ -112,11 +115,13 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     if math.isfinite(rule.limit) and not _close(rule.limit, limit):
         yield f"a limit of {rule.limit:.6g} rad (robot.angle_limit asks for {limit:.6g})"
     if not _close(interface.decision_period, period):
-        yield (
-            f"a decision period of {interface.decision_period:.6g} s (robot.angle_step / "
-            f"robot.flipper_speed asks for {period:.6g})"
-        )
+        given = robot.control_period is not None
+        cause = "robot.control_period" if given else "robot.angle_step / robot.flipper_speed"
+        found = f"{interface.decision_period:.6g} s"
+        yield f"a decision period of {found} ({cause} asks for {period:.6g})"
 
 
-def _close(ours: float, theirs: float) -> bool:
+def _close(ours: float | None, theirs: float | None) -> bool:
+    if ours is None or theirs is None:
+        return ours is theirs
     return abs(ours - theirs) <= _CLOSE

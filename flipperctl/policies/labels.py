@@ -1,6 +1,6 @@
 """Labels: the distributions over actions that a teacher wants its student to have.
 
-In: the cost of each action, or the action that a controller takes. Out: probabilities, (9,).
+In: the cost of each action, or the action that a policy takes. Out: probabilities, (9,).
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import ACTIONS, FloatArray
+from flipperctl.api import ACTIONS, CostPolicy, FloatArray, Perception, Policy
 
 TEMPERATURE = 0.3
 """Default difference of costs by which an action becomes e times less probable [s]."""
@@ -28,3 +28,26 @@ def from_action(action: int) -> NDArray[np.float32]:
     label = np.zeros(len(ACTIONS), np.float32)
     label[action] = 1.0
     return label
+
+
+class Labeller:
+    """Asks a policy for its actions and labels them, by its costs where it offers them."""
+
+    def __init__(self, policy: Policy, temperature: float = TEMPERATURE) -> None:
+        """``temperature``: difference of costs [s]; see ``from_costs``."""
+        self._policy, self._temperature = policy, temperature
+        # Asked once: to check a protocol takes longer than some of the work of a decision.
+        self._costs = policy if isinstance(policy, CostPolicy) else None
+
+    def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:
+        """Return the policy's action, the cheapest if it offers costs, and the label, (9,)."""
+        if self._costs is None:
+            action = self._policy.act(p)
+            return action, from_action(action)
+        costs = self._costs.costs(p)
+        return int(costs.argmin()), from_costs(costs, self._temperature)
+
+    def took(self, action: int) -> None:
+        """Tell a policy that offers costs which action was taken after ``choose``."""
+        if self._costs is not None:
+            self._costs.took(action)

@@ -1,6 +1,8 @@
-"""A controller plugin as a policy; its errors and invalid actions name the plugin."""
+"""A controller plugin as a policy; its errors and invalid answers name the plugin."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -15,90 +17,69 @@ from flipperctl.api import (
 )
 from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import naming, refusal, short_repr
+
+
+def plugin_policy(controller: Controller) -> PluginPolicy:
+    """Return the policy that a controller builds; it offers costs if the controller's policy does.
+
+    Raises:
+        PluginFailedError: the controller's code failed, or it built an object without ``reset``
+            and ``act``.
+    """
+    with naming(controller, "build"):  # what it returned may fail as well
+        policy = controller.build()
+        complete = all(callable(getattr(policy, name, None)) for name in ("reset", "act"))
+        offers_costs = isinstance(policy, CostPolicy)
+    if not complete:
+        text = f"returned {short_repr(policy)}; an object with reset and act is allowed"
+        raise refusal(controller, "build", text)
+    return (PluginCostPolicy if offers_costs else PluginPolicy)(controller, policy)
 
 
 class PluginPolicy:
-    """Runs the policy that a controller plugin builds and reports its errors with its name."""
+    """Runs the policy that a controller plugin built.
 
-    def __init__(self, controller: Controller) -> None:
-        """Build the controller's policy.
+    Every method raises ``PluginFailedError`` if the controller's code failed or returned a value
+    that the contract does not allow.
+    """
 
-        Raises:
-            PluginFailedError: the controller's code failed, or it built an object without
-                ``reset`` and ``act``.
-        """
+    def __init__(self, controller: Controller, policy: Policy) -> None:
+        """Run ``policy``, which ``controller`` built."""
         self._controller = controller
-        try:
-            self._policy: Policy = controller.build()
-        except BaseException as error:
-            raise fault(error, controller, "build") from error
-        if not all(callable(getattr(self._policy, name, None)) for name in ("reset", "act")):
-            text = f"returned {short_repr(self._policy)}; an object with reset and act is allowed"
-            raise refusal(controller, "build", text)
-        self._teacher = self._policy if isinstance(self._policy, CostPolicy) else None
-
-    @property
-    def offers_costs(self) -> bool:
-        """Whether the policy offers the cost of each action."""
-        return self._teacher is not None
+        self._policy: Any = policy
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode.
-
-        Raises:
-            PluginFailedError: the controller's code failed.
-        """
-        try:
+        """Begin an episode."""
+        with naming(self._controller, "reset"):
             self._policy.reset(simulator)
-        except BaseException as error:
-            raise fault(error, self._controller, "reset") from error
 
     def act(self, p: Perception) -> int:
-        """Return the controller's action.
-
-        Raises:
-            PluginFailedError: the controller's code failed, or it returned no valid action.
-        """
-        try:
+        """Return the controller's action."""
+        with naming(self._controller, "act"):
             answer: object = self._policy.act(p)
             index = action_index(answer)
-        except BaseException as error:
-            raise fault(error, self._controller, "act") from error
         if index is None:
             owner = None if isinstance(self._policy, Rule) else type(self._policy)
             text = f"returned {short_repr(answer)}; {ALLOWED}"
             raise refusal(self._controller, "act", text, owner=owner)
         return index
 
-    def costs(self, p: Perception) -> FloatArray:
-        """Return the policy's cost of each action, (9,) [s]; only if it ``offers_costs``.
 
-        Raises:
-            PluginFailedError: the controller's code failed, or a cost is missing or not finite.
-        """
-        try:
-            answer: object = self._cost_policy().costs(p)
+class PluginCostPolicy(PluginPolicy):
+    """Runs a policy that offers the cost of each action (``flipperctl.api.CostPolicy``)."""
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the policy's finite cost of each action, (9,) [s]."""
+        with naming(self._controller, "costs"):
+            answer: object = self._policy.costs(p)
             found = np.asarray(answer, np.float64)
-        except BaseException as error:
-            raise fault(error, self._controller, "costs") from error
         if found.shape != (len(ACTIONS),) or not np.isfinite(found).all():
             text = f"returned {short_repr(answer)}; {len(ACTIONS)} finite costs are allowed"
             raise refusal(self._controller, "costs", text, owner=type(self._policy))
         return found
 
     def took(self, action: int) -> None:
-        """Tell the policy which action was taken after its ``costs``.
-
-        Raises:
-            PluginFailedError: the controller's code failed.
-        """
-        try:
-            self._cost_policy().took(action)
-        except BaseException as error:
-            raise fault(error, self._controller, "took") from error
-
-    def _cost_policy(self) -> CostPolicy:
-        if self._teacher is None:
-            raise TypeError(f"{type(self._policy).__name__} offers no costs")
-        return self._teacher
+        """Tell the policy which action was taken after its ``costs``."""
+        with naming(self._controller, "took"):
+            self._policy.took(action)

@@ -1,4 +1,4 @@
-"""Where a policy comes from, in a few words that another process can be given.
+"""A picklable reference to a policy.
 
 In: a file, or the name and settings of a controller plugin. Out: a policy, trained, exported or
 ruled alike.
@@ -14,14 +14,14 @@ from flipperctl.api import Controller, Policy, Robot
 from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
-from flipperctl.lookahead import Planner
+from flipperctl.policies.abilities import PolicyUser
 from flipperctl.policies.exported import (
     ExportedPolicy,
     check_robot,
     exported_config,
     is_exported,
 )
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 
 
@@ -59,9 +59,7 @@ class PolicySource:
         """Return the controllers that stand beside this one's results, unless others are named."""
         if self.checkpoint is not None:
             return ()
-        found = resolver.create("controller", self.settings, "controller")
-        assert isinstance(found, Controller)
-        return found.baselines
+        return self._controller().baselines
 
     def robot(self) -> Robot | None:
         """Return the robot that a file's policy is for; None of a controller plugin.
@@ -87,30 +85,45 @@ class PolicySource:
             PluginFailedError: the controller's code failed.
         """
         if self.checkpoint is None:
-            controller = resolver.create("controller", self.settings, "controller")
-            if isinstance(controller, Planner) and controller.policy:
+            controller = self._controller()
+            if isinstance(controller, PolicyUser) and controller.policy:
                 file = find(Path(controller.policy))
                 controller = controller.starting_from(PolicySource(file).build(config))
-            return PluginPolicy(controller)
-        bins, bin_width, policy = _open(self.checkpoint)
-        layout = config.perception
-        if (bins, bin_width) != (layout.bins, layout.bin_width):
-            raise CheckpointError(
-                f"{self.checkpoint}: the policy was trained on {bins} bins of {bin_width:g} m; "
-                "perception.bins and perception.bin_width ask for "
-                f"{layout.bins} of {layout.bin_width:g} m"
-            )
-        if isinstance(policy, ExportedPolicy):
-            check_robot(policy.interface, config.robot, self.checkpoint)
-        return policy
+            return plugin_policy(controller)
+        if is_exported(self.checkpoint):
+            return _exported(self.checkpoint, config)
+        return _trained(self.checkpoint, config)
+
+    def _controller(self) -> Controller:
+        found = resolver.create("controller", self.settings, "controller")
+        assert isinstance(found, Controller)
+        return found
 
 
-def _open(file: Path) -> tuple[int, float, Policy]:
-    """Return the number of bins that a file's policy takes, their width [m] and the policy."""
-    if is_exported(file):
-        exported = ExportedPolicy(file)
-        return exported.interface.bins, exported.interface.bin_width, exported
+def _exported(file: Path, config: EnvConfig) -> Policy:
+    """Return the policy of an exported file for an environment, whose robot must fit."""
+    policy = ExportedPolicy(file)
+    interface = policy.interface
+    _check_layout(file, interface.bins, interface.bin_width, config)
+    check_robot(interface, config.robot, file)
+    return policy
+
+
+def _trained(file: Path, config: EnvConfig) -> Policy:
+    """Return the policy of a checkpoint for an environment."""
     checkpoint = read(file)
-    config = checkpoint.policy_config()
-    policy = TrainedPolicy(policy_module(checkpoint), config.network.frames)
-    return config.perception.bins, config.perception.bin_width, policy
+    trained = checkpoint.policy_config()
+    policy = TrainedPolicy(policy_module(checkpoint), trained.network.frames)
+    _check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
+    return policy
+
+
+def _check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
+    """Check that a file's policy takes the observations of an environment; ``bin_width`` [m]."""
+    layout = config.perception
+    if (bins, bin_width) != (layout.bins, layout.bin_width):
+        raise CheckpointError(
+            f"{file}: the policy was trained on {bins} bins of {bin_width:g} m; "
+            "perception.bins and perception.bin_width ask for "
+            f"{layout.bins} of {layout.bin_width:g} m"
+        )

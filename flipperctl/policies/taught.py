@@ -12,7 +12,6 @@ import numpy as np
 from flipperctl.api import ACTIONS, Perception, Policy, Simulator
 from flipperctl.config import Teacher
 from flipperctl.policies import labels
-from flipperctl.policies.plugin import PluginPolicy
 
 
 class TaughtPolicy:
@@ -24,7 +23,7 @@ class TaughtPolicy:
     def __init__(
         self,
         student: Policy,
-        teacher: PluginPolicy,
+        teacher: Policy,
         settings: Teacher,
         student_learns: Callable[[], bool],
         rng: np.random.Generator,
@@ -34,6 +33,7 @@ class TaughtPolicy:
         ``rng`` draws who drives, and the random actions of the teacher's episodes.
         """
         self._student, self._teacher, self._settings = student, teacher, settings
+        self._labeller = labels.Labeller(teacher, settings.temperature)
         self._student_learns, self._rng = student_learns, rng
         self._student_drives = False
         self._simulator: Simulator | None = None
@@ -52,18 +52,11 @@ class TaughtPolicy:
 
     def act(self, p: Perception) -> int:
         """Return the driver's action; keep the teacher's label."""
-        teacher, simulator = self._teacher, self._simulator
+        simulator = self._simulator
         seen = p if simulator is None else simulator.perceive_exactly()
-        if teacher.offers_costs:
-            costs = teacher.costs(seen)
-            choice = int(costs.argmin())
-            self.label = labels.from_costs(costs, self._settings.temperature)
-        else:
-            choice = teacher.act(seen)
-            self.label = labels.from_action(choice)
+        choice, self.label = self._labeller.choose(seen)
         action = self._drive(p, choice)
-        if teacher.offers_costs:
-            teacher.took(action)
+        self._labeller.took(action)
         if simulator is not None:
             simulator.step(action)  # which repeats the episode bit for bit
         return action

@@ -28,7 +28,7 @@ from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArti
 from flipperctl.sim.outline import outlines
 
 _POSES = 12
-"""Largest number of intervals between poses at the default spacing [-]."""
+"""Largest number of intervals between poses [-]."""
 
 
 def episode_figure(
@@ -36,29 +36,22 @@ def episode_figure(
     profile: Profile,
     robot: RobotGeometry,
     title: str = "",
-    *,
-    spacing: float | None = None,
 ) -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
-    Poses are drawn at the start, at the end and evenly between, at least ``spacing`` [m] apart
-    along the path of the chassis' centre. The default spacing is a little less than the robot's
-    length, or a twelfth of the path if that is longer. The heights of very long ground are scaled
-    up, which the axis label says.
+    Poses are drawn at the start, at the end and evenly between. Along the path of the chassis'
+    centre they are a little less than the robot's length apart, or a twelfth of the path if that is
+    longer. The heights of very long ground are scaled up, which the axis label says.
 
     Raises:
-        ValueError: the trace is empty or the spacing is not above 0.
+        ValueError: the trace is empty.
     """
     if not trace:
         raise ValueError("an episode figure needs at least one state")
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
     path = np.array([state.position for state in trace])  # (T, 2) [m]
-    if spacing is None:
-        length = float(np.hypot(*np.diff(path, axis=0).T).sum())
-        spacing = max(1.75 * reach, length / _POSES)
-    if spacing <= 0:
-        raise ValueError(f"the spacing of the poses must be above 0 m; got {spacing:g}")
-    shown = [trace[i] for i in pose_indices(path, spacing)]
+    length = float(np.hypot(*np.diff(path, axis=0).T).sum())
+    shown = [trace[i] for i in pose_indices(path, max(1.75 * reach, length / _POSES))]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = window(path, profile, reach, max(tops))
     scale = z_scale(high - low, WIDTH - 1.0)

@@ -28,20 +28,26 @@ WIDTH = 9.6
 """Width of every figure [in]."""
 
 
-def draw_ground(axes: Axes, profile: Profile, level: float = 60.0) -> None:
-    """Fill the ground, with ``level`` [m] of level ground before and past the profile."""
-    line = profile.extended(level, level)
-    axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - level, color=EARTH, linewidth=0)
+_LEVEL = 60.0
+"""Length of the level ground before and past a profile, and depth of the ground [m]."""
+_LEAST = 0.9
+"""Smallest height of a picture of ground [in]."""
+
+
+def draw_ground(axes: Axes, profile: Profile) -> None:
+    """Fill the ground, with level ground before and past the profile."""
+    line = profile.extended(_LEVEL, _LEVEL)
+    axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - _LEVEL, color=EARTH, linewidth=0)
     axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
 
 
-def z_scale(extent: FloatArray, width: float, least: float = 0.9) -> int:
-    """Return the scale of z over that of x at which the picture is at least ``least`` [in] high.
+def z_scale(extent: FloatArray, width: float) -> int:
+    """Return the scale of z over that of x at which the picture has the smallest height.
 
     The picture shows ``extent`` (x, z) [m] and is ``width`` [in] wide. A result of 1 means equal
     scales.
     """
-    return max(1, math.ceil(least * float(extent[0]) / (width * float(extent[1]))))
+    return max(1, math.ceil(_LEAST * float(extent[0]) / (width * float(extent[1]))))
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int = 1) -> None:

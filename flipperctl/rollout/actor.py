@@ -10,14 +10,15 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.building import build_network, module_fault
+from flipperctl.agent.building import build_network, naming_network
 from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
+from flipperctl.policies.abilities import LabellingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
@@ -44,7 +45,7 @@ class Actor:
         self._seed = settings.seed
         self._teaching, self._learning_starts = settings.teacher, settings.agent.learning_starts
         teacher = settings.teacher.controller
-        self._teacher = None if teacher is None else PluginPolicy(teacher)
+        self._teacher = None if teacher is None else plugin_policy(teacher)
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
@@ -65,11 +66,12 @@ class Actor:
         if self._teacher is not None:
             learns = request.decision >= self._learning_starts
             policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
+        labelling = policy if isinstance(policy, LabellingPolicy) else None
         episode, labels = [], []
         for decision in decisions(self._env, policy, request.seed, difficulty=request.difficulty):
             episode.append(decision)
-            if isinstance(policy, TaughtPolicy):
-                labels.append(policy.label)
+            if labelling is not None:
+                labels.append(labelling.label)
         observations = [stacked(episode[0].perception.recent, self._frames)]
         observations += [stacked(d.next_perception.recent, self._frames) for d in episode]
         ending = {**(episode[-1].ending or {}), "difficulty": request.difficulty}
@@ -80,10 +82,8 @@ class Actor:
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}
-        try:
+        with naming_network(self._module, "load_state_dict"):  # it may have changed its shapes
             self._module.load_state_dict(state)
-        except BaseException as error:  # for example, the module has changed its shapes
-            raise module_fault(error, self._module, "load_state_dict") from error
 
 
 class StartedActor:

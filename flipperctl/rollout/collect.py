@@ -14,7 +14,7 @@ from typing import Protocol
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.policies.abilities import LabellingPolicy
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.pool import WorkerDiedError
 from flipperctl.rollout.values import (
@@ -97,6 +97,7 @@ class InProcessCollector:
         evaluation between two episodes.
         """
         self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
+        self._labelling = policy if isinstance(policy, LabellingPolicy) else None
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
@@ -106,7 +107,7 @@ class InProcessCollector:
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
             observation = stacked(d.perception.recent, frames)
             next_observation = stacked(d.next_perception.recent, frames)
-            label = self._policy.label if isinstance(self._policy, TaughtPolicy) else None
+            label = None if self._labelling is None else self._labelling.label
             yield Step(observation, d.action, d.reward, next_observation, ending, label)
 
     def evaluate(

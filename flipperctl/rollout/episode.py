@@ -6,7 +6,6 @@ iterator asks for it, so that the caller can learn, display, wait or stop in bet
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -112,26 +111,3 @@ def play(
         ending = decision.ending
     assert ending is not None  # decisions() yields until there is one
     return ending
-
-
-class RealTime:
-    """A ``pace`` that lets an episode run in real time, or at ``speed`` times real time."""
-
-    def __init__(
-        self,
-        speed: float = 1.0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        """``speed``: 2 plays twice as fast as real time [-]."""
-        self._speed, self._clock, self._sleep = speed, clock, sleep
-        self._started_at: float | None = None
-
-    def __call__(self, episode_time: float) -> None:
-        """Wait until the decision at ``episode_time`` [s] is due."""
-        now = self._clock()
-        if self._started_at is None or episode_time == 0.0:
-            self._started_at = now - episode_time / self._speed
-        remaining = self._started_at + episode_time / self._speed - now
-        if remaining > 0:
-            self._sleep(remaining)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
-TENSORBOARD, HYDRA = Path("tensorboard"), Path(".hydra")
+HYDRA = Path(".hydra")
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
 _WRITTEN = (
     *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
@@ -100,8 +100,12 @@ def _read_mapping(path: Path) -> dict[str, Any] | None:
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
-    """Return a text for each setting that two configurations do not share, with both values."""
-    first, second = (dict(_leaves(container(config))) for config in (there, here))
+    """Return a text for each setting that two configurations do not share, with both values.
+
+    Loggers may differ: they record a run and do not change it.
+    """
+    plain = [container(config.model_copy(update={"logger": {}})) for config in (there, here)]
+    first, second = (dict(_leaves(settings)) for settings in plain)
     return [
         f"{key}: {first.get(key, 'none')} there, {second.get(key, 'none')} here"
         for key in dict.fromkeys([*first, *second])
@@ -137,8 +141,8 @@ def clear_leftovers(directory: Path) -> None:
         part.unlink()
 
 
-def discard(directory: Path) -> None:
-    """Remove the files of a new run that was refused before its first decision.
+def discard(directory: Path, loggers: Iterable[str]) -> None:
+    """Remove the files of a new run and its loggers that was refused before its first decision.
 
     The caller holds the lock of the run, whose file goes too: a process that has opened it finds
     that it was removed. Other files in the directory stay.
@@ -146,6 +150,6 @@ def discard(directory: Path) -> None:
     clear_leftovers(directory)
     for name in (*_WRITTEN, _LOCK):
         (directory / name).unlink(missing_ok=True)
-    for folder in (TENSORBOARD, HYDRA):
+    for folder in (*map(Path, loggers), HYDRA):
         shutil.rmtree(directory / folder, ignore_errors=True)
     (directory / checkpoint.BEST.parent).rmdir()

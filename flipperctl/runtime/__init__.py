@@ -7,17 +7,17 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from flipperctl.core.targets import TargetRule
     from flipperctl.runtime.interface import Interface, Quantity
     from flipperctl.runtime.policy import OnnxPolicy
-    from flipperctl.runtime.targets import TargetRule
 
 __all__ = ["Interface", "OnnxPolicy", "Quantity", "TargetRule"]
 
 _MODULES = {
-    "Interface": "interface",
-    "OnnxPolicy": "policy",
-    "Quantity": "interface",
-    "TargetRule": "targets",
+    "Interface": "flipperctl.runtime.interface",
+    "OnnxPolicy": "flipperctl.runtime.policy",
+    "Quantity": "flipperctl.runtime.interface",
+    "TargetRule": "flipperctl.core.targets",
 }
 
 
@@ -27,4 +27,4 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return getattr(import_module(_MODULES[name]), name)

@@ -41,9 +41,9 @@ def describe(interface: Interface) -> str:
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         lines.append("  " + "  ".join(cells).rstrip())
-    lines.append("actions: turns of the front and the rear flippers [°]")
-    for index, (front, rear) in enumerate(np.degrees(interface.actions)):
-        lines.append(f"  {index}  {front:+6.1f} {rear:+6.1f}")
+    lines.append(f"actions: turns of the {' and the '.join(interface.joints)} flippers [°]")
+    for index, turns in enumerate(np.degrees(interface.actions)):
+        lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
     lines.append(f"decision period: {interface.decision_period:g} s")
     lines.append("robot, in SI units")
     lines += [f"  {name}: {value:g}" for name, value in interface.robot.items()]

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.core import observation as layout
+from flipperctl.core.actions import PAIRS
+from flipperctl.core.observation import ANGLES
+from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
-from flipperctl.runtime.targets import TargetRule
 
-ANGLES = 3
-"""Number of angles after the heights: theta_f1, theta_f2 and theta_R."""
-ACTIONS = 9
-"""Number of actions."""
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
 LARGEST_HEIGHT = 5.0
@@ -70,8 +69,10 @@ class Interface:
     """Width of a bin [m]."""
     frames: int
     """Number of consecutive observations that form one input of the network, oldest first."""
+    joints: tuple[str, ...]
+    """Names of the J joints that an action turns: the pairs ``front`` and ``rear``."""
     actions: NDArray[np.float64]
-    """Turns of the front and the rear flippers by each action, (9, 2) [rad]."""
+    """Turns of the joints by each action, (9, J) in frame R [rad]."""
     targets: TargetRule
     """How an action turns the flippers; see ``states_targets``."""
     states_targets: bool
@@ -100,8 +101,8 @@ class Interface:
     @property
     def limits(self) -> NDArray[np.float64]:
         """Largest plausible magnitudes of the numbers of one observation, (N + 3,) [m, rad]."""
-        highest = LARGEST_HEIGHT + self.bins * self.bin_width / 2
-        return np.array([highest] * self.bins + [LARGEST_ANGLE] * ANGLES)
+        highest = LARGEST_HEIGHT + layout.reach(self.bins, self.bin_width)
+        return np.array([highest] * self.bins + [LARGEST_ANGLE] * len(ANGLES))
 
     @property
     def inputs(self) -> int:
@@ -126,7 +127,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         )
     entry = partial(_entry, metadata, where)
     bins = entry("bins", "a whole number above 0", _is_count)
-    size = bins + ANGLES
+    size = layout.size(bins)
     keys = set(Quantity.__dataclass_fields__)
     observation = entry(
         "observation",
@@ -138,7 +139,13 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             and all(isinstance(text, str) for e in v for text in e.values())
         ),
     )
-    table = entry("actions", f"a table of {ACTIONS} pairs of angles", _is_table)
+    joints = entry(
+        "joints",
+        f"the list {json.dumps(PAIRS.joints)}, whose joints this version turns,",
+        lambda v: v == list(PAIRS.joints),
+        absent=json.dumps(PAIRS.joints),  # as in files of version 0.2
+    )
+    table = entry("actions", f"a table of {len(PAIRS.steps)} pairs of angles", _is_table)
     actions = np.array(table, dtype=np.float64)
     actions.setflags(write=False)
     robot = entry(
@@ -158,6 +165,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         bins=bins,
         bin_width=entry("bin_width", "a length above 0", _is_positive),
         frames=entry("frames", "a whole number above 0", _is_count, absent="1"),
+        joints=tuple(joints),
         actions=actions,
         targets=_targets(metadata, where, robot),
         states_targets=TARGETS in metadata,
@@ -249,8 +257,9 @@ def _is_positive(value: object) -> bool:
 def _is_table(value: object) -> bool:
     return (
         isinstance(value, list)
-        and len(value) == ACTIONS
+        and len(value) == len(PAIRS.steps)
         and all(
-            isinstance(row, list) and len(row) == 2 and all(map(_is_number, row)) for row in value
+            isinstance(row, list) and len(row) == len(PAIRS.joints) and all(map(_is_number, row))
+            for row in value
         )
     )

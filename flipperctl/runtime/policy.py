@@ -5,27 +5,29 @@ In: the file, and observations. Out: Q-values and actions, each in some ten micr
 
 from __future__ import annotations
 
-import functools
-import logging
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl.errors import FlipperctlError, MissingExtraError, NonFiniteError, PolicyError
-from flipperctl.runtime.checksum import verify
-from flipperctl.runtime.interface import ACTIONS, ANGLES, LARGEST_ANGLE, read_interface
+from flipperctl.core.actions import ACTIONS
+from flipperctl.core.observation import ANGLES
+from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
+from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
+from flipperctl.runtime.observing import Frame, observe
+from flipperctl.runtime.session import (
+    INPUT,
+    OUTPUT,
+    check_shapes,
+    open_session,
+    read_model,
+    run_error,
+    warn_of_targets,
+)
 
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
-
-_Shapes = dict[str, tuple[str, list[int | str | None]]]
 FloatPair = NDArray[np.float64]
-INPUT, OUTPUT = "observation", "q_values"
 DEGREES = "angles are in radians"
-_LOGGER = logging.getLogger(__name__)
 
 
 class OnnxPolicy:
@@ -42,15 +44,15 @@ class OnnxPolicy:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._session = _open_session(self.path)
-        metadata, shapes = _read_model(self._session, str(self.path))
+        self._session = open_session(self.path)
+        metadata, shapes = read_model(self._session, str(self.path))
         self.interface = read_interface(metadata, str(self.path))
         size = self.interface.inputs
-        _check_shapes(shapes, size, str(self.path))
+        check_shapes(shapes, size, str(self.path))
         # The buffers are bound once: a decision then takes 10.5 µs inside onnxruntime, against
         # 12.9 µs with session.run and 46 µs with OrtValues (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
-        self._output = np.zeros((1, ACTIONS), np.float32)
+        self._output = np.zeros((1, len(ACTIONS)), np.float32)
         self._frames = self._input.reshape(self.interface.frames, -1)
         self._row, self._q = self._frames[-1], self._output[0]
         one = self.interface.size
@@ -61,13 +63,38 @@ class OnnxPolicy:
         self._bound = self._session.io_binding()
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
-        self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, ACTIONS), pointers[1])
+        self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
         self.act(np.zeros(self.interface.size))  # the first run allocates
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode: the next observation also fills the frames before it."""
         self._episode_begins = True
+
+    def observation(
+        self, points: ArrayLike, *, front: float, rear: float, pitch: float, frame: Frame = "L"
+    ) -> NDArray[np.float32]:
+        """Return the observation for ``act`` from what the robot measures, (N + 3,) in SI units.
+
+        It is made as in the simulator. ``points``: ground below and around the robot in its side
+        plane, (P, 2) of x (forward) and z (up) [m] with the chassis centre as origin, in any order;
+        those farther away than the bins reach are left out. ``frame`` of the points: ``L`` is
+        level, ``R`` is fixed to the chassis. ``front``, ``rear``: angles of the flippers in frame
+        R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
+
+        Raises:
+            PolicyError: the points have another shape, are not numbers, or none lies in a bin.
+            NonFiniteError: a point is NaN or infinite.
+        """
+        return observe(
+            self.interface,
+            points,
+            front=front,
+            rear=rear,
+            pitch=pitch,
+            frame=frame,
+            where=str(self.path),
+        )
 
     def act(self, observation: ArrayLike) -> int:
         """Return the index of the largest Q-value, a row of ``interface.actions``.
@@ -94,7 +121,7 @@ class OnnxPolicy:
         try:
             self._session.run_with_iobinding(self._bound)
         except Exception as error:  # onnxruntime's own, which share no base class
-            raise _run_error(self.path, error) from error
+            raise run_error(self.path, error) from error
         action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
@@ -112,10 +139,10 @@ class OnnxPolicy:
             NonFiniteError: an angle is NaN or infinite.
         """
         if not self.interface.states_targets:
-            _warn_of_targets(str(self.path))
-        if not 0 <= action < ACTIONS:
+            warn_of_targets(str(self.path))
+        if not 0 <= action < len(ACTIONS):
             raise PolicyError(
-                f"{self.path}: there is no action {action}; 0 to {ACTIONS - 1} is allowed"
+                f"{self.path}: there is no action {action}; 0 to {len(ACTIONS) - 1} is allowed"
             )
         last, measured = self._pair("targets", targets), self._pair("angles", angles)
         turns = self.interface.actions[action].tolist()
@@ -157,7 +184,7 @@ class OnnxPolicy:
         try:
             values = self._session.run([OUTPUT], {INPUT: batch})[0]
         except Exception as error:  # onnxruntime's own, which share no base class
-            raise _run_error(self.path, error) from error
+            raise run_error(self.path, error) from error
         if not np.isfinite(values).all():
             raise self._non_finite_error(values)
         return values[0] if array.ndim == 1 else values
@@ -192,7 +219,7 @@ class OnnxPolicy:
     def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
         return PolicyError(
             f"{self.path}: the observation has shape {array.shape}; {allowed} is allowed: "
-            f"{self.interface.bins} terrain heights and {ANGLES} angles"
+            f"{self.interface.bins} terrain heights and {len(ANGLES)} angles"
             f"{', of each frame' if self._has_history else ''}"
         )
 
@@ -201,97 +228,4 @@ class OnnxPolicy:
         return NonFiniteError(
             f"{self.path}: the Q-value of action {action} is {values[row, action]}; "
             "the file is damaged, or the observation is far from those of the training"
-        )
-
-
-def _open_session(path: Path) -> InferenceSession:
-    """Open a session with one thread, since so small a network is slower with two.
-
-    The checksum is verified before anything is parsed.
-    """
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise MissingExtraError(
-            "an exported policy needs the package onnxruntime; install flipperctl[robot]"
-        ) from error
-    data = _read_bytes(path)
-    if not verify(data, str(path)):
-        _warn_once(str(path))
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.log_severity_level = 4  # errors are raised instead
-    try:
-        return onnxruntime.InferenceSession(
-            data,
-            options,
-            providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # the fallback would only try again, and print that on stdout
-        )
-    except Exception as error:  # onnxruntime's own, which share no base class
-        raise PolicyError(
-            f"{path} is damaged or no ONNX model that onnxruntime runs: {_reason(error)}"
-        ) from error
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise PolicyError(f"{path}: there is no such policy file") from error
-    except (OSError, ValueError) as error:  # a ValueError: the name is not valid
-        reason = getattr(error, "strerror", None) or error
-        raise PolicyError(f"{path} cannot be read: {reason}") from error
-
-
-@functools.cache
-def _warn_once(path: str) -> None:
-    _LOGGER.warning(
-        "%s was exported by flipperctl 0.1, without a checksum: whether it is damaged cannot be "
-        "checked, and it holds only the name of its terrain; export it again",
-        path,
-    )
-
-
-@functools.cache
-def _warn_of_targets(path: str) -> None:
-    _LOGGER.warning(
-        "%s does not state how a blocked flipper is turned (flipperctl.targets): it was exported "
-        "by an earlier flipperctl, whose targets no measured angle bounds; they are computed as "
-        "in its training. Export it again to bound them",
-        path,
-    )
-
-
-def _read_model(session: InferenceSession, where: str) -> tuple[dict[str, str], _Shapes]:
-    """Return the metadata, and the type and shape of each input and output by name."""
-    try:
-        tensors = (*session.get_inputs(), *session.get_outputs())
-        shapes = {tensor.name: (tensor.type, tensor.shape) for tensor in tensors}
-        return session.get_modelmeta().custom_metadata_map, shapes
-    except (UnicodeDecodeError, RuntimeError) as error:
-        raise PolicyError(f"{where} is damaged: its names or metadata are not text") from error
-
-
-def _run_error(path: Path, error: Exception) -> PolicyError:
-    return PolicyError(f"{path}: onnxruntime cannot run the model: {_reason(error)}")
-
-
-def _reason(error: Exception) -> str:
-    words = " ".join(str(error).split()).rpartition(" : ")[2]
-    return "".join(sign if sign.isprintable() else "?" for sign in words[:300])
-
-
-def _check_shapes(found: _Shapes, size: int, where: str) -> None:
-    expected = {INPUT: size, OUTPUT: ACTIONS}
-    fits = found.keys() == expected.keys() and all(
-        kind == "tensor(float)" and len(shape) == 2 and shape[1] == expected[name]
-        for name, (kind, shape) in found.items()
-    )
-    if not fits:
-        shown = ", ".join(f"{name} {kind} {shape}" for name, (kind, shape) in found.items())
-        raise PolicyError(
-            f"{where}: the model has {shown}; {INPUT} tensor(float) [batch, {size}] and "
-            f"{OUTPUT} tensor(float) [batch, {ACTIONS}] is allowed"
         )

@@ -27,7 +27,7 @@ import numpy as np
 from numba.misc.appdirs import AppDirs
 
 PACKAGE = Path(__file__).parents[1]
-SOURCES = ("api", "lookahead", "sim")
+SOURCES = ("api", "core", "lookahead", "sim")
 """Folders of the package that hold all functions and constants in compiled code."""
 _NAME = "machine_code"
 _KEPT = 4

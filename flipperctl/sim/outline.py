@@ -15,15 +15,13 @@ from numpy.typing import ArrayLike
 
 from flipperctl.api import FloatArray, RobotGeometry, RobotState
 
-PARTS = ("chassis", "front", "rear")
-"""Parts of the robot in the order of the arrays' first axis."""
-
 
 def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:
     """Return the centres of the round ends, (3, 2, 2) in world [m].
 
-    Axes: part as in ``PARTS``, end (rear, front), coordinate (x, z). The hinges of the front and
-    the rear flippers are ``[0, 1]`` and ``[0, 0]``; the flippers' tips ``[1, 1]`` and ``[2, 0]``.
+    Axes: part (chassis, front, rear), end (rear, front), coordinate (x, z). The hinges of the
+    front and the rear flippers are ``[0, 1]`` and ``[0, 0]``; the flippers' tips ``[1, 1]`` and
+    ``[2, 0]``.
     """
     ahead = robot.hinge_offset * _direction(state.pitch)
     front_hinge, rear_hinge = state.position + ahead, state.position - ahead
@@ -32,16 +30,14 @@ def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:
     return np.array([[rear_hinge, front_hinge], [front_hinge, front_tip], [rear_tip, rear_hinge]])
 
 
-def outlines(
-    state: RobotState, robot: RobotGeometry, inset: float = 0.0, arc: int = 13
-) -> FloatArray:
-    """Return the outlines of the three parts as closed polygons, (3, 2·arc, 2) in world [m].
+def outlines(state: RobotState, robot: RobotGeometry, inset: float = 0.0) -> FloatArray:
+    """Return the outlines of the three parts as closed polygons, (3, 26, 2) in world [m].
 
     The outlines are moved inward by ``inset`` [m], as for the inner side of a belt of that
-    thickness; ``arc`` is the number of points on each round end.
+    thickness.
     """
     radius = robot.track_radius - inset
-    return np.stack([capsule(a, b, radius, arc) for a, b in axles(state, robot)])
+    return np.stack([capsule(a, b, radius) for a, b in axles(state, robot)])
 
 
 def capsule(rear: ArrayLike, front: ArrayLike, radius: float, arc: int = 13) -> FloatArray:

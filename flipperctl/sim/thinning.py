@@ -1,64 +1,10 @@
-"""Chooses the points of a fine polyline that a rolling track can feel, as machine code.
-
-In: a polyline whose x never decreases, tolerances [m]. Out: which of its points to keep.
-"""
+"""``core.thinning.kept_points`` as machine code."""
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray
+from flipperctl.core import thinning
 from flipperctl.sim.jit import cached
 
-
-@cached(njit)
-def kept_points(
-    points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float
-) -> NDArray[np.bool_]:
-    """Return which of the (V, 2) points [m] to keep, (V,); ``fixed`` points are always kept.
-
-    After each kept point, the next kept point is the farthest for which the omitted points
-    between both either lie within ``tolerance`` [m] of the straight line between them (the cone
-    test of Imai and Iri 1988), or all lie below that line, which is then at most ``span`` [m]
-    long.
-    """
-    count = len(points)
-    keep = np.zeros(count, dtype=np.bool_)
-    keep[0] = True
-    start = 0
-    while start < count - 1:
-        start = _farthest(points, fixed, tolerance, span, start)
-        keep[start] = True
-    return keep
-
-
-@cached(njit)
-def _farthest(
-    points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float, start: int
-) -> int:
-    """Return the index of the point after ``start`` in the thinned polyline."""
-    best = start + 1
-    low, high, longest = -math.inf, math.inf, 0.0  # directions of lines within the tolerance
-    steepest, height = -math.inf, 0.0  # direction and distance of the upper hull's last point
-    for j in range(start + 1, len(points)):
-        dx, dz = points[j, 0] - points[start, 0], points[j, 1] - points[start, 1]
-        distance, direction = math.hypot(dx, dz), math.atan2(dz, dx)
-        if low <= direction <= high and distance >= longest:
-            best = j
-        if direction > steepest or (direction == steepest and distance >= height):
-            steepest, height = direction, distance
-            if distance <= span:
-                best = j
-        if fixed[j]:
-            break
-        if distance > tolerance:
-            half = math.asin(tolerance / distance)
-            low, high = max(low, direction - half), min(high, direction + half)
-        longest = max(longest, distance)
-        if low > high and dx > span:
-            break
-    return best
+kept_points = cached(njit)(thinning.kept_points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from flipperctl.api import Engine
-from flipperctl.guard import fault, refusal, short_repr
+from flipperctl.guard import naming, refusal, short_repr
 
 
 def engine_versions(engine: Engine) -> dict[str, str]:
@@ -14,11 +14,9 @@ def engine_versions(engine: Engine) -> dict[str, str]:
     Raises:
         PluginFailedError: the engine's code failed, or returned no mapping of text to text.
     """
-    try:
+    with naming(engine, "versions"):  # what it returned may fail as well
         found: object = engine.versions()
         versions = dict(found) if isinstance(found, Mapping) else {}
-    except BaseException as error:
-        raise fault(error, engine, "versions") from error
     texts = all(isinstance(text, str) for item in versions.items() for text in item)
     if not (isinstance(found, Mapping) and texts):
         text = f"returned {short_repr(found)}; allowed: a mapping of names to texts"

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, FloatArray, Mounting, Profile, Robot, RobotState, Start, World
+from flipperctl.api import FloatArray, Mounting, Profile, Robot, RobotState, Start, World
 from flipperctl.config import EnvConfig
+from flipperctl.core.observation import ANGLES
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.env.world import place as place_guarded
 from flipperctl.runtime.interface import Interface
@@ -71,7 +72,8 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     )
     yield probe("velocity along x", "m/s", state.velocity[0], drive / 2, 0.1 * drive)
     yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
-    step, samples = min(robot.angle_step, robot.angle_limit), round(100 * robot.decision_period)
+    step = min(robot.angle_step, robot.angle_limit)
+    samples = round(100 * (robot.angle_step / robot.flipper_speed))
     for pair, index in (("front", 0), ("rear", 1)):
         world = place(_FLAT, 0.0)
         targets = [step if i == index else 0.0 for i in range(2)]
@@ -137,9 +139,10 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
     """Yield the probes of an exported policy's actions, targets and timing beside a robot's."""
-    for index, moves in enumerate(ACTIONS):
-        for side, pair in enumerate(("front", "rear")):
-            found, expected = float(interface.actions[index, side]), moves[side] * robot.angle_step
+    turns = robot.actions.turns(robot.angle_step)
+    for index, row in enumerate(turns.tolist()):
+        for side, (pair, expected) in enumerate(zip(robot.actions.joints, row, strict=True)):
+            found = float(interface.actions[index, side])
             yield Probe(
                 file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
             )
@@ -151,6 +154,5 @@ def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Prob
         yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
     period = interface.decision_period
     yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
-    names = [quantity.name for quantity in interface.observation[-3:]]
-    right = names == ["theta_f1", "theta_f2", "theta_R"]
+    right = tuple(quantity.name for quantity in interface.observation[-3:]) == ANGLES
     yield Probe(file, "order of the angles: front, rear, pitch", "-", float(right), 1.0, 0.0)

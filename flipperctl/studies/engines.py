@@ -14,7 +14,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Outcome, Perception, Policy, Simulator, action_index
+from flipperctl.api import (
+    FloatArray,
+    Outcome,
+    Perception,
+    Policy,
+    SharedSetting,
+    Simulator,
+    action_index,
+)
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
@@ -30,7 +38,7 @@ TIME_TOLERANCE = 0.03
 _ALONG = 0.002
 """Distance between the places at which pitches are compared [m], one sample's way."""
 
-_SHARED = ("friction", "gravity")
+_SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
 """Settings that the default engine takes over from the other one."""
 Config = TypeVar("Config", bound=EnvConfig)
 
@@ -138,7 +146,8 @@ def in_default_engine(config: Config) -> Config:
             f"sim: sim={DEFAULT_ENGINE} is what the other engine is compared with; "
             "choose another one, as in sim=mujoco"
         )
-    shared = {name: getattr(sim, name) for name in _SHARED if name in type(sim).model_fields}
+    known = {name: sim.shared_setting(name) for name in _SHARED}
+    shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
     settings = {"name": DEFAULT_ENGINE, **shared}
     return config.model_copy(update={"sim": resolver.create("sim", settings, "sim")})
 

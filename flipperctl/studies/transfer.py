@@ -218,7 +218,8 @@ def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
     if outcome is Outcome.OVERTURNED:
         if abs(end.pitch) >= overturn:
             return Cause.OVERTURNED
-        rolled = abs(end.roll) >= getattr(config.sim, "roll_limit", overturn)
+        limit = config.sim.shared_setting("roll_limit")
+        rolled = abs(end.roll) >= (overturn if limit is None else limit)
         return Cause.ROLL if rolled else Cause.HEADING
     astray = abs(end.yaw) > _ASTRAY or abs(end.side) > _ASIDE
     return Cause.HEADING if astray else Cause.STUCK
@@ -226,13 +227,13 @@ def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
 
 def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
     """Return whether the episode reaches the finish with more friction."""
-    own = getattr(config.sim, "friction", None)
+    own = config.sim.shared_setting("friction")
     if own is None:
         return False
-    sampled = config.randomise.friction
-    changed = {"sim.friction": min(_HIGHEST, _FRICTION * own)}
+    sampled = config.randomise.find("sim", "friction")
+    changed: dict[str, object] = {"sim.friction": min(_HIGHEST, _FRICTION * own)}
     if sampled is not None:
-        changed = {"randomise.friction": [min(_HIGHEST, _FRICTION * mu) for mu in sampled]}
+        changed = {sampled.key: [min(_HIGHEST, _FRICTION * mu) for mu in sampled.ends]}
     try:
         config = with_overrides(config, changed)
     except ConfigError:  # beyond what the engine simulates

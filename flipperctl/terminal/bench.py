@@ -1,4 +1,4 @@
-"""Progress and result tables of ``flipperctl bench``."""
+"""Progress and result tables of measures."""
 
 from __future__ import annotations
 
@@ -62,14 +62,15 @@ class Lines:
 
 
 def tables(document: dict[str, Any]) -> Iterator[Table]:
-    """Yield one table per measure: medians with quartiles, then ratios."""
-    limit = document["settings"]["limit"]
+    """Yield one table per measure: medians with quartiles, then ratios.
+
+    ``unfinished`` of a measure is shown in place of a median that falls on an unfinished run.
+    """
     for name, found in document["measures"].items():
         headings = ("quantity", "median", "quartiles", "unit")
         table = Table(headings, f"{name}: {found['about']}", right=["median", "quartiles"])
         for what, q in found["quantities"].items():
-            late = f"not within {limit:g} s" if name == "solve" else "–"
-            median = late if q["median"] is None else number(q["median"])
+            median = found.get("unfinished", "–") if q["median"] is None else number(q["median"])
             table.add(what, median, _range(q), q["unit"])
         table.end_section()
         for what, r in found["ratios"].items():

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from flipperctl.env.measures import Measure
+from flipperctl.api import Measure
+from flipperctl.env.metrics import further_measures, heading
 from flipperctl.evaluation.conditions import scene_names
-from flipperctl.evaluation.episode import further_measures
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
     BaselineResult,
@@ -39,7 +39,7 @@ def table(result: EvaluationResult, label: str) -> Table:
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
         *(HEADING, PAPERS_HEADING, *((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
-        *(measure.heading for measure in _further()),
+        *map(heading, further_measures()),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
     found = Table(headings, title, words=["outcomes"])
@@ -55,7 +55,7 @@ def table(result: EvaluationResult, label: str) -> Table:
             interval_text(summary.t_cost, 1),
             interval_text(summary.max_pitch),
             interval_text(summary.flipper_travel),
-            *(interval_text(summary.further[m.name], m.digits) for m in _further()),
+            *(interval_text(summary.further[m.plugin_name], m.digits) for m in further_measures()),
         ]
 
     for name, scene in _named(result):
@@ -82,6 +82,7 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
         *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
+        *(_difference_heading(measure) for measure in further_measures()),
     ]
     found = Table(headings, title)
     for name, other in compared:
@@ -135,9 +136,10 @@ def _failed_text(summary: Summary) -> str:
     return interval_text(failed.pitch_variation_100hz if failed else None)
 
 
-def _further() -> list[type[Measure]]:
-    """Return the further measures that have a heading."""
-    return [measure for measure in further_measures() if measure.heading]
+def _difference_heading(measure: type[Measure]) -> str:
+    whole = "" if measure.reached_only else ", all pairs"
+    better = f", {measure.better} is better" if measure.better else ""
+    return f"Δ {heading(measure)}{whole}{better}"
 
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
@@ -151,4 +153,5 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
         interval_text(swing),
         interval_text(difference.pitch_variation),
         interval_text(difference.t_cost, 1),
+        *(interval_text(difference.further[m.plugin_name], m.digits) for m in further_measures()),
     ]

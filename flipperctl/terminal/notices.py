@@ -46,5 +46,3 @@ def _notices(plugin: Plugin) -> tuple[str, ...]:
         return plugin.notices()
     except ValueError:
         return ()  # its use raises the error that says why
-    except BaseException as error:
-        raise guard.fault(error, plugin, "notices") from error

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
+from flipperctl.api import Listener
 from flipperctl.terminal.console import console
 from flipperctl.terminal.pitch_variation import swing_text
-from flipperctl.training.events import Listener
 
 _PLAIN_EVERY = 10.0  # [s]
 _KNOWN_AFTER = 20.0  # [s]; before it, compiling and starting workers hide the rate

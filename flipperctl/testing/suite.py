@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from flipperctl import plugins as loader
-from flipperctl.api import Plugin
+from flipperctl.api import Logger, Plugin
 from flipperctl.testing import common
 from flipperctl.testing.check import Check, run_on_variants
 from flipperctl.testing.variants import Variant, variants
@@ -80,6 +80,12 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("finite", reward.finite)
             yield at_all("bounded", reward.bounded)
             yield at_all("pure", reward.pure)
+        case "measure":
+            from flipperctl.testing import measure
+
+            yield at_defaults("named", measure.named)
+            yield at_defaults("finite", measure.finite)
+            yield at_defaults("pure", measure.pure)
         case "network":
             from flipperctl.testing import network
 
@@ -113,6 +119,11 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("repeats", sensor.repeats)
             yield at_all("returns", sensor.returns)
             yield at_defaults("portable", sensor.portable)
+        case "logger":
+            from flipperctl.testing import logger
+
+            if issubclass(cls, Logger) and not cls.remote:
+                yield at_defaults("records", logger.records)
 
 
 def _check_pictures(cases: list[Variant], folder: Path | None) -> None:

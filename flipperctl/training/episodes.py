@@ -14,7 +14,7 @@ from flipperctl.config import TrainConfig, container
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
@@ -89,7 +89,7 @@ class EpisodeSource:
         if teacher.controller is not None:
             policy = TaughtPolicy(
                 policy,
-                PluginPolicy(teacher.controller),
+                plugin_policy(teacher.controller),
                 teacher,
                 lambda: self._progress.decision >= starts,
                 self._rng,

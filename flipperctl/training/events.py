@@ -1,42 +1,23 @@
-"""The records of a training run: ``metrics.csv`` and TensorBoard events.
+"""``metrics.csv``, the record that every training run writes.
 
-Both are listeners of the trainer; both can continue from an earlier decision when a run is resumed.
+Its writer is a listener of the trainer; in a resumed run it continues from an earlier decision.
 """
 
 from __future__ import annotations
 
 import csv
-import os
-import socket
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
-from flipperctl.env import measures
+from flipperctl.env.metrics import measures
 from flipperctl.errors import WriteError
-from flipperctl.files import failure, make_folder, write_csv
-
-
-class Listener(Protocol):
-    """Receives every episode that ends, every validation and every note for the user."""
-
-    def episode(self, row: Mapping[str, Any]) -> None:
-        """Record a training episode that ended."""
-
-    def validation(self, row: Mapping[str, Any]) -> None:
-        """Record a validation."""
-
-    def note(self, text: str) -> None:
-        """Record an event that the user should know, as a sentence."""
-
-    def close(self) -> None:
-        """Release resources; called once, also when the run failed."""
+from flipperctl.files import failure, write_csv
 
 
 def columns() -> tuple[str, ...]:
     """Return the columns that every ``metrics.csv`` has."""
-    named = [measure.name for measure in measures.MEASURES if measure.name != "decisions"]
+    named = [name for name in measures() if name != "decisions"]
     return (
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
         *("success_rate", "decisions", "return", *named),
@@ -90,77 +71,6 @@ class MetricsCsv:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-class TensorBoard:
-    """Writes scalars under ``episode/`` and ``validation/``, with decisions as steps.
-
-    The events are those of torch's SummaryWriter, but they are written in this thread: the thread
-    of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
-    """
-
-    def __init__(self, folder: Path, resume_at: int | None = None) -> None:
-        """``resume_at``: decision after which earlier events are dropped; None for a new run."""
-        from tensorboard.summary.writer.record_writer import RecordWriter
-
-        make_folder(folder)
-        host, process = socket.gethostname(), os.getpid()
-        name = f"events.out.tfevents.{int(time.time()):010d}.{host}.{process}.{time.time_ns()}"
-        self._path = folder / name
-        self._file = self._path.open("wb")
-        self._writer: Any = RecordWriter(self._file)
-        try:
-            self._event(file_version="brain.Event:2")
-            if resume_at is not None:
-                self._drop_after(resume_at)
-        except BaseException:
-            self._file.close()
-            raise
-
-    def episode(self, row: Mapping[str, Any]) -> None:
-        """Write the row's numbers."""
-        self._scalars("episode", row)
-
-    def validation(self, row: Mapping[str, Any]) -> None:
-        """Write the row's numbers."""
-        self._scalars("validation", row)
-        self._attempt(self._file.flush)
-
-    def note(self, text: str) -> None:
-        """Write the note as text."""
-        from torch.utils.tensorboard import summary
-
-        self._event(summary=cast("Any", summary).text("note", text))
-
-    def _scalars(self, group: str, row: Mapping[str, Any]) -> None:
-        from torch.utils.tensorboard import summary
-
-        scalar = cast("Any", summary).scalar
-        for name, value in row.items():
-            if isinstance(value, int | float) and name not in ("decision", "episode", "seed"):
-                self._event(summary=scalar(f"{group}/{name}", value), step=row["decision"])
-
-    def _drop_after(self, decision: int) -> None:
-        """Make viewers drop the events after this decision from an earlier start of the run."""
-        from tensorboard.compat.proto.event_pb2 import SessionLog
-
-        self._event(session_log=SessionLog(status=SessionLog.START), step=decision + 1)
-
-    def _event(self, **fields: Any) -> None:
-        from tensorboard.compat.proto.event_pb2 import Event
-
-        event = Event(wall_time=time.time(), **fields).SerializeToString()
-        self._attempt(lambda: self._writer.write(event))
-
-    def _attempt(self, write: Callable[[], object]) -> None:
-        try:
-            write()
-        except OSError as error:
-            raise failure(self._path, error) from error
-
-    def close(self) -> None:
-        """Flush and close the file."""
-        self._attempt(self._file.close)
 
 
 def _complete_rows(path: Path) -> list[dict[str, str]]:

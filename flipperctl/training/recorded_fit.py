@@ -14,6 +14,7 @@ from typing import Any
 from flipperctl.api import ObservationLayout, Robot
 from flipperctl.checkpoint.recording import EnvironmentOutline, Recording
 from flipperctl.config import TrainConfig, container
+from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.errors import ConfigError
 
 _SECTIONS = ("sim", "perception", "episode", "randomise")
@@ -41,6 +42,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     It is empty if there are none.
     """
     ours = container(config.environment())
+    ours["randomise"] = _with_paths(ours["randomise"])
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
         "perception": ObservationLayout.model_fields.keys(),
@@ -52,12 +54,22 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
         for text in _differing(
             section,
             {k: v for k, v in ours[section].items() if k not in left_out.get(section, ())},
-            environment.model_dump(mode="json").get(section, {}),
+            _section(environment, section),
         )
     )
     if not texts:
         return ""
     return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
+
+
+def _section(environment: EnvironmentOutline, section: str) -> dict[str, Any]:
+    found = environment.model_dump(mode="json").get(section, {})
+    return _with_paths(found) if section == "randomise" else found
+
+
+def _with_paths(randomise: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section with the mappings of paths, which files leave out if they are empty."""
+    return {**randomise, **{section: randomise.get(section, {}) for section in PATH_SECTIONS}}
 
 
 def _check_layout(config: TrainConfig, path: Path, environment: EnvironmentOutline) -> None:
@@ -76,8 +88,8 @@ def _check_robot(robot: Robot, path: Path, environment: EnvironmentOutline) -> N
     texts = list(_differing("robot", ours, theirs))
     if not texts:
         return
-    period, own = theirs["angle_step"] / theirs["flipper_speed"], robot.decision_period
-    if period != own:
+    period = theirs["control_period"] or theirs["angle_step"] / theirs["flipper_speed"]
+    if period != (own := robot.decision_period):
         texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
     settings = [f"robot.{k}={v}" for k, v in theirs.items() if v != ours.get(k)]
     raise ConfigError(

@@ -21,7 +21,7 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
-from flipperctl.api import ACTIONS, Outcome
+from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig
@@ -33,7 +33,6 @@ from flipperctl.rollout.episode import Row
 from flipperctl.rollout.values import RolloutRequest, Step
 from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
-from flipperctl.training.events import Listener
 from flipperctl.training.progress import Progress
 from flipperctl.training.recorded import fill, read_teacher
 from flipperctl.training.recorded_fit import differing_conditions

@@ -4,19 +4,19 @@ import math
 
 import pytest
 
-from flipperctl.bench.settings import Bench, sizes
+from flipperctl.bench.settings import Bench, BenchSettings
+from flipperctl.cli.bench import suite
 from flipperctl.config import TrainConfig
 
 UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
 
 
-def small_bench(**changes: object) -> Bench:
-    """Return small settings on steps, whose runs end by their budget and not by the clock."""
+def small_bench(**changes: object) -> Bench[BenchSettings]:
+    """Return small sizes on steps, whose runs end by their budget and not by the clock."""
     config = TrainConfig(
         terrain="step", network="at_d3qn", seed=3, train={"decisions": 250, "workers": 2}
     )
-    changes = {"limit": 3600.0, **changes}
-    return Bench(config, sizes(small=True, changes=changes))
+    return Bench(config, suite().settings(small=True, changes=changes))
 
 
 def check(found: dict) -> None:

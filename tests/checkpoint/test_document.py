@@ -39,6 +39,7 @@ def last(short_run: Path, tmp_path: Path) -> Path:
         ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
         ({"plugins.0": "step"}, "document.plugins.0: "),
         ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
+        ({"actions.joints": ["left", "right"]}, "document.actions: they turn left, right by 9 act"),
         ({"versions": []}, "document.versions: "),
         ({"versions.torch": 2}, "document.versions.torch: "),
         ({"padding": "x"}, "document.padding: there is no such key"),

@@ -164,7 +164,7 @@ def test_the_mark_of_a_stop_is_seen_by_jobs_and_removed(tmp_path: Path) -> None:
 
 def test_differing_settings_have_both_values(whole: Path) -> None:
     _, config = run_folder.read(whole / "0_seed=1")
-    other = config.model_copy(update={"seed": 7})
+    other = config.model_copy(update={"seed": 7, "logger": {}})  # loggers do not change a run
     assert run_folder.differing_settings(config, config) == []
     assert run_folder.differing_settings(config, other) == ["seed: 1 there, 7 here"]
     assert json.loads((whole / "0_seed=1" / "summary.json").read_text())["seed"] == 1

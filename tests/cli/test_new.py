@@ -13,7 +13,7 @@ from tests.cli.call import RUN, Done, call
 from tests.cli.test_errors import refused
 
 ROOT = Path(__file__).parents[2]
-KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor")
+KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
 QUICK = [f"{key}={value}" for key, value in RUN.items()]
 
 
@@ -67,6 +67,7 @@ def test_what_is_new_passes_the_conformance_suite(
         ("network", ["inspect", "config", "network=my_network"]),
         ("controller", ["eval", "--controller", "my_controller", "terrain=step"]),
         ("engine", ["eval", "--controller", "okada", "sim=my_engine", "terrain=step"]),
+        ("measure", ["eval", "--controller", "okada", "terrain=step"]),
         ("sensor", ["eval", "--controller", "okada", "perception=my_sensor", "terrain=step"]),
     ],
 )

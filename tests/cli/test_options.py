@@ -67,7 +67,7 @@ OKADA = ("--controller", "okada")
             "--episodes 3 and eval.episodes=4",
         ),
         (
-            ("bench", "startup", "--repeats", "3", "bench.repeats=4"),
+            ("bench", "latency", "--repeats", "3", "bench.repeats=4"),
             "bench.repeats",
             "--repeats 3 and bench.repeats=4",
         ),
@@ -90,7 +90,7 @@ OKADA = ("--controller", "okada")
         (("train", "-m", "seed=1,2", "seed=3"), "seed", "seed=1,2 and seed=3"),
         (("train", "hydra.run.dir=a", "hydra.run.dir=b"), "hydra.run.dir", "a and hydra.run.dir=b"),
         (("train", "--info", "all", "seed=1", "seed=2"), "seed", "seed=1 and seed=2"),
-        (("bench", "bench.seeds=1", "bench.seeds=2"), "bench.seeds", "=1 and bench.seeds=2"),
+        (("bench", "bench.calls=10", "bench.calls=20"), "bench.calls", "=10 and bench.calls=20"),
         (
             ("inspect", "reward", "--compare", "okada,level", "seed=1", "seed=1"),
             "seed",

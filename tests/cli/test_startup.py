@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.bench.discovery import install
+from benchmarks.discovery import install
 from flipperctl.cli.inspect import VIEWS
 from flipperctl.cli.main import COMMANDS
 from tests.cli.call import call

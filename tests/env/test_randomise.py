@@ -7,8 +7,8 @@ import pytest
 
 from flipperctl import plugins
 from flipperctl.api import Robot
-from flipperctl.config import EnvConfig, resolver, with_overrides
-from flipperctl.config.randomise import Randomise
+from flipperctl.config import EnvConfig, container, resolver, with_overrides
+from flipperctl.config.randomise import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.rollout.episode import play
@@ -52,7 +52,7 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
-    assert {*RANGES, "occlusion"} == set(Randomise.model_fields)
+    assert {*RANGES, "occlusion", *PATH_SECTIONS} == set(Randomise.model_fields)
     for seed in range(5):
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
@@ -75,17 +75,48 @@ def test_a_drawn_value_acts_as_the_setting_itself() -> None:
         "perception.pitch_bias": 0.05,
     }
     drawn = {f"randomise.{key.partition('.')[2]}": [value, value] for key, value in fixed.items()}
-    one, other = episode(3, **fixed), episode(3, **drawn)
+    by_path = {f"randomise.{key}": value for key, value in fixed.items()}
+    one, other, third = episode(3, **fixed), episode(3, **drawn), episode(3, **by_path)
     assert {name: other[name] for name in one} == one
+    assert {name: third[name] for name in (*one, *fixed)} == {**one, **fixed}
     assert one["pitch_variation"] != episode(3)["pitch_variation"]
 
 
 def test_a_sampled_substep_divides_the_sampling_time() -> None:
-    randomise = Randomise(substep=(0.0025, 0.005), iterations=(10, 12))
-    values = [randomise.sample(np.random.default_rng(seed)) for seed in range(40)]
+    found = config(randomise={"substep": (0.0025, 0.005), "sim": {"iterations": (10, 12)}})
+    values = [found.sample(np.random.default_rng(seed)) for seed in range(40)]
     ratios = {round(0.01 / value["substep"], 9) for value in values}
     assert ratios == {2.0, 3.0, 4.0}
-    assert {value["iterations"] for value in values} == {10, 11, 12}
+    assert {value["sim.iterations"] for value in values} == {10, 11, 12}
+    assert isinstance(values[0]["sim.iterations"], int)
+
+
+def test_a_path_samples_as_its_short_form_and_leaves_others_alone() -> None:
+    short = {"track_speed": [0.15, 0.25], "occlusion": 0.5}
+    paths = {"robot": {"chassis_length": [0.7, 0.8]}, "perception": {"density": [60, 90]}}
+    by_path = {"robot": {"track_speed": [0.15, 0.25]}, "perception": {"occlusion": 0.5}}
+    for seed in range(5):
+        one, more, other = (
+            config(randomise=given).sample(np.random.default_rng(seed))
+            for given in (short, {**short, **paths}, by_path)
+        )
+        assert list(more) == [*one, "robot.chassis_length", "perception.density"]
+        assert {name: more[name] for name in one} == one
+        # A short switch is sampled after all short ranges, as this path is after this range.
+        assert list(other.values()) == list(one.values())
+
+
+def test_the_order_of_paths_and_none_do_not_matter() -> None:
+    one = config(**{"randomise.sim.gravity": [9, 10], "randomise.sim.friction": [0.5, 1]})
+    other = config(**{"randomise.sim.friction": [0.5, 1], "randomise.sim.gravity": [9, 10]})
+    rng = np.random.default_rng
+    assert one.sample(rng(1)) == other.sample(rng(1))
+    dropped = with_overrides(
+        one, {"randomise.sim.gravity": None, "randomise": {"sim": {"friction": None}}}
+    )
+    # Files and hashes of configurations without paths are those of version 0.2.
+    assert "sim" not in container(dropped)["randomise"]
+    assert with_overrides(one, {}) == one
 
 
 def test_occlusion_is_on_with_its_probability() -> None:
@@ -179,6 +210,19 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
         ({"iterations": [0.2, 5]}, r"^randomise\.iterations: .*≥ 1"),
         ({"delay": [0.1, 0.5], "actuator_delay": [0.0, 0.5]}, None),  # a decision takes 0.6 s
         ({"track_speed": [0.001, 0.2]}, r"^episode\.stuck_progress: .*a robot of 0\.001 m/s"),
+        ({"robot": {"track_speed": [0.001, 0.2]}}, r"^episode\.stuck_progress: .*0\.001 m/s"),
+        ({"robot": {"actuator_delay": [0.0, 0.5]}, "delay": [0, 0.2]}, None),
+        ({"sim": {"friction": [0.5, 20]}}, r"^randomise\.sim\.friction: .*10.*20"),
+        ({"sim": {"frictoin": [0.5, 1]}}, r"^randomise\.sim\.frictoin: sim=planar.*'friction'"),
+        ({"sim": {"engine": [0.5, 1]}}, r"^randomise\.sim\.engine: it is no number.*iterations"),
+        ({"sim": {"friction": [2, 1]}}, r"^randomise\.sim\.friction: .*low ≤ high"),
+        ({"sim": {"friction": "much"}}, r"^randomise\.sim\.friction: .*the value is 'much'"),
+        ({"sim": {"friction": 1}, "friction": 1}, r"sim\.friction: .*randomise\.friction samples"),
+        ({"robot": {"angle_step": 0.2}}, r"^randomise\.robot\.angle_step: policies rely on it"),
+        ({"perception": {"bins": [3, 9]}}, r"^randomise\.perception\.bins: policies rely on it"),
+        ({"perception": {"occlusion": [0, 1]}}, r"^randomise\.perception\.occlusion: a prob"),
+        ({"terrain": {"height": [0, 1]}}, r"^randomise\.terrain: there is no such key"),
+        ({"robot": {"track_radius": [0.1, 0.4]}}, r"^randomise\.robot\.track_radius: chassis_len"),
     ],
 )  # fmt: skip
 def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str | None) -> None:
@@ -196,7 +240,7 @@ def test_every_sampled_robot_is_possible() -> None:
         **{"randomise.flipper_length": [0.21, 0.5], "randomise.track_radius": [0.05, 0.1]}
     )
     for seed in range(50):
-        drawn = found.randomise.sample(np.random.default_rng(seed))
+        drawn = found.sample(np.random.default_rng(seed))
         _, robot, _ = found.with_drawn_values(drawn)
         assert robot.flipper_axle > 0
         assert Robot(**robot.model_dump()) == robot

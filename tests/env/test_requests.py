@@ -86,11 +86,28 @@ def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
         ),
         ({"robot.track_radius": 0.3}, "robot", "must exceed twice track_radius (0.3 m)"),
         ({"robot.angle_step": 0.004}, "robot.angle_step", "at least 0.01 s"),
+        ({"robot.control_period": 0.004}, "robot.control_period", "at least 0.01 s"),
+        (
+            {"robot.actuator_delay": 0.3, "robot.control_period": 0.2},
+            "robot.actuator_delay",
+            "0.2 s",
+        ),
         ({"robot.actuator_delay": 0.3, "robot.angle_step": 0.1}, "robot.actuator_delay", "0.229"),
         ({"perception.delay": 0.3, "robot.angle_step": 0.1}, "perception.delay", "0.229"),
         ({"episode.start_angle": -1.2}, "episode.start_angle", "robot.angle_limit, 1.0472 rad"),
         # 20 decisions of 0.6 s at 0.2 m/s are 2.4 m.
         ({"episode.stuck_progress": 2.5}, "episode.stuck_progress", "at most 2.4 m"),
+        # A progress over 3 s, which is 5 decisions, is at most 0.6 m.
+        (
+            {"episode.stuck_progress": 2.0, "episode.stuck_time": 3.0},
+            "episode.stuck_progress",
+            "at most 0.6 m",
+        ),
+        (
+            {"episode.stuck_window": 30, "episode.stuck_time": 3.0},
+            "episode",
+            "stuck_window (30 decisions) has no effect beside stuck_time (3 s)",
+        ),
         ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
     ],
     ids=str,
@@ -183,6 +200,20 @@ def test_a_reward_beyond_its_bounds_is_named_when_it_happens(registry: dict) -> 
         match=r"rewards\.mine: .*'broken'.*returned 0\.5 at time 1\.80 s; its bounds say -1 to 0",
     ):
         env.step(HOLD)
+
+
+def test_a_reward_that_raises_names_its_path_and_its_cause(registry: dict) -> None:
+    @reward("broken")
+    class Broken(RewardTerm):
+        def __call__(self, t: Transition) -> float:
+            return [][3]
+
+    env = FlipperEnv("flat", **{"rewards.mine": "broken"})
+    env.reset(seed=0)
+    text = r"reward 'broken' \(rewards\.mine\): __call__ raised IndexError: .*test_requests\.py:\d+"
+    with pytest.raises(PluginFailedError, match=text) as error:
+        env.step(HOLD)
+    assert isinstance(error.value.__cause__, IndexError)
 
 
 @pytest.mark.parametrize(

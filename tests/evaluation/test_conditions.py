@@ -77,6 +77,7 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
         **{
             "randomise.bias": [-0.01, 0.01],
             "randomise.dropout": [0, 0.2],
+            "randomise.perception.pitch_bias": [0, 0.1],
             "perception.noise": 0.01,
             "perception.occlusion": True,
             "sim.friction": 0.8,
@@ -85,7 +86,7 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
         }
     )
     assert changed.line() == (
-        "randomised dropout 0 to 0.2, bias -0.01 to 0.01 m; start ±0.05 m, flippers ±0.1 rad; "
-        "sensing noise 0.01 m, occlusion on; physics friction 0.8; robot chassis_mass 60 kg; "
-        "default episode"
+        "randomised dropout 0 to 0.2, bias -0.01 to 0.01 m, perception.pitch_bias 0 to 0.1 rad; "
+        "start ±0.05 m, flippers ±0.1 rad; sensing noise 0.01 m, occlusion on; "
+        "physics friction 0.8; robot chassis_mass 60 kg; default episode"
     )

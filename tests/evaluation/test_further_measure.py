@@ -1,56 +1,75 @@
-"""A measure that is added as a class and listed appears in rows, files, JSON and tables."""
+"""A measure given with --plugins appears in rows, files, JSON, tables, comparisons, validations."""
 
 import csv
 import json
 from pathlib import Path
-from typing import ClassVar
 
 import pytest
 
-from flipperctl.api import Transition
-from flipperctl.env import measures
+from flipperctl import plugins
+from flipperctl.config import resolver
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
+from flipperctl.rollout.episode import play
 from tests.cli.call import EXACT, call
 
-
-class Highest:
-    """The largest height of the chassis centre [m]."""
-
-    name: ClassVar[str] = "highest"
-    heading: ClassVar[str] = "highest [m]"
-    digits: ClassVar[int] = 3
-    reached_only: ClassVar[bool] = False
-
-    def __init__(self) -> None:
-        self.value = 0.0
-
-    def add(self, t: Transition) -> None:
-        self.value = max(self.value, float(t.path[:, 1].max()))
-
-
-@pytest.fixture(autouse=True)
-def _listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measures, "MEASURES", (*measures.MEASURES, Highest))
+EXAMPLE = str(Path(__file__).parents[2] / "examples" / "highest.py")
 
 
 def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
     flat = ["eval", "--controller", "level", "terrain=flat", "--episodes", "5"]
-    done = call(*flat, "--json", "--output", "out", cwd=tmp_path)
-    (scene,) = json.loads(done.out)["scenes"]
+    more = ["--baseline", "level", "--output", "out", "--plugins", EXAMPLE]
+    done = call(*flat, *more, cwd=tmp_path)
+    assert done.code == 0, done.err
+    for text in ("highest [m]", "0.100 [0.100, 0.100]", "Δ highest [m]", "0.000 [0.000, 0.000]"):
+        assert text in done.out
+    out = tmp_path / "out"
+    (scene,) = json.loads((out / "summary.json").read_text())["scenes"]
     # The chassis rests with its tracks' radius of 0.1 m above the ground.
     assert scene["highest"]["mean"] == pytest.approx(0.1, abs=1e-3)
-    with (tmp_path / "out" / "episodes.csv").open(newline="") as file:
-        assert [float(row["highest"]) for row in csv.DictReader(file)] == pytest.approx(
-            [0.1] * 5, abs=1e-3
-        )
-    table = call(*flat, cwd=tmp_path).out
-    assert "highest [m]" in table
-    assert "0.100 [0.100, 0.100]" in table
+    difference = {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 5}
+    assert scene["baseline"]["difference"]["highest"] == difference
+    for name in ("episodes.csv", "table.csv"):
+        with (out / name).open(newline="") as file:
+            values = [float(row["highest"]) for row in csv.DictReader(file)]
+        assert values == pytest.approx([0.1] * len(values), abs=1e-3)
+    assert "highest [m]" in (out / "table.tex").read_text()
 
 
 def test_training_writes_it_down(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in EXACT.items()]
-    done = call("train", "terrain=flat", *settings, "hydra.run.dir=run", cwd=tmp_path)
+    command = ["train", "terrain=flat", *settings, "hydra.run.dir=run", "--plugins", EXAMPLE]
+    done = call(*command, cwd=tmp_path)
     assert done.code == 0, done.err
     with (tmp_path / "run" / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
+    assert {row["kind"] for row in rows} == {"episode", "validation"}
     assert all(float(row["highest"]) > 0.09 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "words"),
+    [
+        ("odd", "1 / 0", PluginFailedError, "measure 'odd': __call__ raised ZeroDivisionError"),
+        ("odd", "float('nan')", NonFiniteError, "measure 'odd': __call__ returned nan"),
+        ("odd", "'much'", PluginFailedError, "measure 'odd': __call__ returned 'much'"),
+        ("friction", "1.0", PluginError, "files have another column or key 'friction'"),
+    ],
+)
+def test_a_measure_that_fails_is_named(
+    name: str, value: str, error: type[Exception], words: str, registry: dict, tmp_path: Path
+) -> None:
+    file = tmp_path / "odd.py"
+    file.write_text(
+        "from flipperctl.api import Measure, measure\n"
+        f"@measure({name!r})\n"
+        "class Odd(Measure):\n"
+        '    """An odd measure."""\n'
+        "    def __call__(self, episode):\n"
+        f"        return {value}\n"
+    )
+    plugins.load([file])
+    level = resolver.create("controller", "level", "controller").build()
+    with pytest.raises(error, match=words) as caught:
+        play(FlipperEnv("flat"), level, 0)
+    assert "odd.py" in str(caught.value)

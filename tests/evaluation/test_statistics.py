@@ -9,7 +9,6 @@ from flipperctl.evaluation.statistics import (
     measure,
     paired,
     reached,
-    success_rate,
     summarise,
 )
 from tests.evaluation.samples import sample
@@ -123,4 +122,3 @@ def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
 def test_rows_of_a_training_are_counted_alike() -> None:
     rows = [{"outcome": "reached"}, {"outcome": "stuck"}, {"outcome": "reached"}, {"outcome": ""}]
     assert reached(rows) == [rows[0], rows[2]]
-    assert success_rate(rows) == 0.5

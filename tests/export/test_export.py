@@ -62,6 +62,7 @@ def test_onnx_describes_itself(saved: checkpoint.Checkpoint, onnx_file: Path) ->
     assert np.shape(actions) == (9, 2)
     # action = 3·(i + 1) + (j + 1): index 5 is front 0, rear +1 · π/12
     assert actions[5] == pytest.approx([0.0, math.pi / 12])
+    assert json.loads(properties["flipperctl.joints"]) == ["front", "rear"]
     targets = json.loads(properties["flipperctl.targets"])
     assert (targets["window"], targets["limit"]) == pytest.approx((math.pi / 12, math.pi / 3))
     assert float(properties["flipperctl.decision_period"]) == pytest.approx(0.6)

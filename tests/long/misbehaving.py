@@ -26,11 +26,12 @@ LIMIT = 90.0
 """Longest time of a command [s]; worker processes import torch again, on a busy machine."""
 ROOM = 6 * 2**30
 """Address space that a command may use beyond that of this process [B]."""
-SHORT = (
-    *("terrain=flat", "train.decisions=60", "train.validate_every=30", "agent.batch_size=8"),
+BRIEF = (
+    *("train.decisions=60", "train.validate_every=30", "agent.batch_size=8"),
     *("train.validation_episodes=1", "agent.learning_starts=16", "agent.epsilon_decisions=1"),
     *("agent.epsilon_start=0", "agent.epsilon_end=0", "episode.run_out=0.2"),
 )
+SHORT = ("terrain=flat", *BRIEF)
 DRIVEN = ("terrain=flat", "--episodes", "2")
 LOOKS = ("--controller", "looking")
 """The controller beside the engine, which saves and loads the world that it looks ahead in."""
@@ -40,8 +41,8 @@ COMMANDS = {
         "inspect terrain": ["inspect", "terrain", "odd"],
         "eval": ["eval", "--controller", "level", "--episodes", "2", "terrain=odd"],
         "eval --jobs": ["eval", "--controller", "level", "--episodes=2", "--jobs=2", "terrain=odd"],
-        "train": ["train", *SHORT, "terrain=odd", "train.mode=exact"],
-        "train fast": ["train", *SHORT, "terrain=odd"],
+        "train": ["train", *BRIEF, "terrain=odd", "train.mode=exact"],
+        "train fast": ["train", *BRIEF, "terrain=odd"],
         "inspect config": ["inspect", "config", "terrain=odd"],
     },
     "reward": {

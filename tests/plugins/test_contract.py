@@ -9,7 +9,7 @@ from flipperctl.testing import Check, checks
 
 pytestmark = pytest.mark.slow
 
-KINDS = ("terrain", "reward", "network", "controller", "sim", "perception")
+KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "measure", "logger")
 
 
 @pytest.mark.parametrize("check", checks(*registry.values()), ids=str)

@@ -67,7 +67,7 @@ def test_another_layout_is_refused(exported: Path) -> None:
 
 def test_a_terrain_that_is_not_installed_is_named_and_not_needed_on_another(tmp_path: Path) -> None:
     moon = {"terrain": "moon", "terrain_config": {"name": "moon", "craters": 3}}
-    robot = {"robot": Robot().model_dump()}
+    robot = {"robot": Robot().model_dump(exclude_none=True)}
     linear.write(tmp_path / "p.onnx", **moon, **robot)
     mix = {"name": "mix", "parts": [{"name": "moon", "craters": 3}, {"name": "step"}]}
     linear.write(tmp_path / "mix.onnx", **robot, terrain="mix", terrain_config=mix)
@@ -96,7 +96,7 @@ def test_a_terrain_with_wrong_settings_is_still_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_states_no_rule_for_targets_says_what_differs(tmp_path: Path) -> None:
-    path = linear.write(tmp_path / "p.onnx", robot=Robot().model_dump())
+    path = linear.write(tmp_path / "p.onnx", robot=Robot().model_dump(exclude_none=True))
     done = call("eval", "--checkpoint", str(path), "--episodes", "1", cwd=tmp_path)
     assert done.code == 0, done.err
     assert done.err.count("does not state how a blocked flipper is turned: here its target") == 1

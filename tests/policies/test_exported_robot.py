@@ -17,7 +17,7 @@ from tests.runtime import linear
 
 STEP, LIMIT = math.pi / 12, math.pi / 3
 OWN = {
-    "robot": Robot().model_dump(),
+    "robot": Robot().model_dump(exclude_none=True),
     "targets": {"meaning": "x", "window": STEP, "limit": LIMIT},
 }
 
@@ -55,6 +55,11 @@ def build(file: Path, robot: dict[str, Any], **settings: Any) -> None:
             r"a decision period of 0\.6 s .* asks for 0\.523599\)",
             "robot.flipper_speed=0.5, or keep the file's period with randomise.flipper_speed=0.5",
         ),
+        (
+            {"control_period": 0.3},
+            r"a decision period of 0\.6 s \(robot\.control_period asks for 0\.3\)",
+            "robot.control_period=0.3",
+        ),
     ],
 )
 def test_what_the_file_applies_itself_is_not_overridden(
@@ -68,7 +73,10 @@ def test_what_the_file_applies_itself_is_not_overridden(
     assert "\n" not in line
 
 
-@pytest.mark.parametrize("field", sorted(set(Robot.model_fields) - {"angle_step", "angle_limit"}))
+APPLIED = {"angle_step", "angle_limit", "control_period"}
+
+
+@pytest.mark.parametrize("field", sorted(set(Robot.model_fields) - APPLIED))
 def test_what_the_robot_is_like_may_be_overridden(file: Path, field: str) -> None:
     if field == "flipper_speed":  # it is varied without the decision period, by randomise alone
         build(file, {}, randomise={"flipper_speed": [0.3, 0.6]})
@@ -77,7 +85,8 @@ def test_what_the_robot_is_like_may_be_overridden(file: Path, field: str) -> Non
 
 
 def test_randomise_has_nothing_that_a_file_applies() -> None:
-    assert not {"angle_step", "angle_limit"} & (SECTION_OF.keys() | Randomise.model_fields.keys())
+    assert not APPLIED & (SECTION_OF.keys() | Randomise.model_fields.keys())
+    assert Robot.not_sampled >= APPLIED
 
 
 def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> None:
@@ -88,7 +97,7 @@ def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> Non
 
 
 def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) -> None:
-    robot = {**Robot().model_dump(), "angle_limit": 0.3}
+    robot = {**Robot().model_dump(exclude_none=True), "angle_limit": 0.3}
     targets = {"meaning": "x", "window": STEP, "limit": 0.3}
     flat = {"terrain": "flat", "terrain_config": {"name": "flat"}}
     linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, **flat)
@@ -108,7 +117,7 @@ def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) ->
 
 
 def test_policies_compared_by_reward_drive_the_robot_of_their_files(tmp_path: Path) -> None:
-    robot = {**Robot().model_dump(), "angle_limit": 0.3}
+    robot = {**Robot().model_dump(exclude_none=True), "angle_limit": 0.3}
     targets = {"meaning": "x", "window": STEP, "limit": 0.3}
     linear.write(tmp_path / "p.onnx", robot=robot, targets=targets)
     compare = ("inspect", "reward", "--episodes", "1", "--json", "terrain=flat", "--compare")

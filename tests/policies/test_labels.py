@@ -9,11 +9,11 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
 from flipperctl.lookahead.policy import NO_PLAN
 from flipperctl.policies import labels
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
 
 
-def policy(name: str, **settings: object) -> PluginPolicy:
-    return PluginPolicy(resolver.create("controller", {"name": name, **settings}, "controller"))
+def policy(name: str, **settings: object) -> PluginPolicy | PluginCostPolicy:
+    return plugin_policy(resolver.create("controller", {"name": name, **settings}, "controller"))
 
 
 def test_an_action_that_costs_a_temperature_more_is_e_times_less_probable() -> None:
@@ -27,8 +27,8 @@ def test_an_action_that_costs_a_temperature_more_is_e_times_less_probable() -> N
 
 
 def test_only_some_controllers_offer_costs() -> None:
-    assert policy("mpc").offers_costs
-    assert not policy("okada").offers_costs
+    assert isinstance(policy("mpc"), CostPolicy)
+    assert not isinstance(policy("okada"), CostPolicy)
 
 
 def test_the_cheapest_action_of_mpc_is_the_one_that_it_takes() -> None:
@@ -91,4 +91,4 @@ def test_a_cost_that_is_not_finite_names_the_controller() -> None:
     env = FlipperEnv("flat")
     env.reset(seed=1)
     with pytest.raises(PluginFailedError, match=r"costs returned .*9 finite costs are allowed"):
-        PluginPolicy(_WrongCosts()).costs(env.perception)
+        plugin_policy(_WrongCosts()).costs(env.perception)

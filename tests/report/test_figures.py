@@ -179,14 +179,15 @@ def test_a_bad_cell_is_named() -> None:
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:
-    figure = episode_figure(trace(), STEP, ROBOT, "stair", spacing=2.0)
+    figure = episode_figure(trace(), STEP, ROBOT, "stair")
     above, below = figure.axes
-    assert [text.get_text() for text in above.texts] == ["0.0 s", "10.0 s", "20.0 s", "30.0 s"]
+    times = [0, 7.5, 15, 22.5, 30]
+    assert [text.get_text() for text in above.texts] == [f"{time:.1f} s" for time in times]
     curves = {str(line.get_label()): line for line in below.get_lines()}
     assert np.asarray(curves["pitch"].get_ydata())[0] == pytest.approx(math.degrees(0.2))
     assert np.asarray(curves["rear flippers"].get_ydata())[0] == pytest.approx(math.degrees(-0.1))
     upright = [line for line in below.get_lines() if line.get_linestyle() == ":"]
-    assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx([0, 10, 20, 30])
+    assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx(times)
 
 
 def test_poses_keep_their_distance() -> None:
@@ -200,11 +201,9 @@ def test_an_episode_of_one_state_is_drawn(tmp_path: Path) -> None:
     save(episode_figure(trace()[:1], LEVEL, ROBOT), tmp_path / "one.pdf")
 
 
-def test_an_episode_needs_states_and_a_spacing() -> None:
+def test_an_episode_needs_states() -> None:
     with pytest.raises(ValueError, match="at least one state"):
         episode_figure([], LEVEL, ROBOT)
-    with pytest.raises(ValueError, match="above 0 m; got -1"):
-        episode_figure(trace(), LEVEL, ROBOT, spacing=-1.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from flipperctl.api import Controller, Perception, Policy, Simulator, action_ind
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.function import FunctionPolicy
-from flipperctl.rollout.episode import Decision, RealTime, decisions, play
+from flipperctl.rollout.episode import Decision, decisions, play
 
 HOLD = action_index(0, 0)
 
@@ -56,17 +56,6 @@ def test_the_pace_is_called_before_each_decision() -> None:
         for d in decisions(FlipperEnv("flat"), okada(), 0, pace=called.append)
     ]
     assert called == expected
-
-
-def test_real_time_waits_for_the_rest_of_each_decision() -> None:
-    now, slept = 100.0, []
-    pace = RealTime(speed=2.0, clock=lambda: now, sleep=slept.append)
-    pace(0.0)
-    now = 100.1
-    pace(0.6)  # due at 100.3
-    now = 100.7
-    pace(1.2)  # due at 100.6: late
-    assert slept == pytest.approx([0.2])
 
 
 def test_play_passes_every_decision_to_watch() -> None:

@@ -32,7 +32,7 @@ def refused(done: Done) -> str:
 
 
 @pytest.mark.parametrize(
-    "command", [PLAY, ["transfer", *PLAY[1:]], ["bench", "physics", "--output", "out"]]
+    "command", [PLAY, ["transfer", *PLAY[1:]], ["bench", "learner", "--output", "out"]]
 )
 def test_a_folder_in_use_is_refused_at_once_with_its_holder(
     command: list[str], tmp_path: Path

@@ -21,6 +21,7 @@ def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
         "theta_R",
     ]
     assert interface.observation[15].unit == "rad"
+    assert interface.joints == ("front", "rear")  # of version 0.2, whose files do not name them
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
     assert interface.actions.shape == (9, 2)
     assert interface.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
@@ -62,6 +63,7 @@ def test_a_policy_may_have_another_number_of_bins(tmp_path: Path) -> None:
         ({"frames": 2}, r"observation tensor\(float\) \['batch', 18\].*\[batch, 36\]"),
         ({"decision_period": "soon"}, r"flipperctl\.decision_period is 'soon'"),
         ({"decision_period": math.nan}, r"flipperctl\.decision_period is 'NaN'"),
+        ({"joints": ["left", "right"]}, r'flipperctl\.joints is .*\["front", "rear"\]'),
         ({"actions": [[0.0, 0.1]] * 8}, r"flipperctl\.actions is .*9 pairs of angles"),
         ({"robot": {"mass": "heavy"}}, r"flipperctl\.robot is .*names to numbers"),
         ({"robot": {"mass": 10**400}}, r"flipperctl\.robot is .*names to numbers"),

@@ -39,11 +39,16 @@ def test_a_policy_is_trained_and_resumed_in_another_engine(tmp_path: Path) -> No
     assert call(*evaluate, *LOADED, cwd=tmp_path).code == 0
 
 
-def test_a_setting_that_the_engine_lacks_cannot_be_drawn(tmp_path: Path) -> None:
+def test_any_setting_of_the_engine_is_sampled_and_no_other(tmp_path: Path) -> None:
     asked = ["eval", "--controller", "level", "randomise.friction=[0.8,1.2]", "--episodes", "1"]
     done = call(*asked, *CHOSEN, cwd=tmp_path)
     assert done.code == 2
     assert "randomise.friction: sim=kinematic has no setting 'friction'" in done.err
+    drawn = ["eval", "--controller", "level", "randomise.sim.slowdown=[0.2,0.3]", "--episodes", "1"]
+    done = call(*drawn, "--output", "out", *CHOSEN, cwd=tmp_path)
+    assert "randomised sim.slowdown 0.2 to 0.3" in done.out
+    header = (tmp_path / "out" / "episodes.csv").read_text().splitlines()[0]
+    assert "sim.slowdown" in header.split(",")
 
 
 @pytest.mark.usefixtures("registry")

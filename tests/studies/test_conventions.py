@@ -10,7 +10,7 @@ import pytest
 
 from flipperctl.api import ACTIONS, Robot, SensedGround
 from flipperctl.config import EvalConfig
-from flipperctl.runtime.targets import TargetRule
+from flipperctl.core.targets import TargetRule
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
 from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
@@ -114,7 +114,7 @@ def test_the_command_fails_and_names_the_first_convention(
 
 def test_the_robot_and_the_observation_of_a_file_are_probed(tmp_path: Path) -> None:
     own = {"track_radius": 0.12, "track_speed": 0.4, "angle_limit": 0.2}
-    robot = {**Robot().model_dump(), **own}
+    robot = {**Robot().model_dump(exclude_none=True), **own}
     targets = {"meaning": "x", "window": robot["angle_step"], "limit": 0.2}
     linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, bin_width=0.1)
     probe = ("inspect", "conventions", "--checkpoint", "p.onnx", "--json")

@@ -85,7 +85,7 @@ def test_a_listener_that_cannot_be_made_closes_those_before(
         raise WriteError("no space")
 
     monkeypatch.setattr(training, "MetricsCsv", Kept)
-    monkeypatch.setattr(training, "TensorBoard", fail)
+    monkeypatch.setattr(training, "openers", lambda *given: [fail])
     with pytest.raises(WriteError, match="no space"):
         training._train(trainer, None, lambda: False)
     assert made[0]._file.closed

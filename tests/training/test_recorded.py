@@ -175,7 +175,7 @@ def elsewhere(tmp_path: Path) -> Path:
         sim={"name": "planar", "friction": 0.75},
         perception={"name": "planar", "noise": 0.01, "occlusion": True},
         episode={"slack": 4},
-        randomise={"chassis_mass": [30, 40]},
+        randomise={"chassis_mass": [30, 40], "sim": {"gravity": 9.8}},
     )
     (found,) = play_episodes(config, OKADA, episodes=1, seed=5, record=True)
     assert found.recorded is not None
@@ -208,7 +208,8 @@ def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file:
     assert differing_conditions(short_config(), found) == (
         f"teacher.episodes: {elsewhere} was recorded under other conditions: sim.friction=0.75 "
         "(here 1.0), perception.noise=0.01 (here 0.0), perception.occlusion=true (here false), "
-        "episode.slack=4.0 (here 3.0), randomise.chassis_mass=[30.0,40.0] (here null)"
+        "episode.slack=4.0 (here 3.0), randomise.chassis_mass=[30.0,40.0] (here null), "
+        'randomise.sim={"gravity":9.8} (here {})'
     )
     in_3d = short_config(sim={"name": "mujoco", "friction": 0.75})
     assert "sim=planar (here mujoco), perception" in differing_conditions(in_3d, found)

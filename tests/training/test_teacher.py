@@ -13,7 +13,7 @@ from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.config import EnvConfig, Teacher, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
@@ -40,7 +40,7 @@ def drive(settings: Teacher, *, learns: bool = True, count: int = 10) -> list[tu
     """Return the action taken and the teacher's most probable one at each decision."""
     assert settings.controller is not None
     policy = TaughtPolicy(
-        *(_Student(), PluginPolicy(settings.controller), settings),
+        *(_Student(), plugin_policy(settings.controller), settings),
         *(lambda: learns, np.random.default_rng(0)),
     )
     found = []
@@ -86,7 +86,7 @@ def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> Non
         mpc = {"name": "mpc", "friction": 1.0}  # the true one, which a privileged teacher is told
         teacher = Teacher(controller=mpc, student_share=1, **settings)
         policy = TaughtPolicy(
-            *(_Student(), PluginPolicy(teacher.controller), teacher),
+            *(_Student(), plugin_policy(teacher.controller), teacher),
             *(lambda: True, np.random.default_rng(0)),
         )
         driven = islice(decisions(FlipperEnv(config=config), policy, 1), 8)

@@ -32,7 +32,7 @@ Composed = TypeVar("Composed")
 
 def parse_training(composed: DictConfig) -> TrainConfig:
     """Return the validated training configuration of what Hydra composed."""
-    return parse(TrainConfig, _plain(composed))
+    return parse(TrainConfig, {"logger": {}, **_plain(composed)})
 
 
 def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
@@ -41,7 +41,8 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
     Raises:
         ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
     """
-    found = [parse(TrainConfig, plain) for _, plain in _compositions("train", overrides)]
+    composed = _compositions("train", overrides)
+    found = [parse(TrainConfig, {"logger": {}, **plain}) for _, plain in composed]
     for config in found:
         print_notices(config)
     return found

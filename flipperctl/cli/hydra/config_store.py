@@ -11,8 +11,9 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
 
-from flipperctl.api import ObservationLayout, Robot, registry
+from flipperctl.api import Measure, ObservationLayout, Robot, registry
 from flipperctl.cli import conditions
 from flipperctl.config import (
     DEFAULT_ENGINE,
@@ -24,6 +25,8 @@ from flipperctl.config import (
     container,
     resolver,
 )
+from flipperctl.config.loggers import METRICS_ALONE
+from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
@@ -36,7 +39,7 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
 GROUPS = (
-    *("terrain", "rewards", "network", "collector", "teacher"),
+    *("terrain", "rewards", "network", "collector", "teacher", "logger"),
     *("sim", "perception", "conditions"),
 )
 """Config groups whose choice is stored under a key of the same name."""
@@ -53,9 +56,13 @@ def register_defaults() -> None:
     store.store(group="teacher", name="none", node=teaching)
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
+    store.store(group="logger", name=METRICS_ALONE, node={})
     for (kind, name), cls in registry.items():
+        if kind == Measure.kind:
+            continue  # every measure is taken of every episode; none is chosen
         defaults = resolver.defaults(cls)
-        store.store(group=kind, name=name, node=defaults)
+        package = f"logger.{name}" if kind == "logger" else None  # several may be chosen
+        store.store(group=kind, name=name, node=defaults, package=package)
         if kind == "controller":
             store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
     for collector in (LocalCollector(), RayCollector()):
@@ -66,7 +73,17 @@ def register_defaults() -> None:
             for name, info in model.model_fields.items()
             if name not in GROUPS
         }
-        store.store(name=primary, node=sections)
+        store.store(name=primary, node=_with_paths(sections))
+
+
+def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections with those mappings of ``randomise`` that take any key without a +."""
+    randomise = sections["randomise"]
+    open_for_keys = {
+        section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
+        for section in PATH_SECTIONS
+    }
+    return {**sections, "randomise": {**randomise, **open_for_keys}}
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
@@ -88,7 +105,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     if isinstance(config, TrainConfig):
         primary = EVAL_CHECKPOINT
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
-        node = {"defaults": choices, **own}
+        node = {"defaults": choices, **_with_paths(own)}
         store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
@@ -96,7 +113,7 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
         *("_self_", {"conditions": conditions.NOMINAL}),
     ]
-    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    store.store(name=primary, node={"defaults": defaults, **_with_paths(nominal), **kept})
     return primary
 
 

@@ -115,5 +115,7 @@ def _format_value(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, dict):
-        return str(value.get("name", value))  # a plugin's fields have their own rows
+        if "name" in value:  # a plugin's fields have their own rows
+            return str(value["name"])
+        return ", ".join(f"{k}: {_format_value(v)}" for k, v in value.items()) or "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,9 @@ def check(plugins: Sequence[type[Plugin]], pictures: Path | None, *, as_json: bo
         )
 
 
-def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
+def run_check(one: Check) -> dict[str, Any]:
     """Run one check; return ``ok``, ``skipped``, the message and the time taken [s]."""
-    begun, text, ok, skipped = clock(), "", True, False
+    begun, text, ok, skipped = time.perf_counter(), "", True, False
     try:
         one()
     except ConformanceError as error:
@@ -58,7 +58,7 @@ def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dic
         "ok": ok,
         "skipped": skipped,
         "message": text,
-        "seconds": clock() - begun,
+        "seconds": time.perf_counter() - begun,
     }
 
 

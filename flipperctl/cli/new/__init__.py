@@ -9,12 +9,12 @@ import typer
 
 from flipperctl.cli.options import PluginPaths
 
-KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor")
+KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
 
 HELP = """Write a plugin as a starting point: one file, or with --package an installable project.
 
-KIND is terrain, reward, network, controller, engine or sensor. The plugin works as written and
-passes the conformance suite; nothing is ever overwritten.
+KIND is terrain, reward, network, controller, engine, sensor, measure or logger. The plugin works
+as written and passes the conformance suite; nothing is ever overwritten.
 
 [bold]Examples[/]
 

@@ -28,6 +28,10 @@ _USAGE = {
         "flipperctl inspect reward +reward@rewards.{name}={name}{plugins}",
         "flipperctl train +reward@rewards.{name}={name}{plugins}",
     ),
+    "measure": (
+        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
+        "flipperctl train terrain=step{plugins}",
+    ),
     "network": ("flipperctl train network={name}{plugins}",),
     "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
     "engine": (
@@ -38,6 +42,7 @@ _USAGE = {
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
+    "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
 }
 
 

@@ -1,137 +1,25 @@
-"""``sim=mujoco``: settings of the 3-D engine.
+"""``sim=mujoco``: registers the 3-D engine.
 
 It places a robot on an extruded profile or, where the terrain has one, on a surface.
 """
 
 from __future__ import annotations
 
-import math
 import os
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
+from flipperctl.api import Engine, Profile, Robot, Start, World, engine
 from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 
 @engine("mujoco")
-class Mujoco(Engine):
+class Mujoco(MujocoSettings, Engine):
     """Simulates the robot in 3-D with MuJoCo, on the profile extruded sideways.
 
     Where the ground to both sides of the profile is recorded too, the robot drives over that.
     """
-
-    substep: float = Field(
-        0.005, gt=0.0004, le=0.005, description="time step; 0.01 is a whole multiple of it [s]"
-    )
-    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
-    friction: float = Field(
-        1.0,
-        gt=0,
-        le=10,
-        description="friction between track and ground; not given in the paper [-]",
-    )
-    ground_width: float = Field(
-        4.0, ge=1, le=100, description="width of the ground, half to each side [m]"
-    )
-    strip_width: float = Field(
-        0.2,
-        ge=0.02,
-        le=1,
-        description="width of the strips in which the robot drives over a recorded surface [m]",
-    )
-    main_track_offset: float = Field(
-        0.086, ge=0.05, le=1, description="middle of each main track beside the chassis centre [m]"
-    )
-    flipper_offset: float = Field(
-        0.266, ge=0.05, le=2, description="middle of each flipper beside the chassis centre [m]"
-    )
-    track_width: float = Field(0.18, ge=0.02, le=0.5, description="width of every track [m]")
-    rotor_inertia: float = Field(
-        1.0,
-        ge=0.2,
-        le=10,
-        description="inertia of a flipper's geared motor at its hinge; a guess [kg m²]",
-    )
-    heading_gain: float = Field(
-        2.0,
-        ge=0,
-        le=20,
-        description="difference of the belt speeds for each rad of heading error, as a fraction "
-        "of the speed; steers as an operator does; 0 does not steer [1/rad]",
-    )
-    roll_gain: float = Field(
-        0.0,
-        ge=0,
-        le=2,
-        description="turn of the left and right flippers against each other for each rad of "
-        "roll; 0 turns both alike [-]",
-    )
-    roll_limit: float = Field(
-        math.pi / 3,
-        ge=0.1,
-        le=math.pi / 2,
-        description="absolute roll that ends as overturned [rad]",
-    )
-    lateral_slope: float = Field(
-        0.0, ge=-0.6, le=0.6, description="sideways slope of the ground, left up positive [rad]"
-    )
-    yaw: float = Field(
-        0.0,
-        ge=0,
-        le=0.7,
-        description="the heading at the start is drawn uniformly from ± this angle [rad]",
-    )
-    offset: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="the start is shifted sideways, uniformly by up to ± this distance [m]",
-    )
-    roughness: float = Field(
-        0.0,
-        ge=0,
-        le=0.1,
-        description="patches of the ground are raised or lowered by up to ± this height [m]",
-    )
-    one_sided: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="fraction of the obstacle's height over the line between its ends that is "
-        "missing on the right side; the line is at least 1 m long, so that a single step is an "
-        "incline there [-]",
-    )
-    variation: int = Field(
-        0,
-        ge=0,
-        le=2**31 - 1,
-        description="another number draws another yaw, offset and roughness in each episode of a "
-        "seed [-]",
-    )
-
-    @model_validator(mode="after")
-    def _divides_the_sample(self) -> Mujoco:
-        ratio = SAMPLE_PERIOD / self.substep
-        if abs(ratio - round(ratio)) > 1e-9:
-            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
-        return self
-
-    @model_validator(mode="after")
-    def _flippers_outside(self) -> Mujoco:
-        if self.flipper_offset < self.main_track_offset:
-            raise ValueError("flipper_offset must be at least main_track_offset")
-        return self
-
-    @model_validator(mode="after")
-    def _starts_on_the_ground(self) -> Mujoco:
-        if self.offset > self.ground_width / 2:
-            raise ValueError(
-                f"offset ({self.offset:g} m) must not exceed half the ground_width "
-                f"({self.ground_width:g} m), or robots start beside the ground"
-            )
-        return self
 
     def place(
         self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from flipperctl.api import FloatArray, Profile
 from flipperctl.errors import TerrainError
+from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.mujoco.surface import (
     CLOSE,
     LEVEL_GROUND,
@@ -24,9 +25,6 @@ from flipperctl.sim.mujoco.surface import (
     surface_borders,
     surface_strips,
 )
-
-if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.engine import Mujoco
 
 MOST = 20_000
 """Largest number of boxes, with which a reset takes about 1 s."""
@@ -60,7 +58,7 @@ class Box(NamedTuple):
     """Slope of its upper face, up towards +x positive [rad]."""
 
 
-def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
+def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:
     """Return the ground's boxes; ``rng`` draws the roughness.
 
     Raises:
@@ -86,7 +84,7 @@ def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
     return found
 
 
-def _strips(profile: Profile, sim: Mujoco) -> list[Strip]:
+def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     """Return the strips along x that divide the ground, from right to left."""
     half = sim.ground_width / 2
     changed: set[float] = set()  # borders at which these settings change the ground

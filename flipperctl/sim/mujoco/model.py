@@ -14,19 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.sim.mujoco.ground import Box
-
-if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.engine import Mujoco
-
-HINGES = ("front_left", "rear_left", "front_right", "rear_right")
-"""Flippers in the order of joints and motors."""
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 LARGEST_PICTURE = 1920, 1080
 """Width and height of the largest picture [pixels]."""
@@ -56,14 +51,15 @@ class Model(NamedTuple):
     """A compiled scene."""
 
     model: Any
-    """``mujoco.MjModel``; the robot's free joint comes first, then ``HINGES``."""
+    """``mujoco.MjModel``; the robot's free joint comes first, then the flippers' hinges, in the
+    order front left, rear left, front right, rear right."""
     belts: FloatArray
     """(G, 6) ``geom_surfacevel`` of belts that run at the robot's speed."""
     sides: FloatArray
     """(G,) 1 for parts on the left, -1 for those on the right, 0 for the ground."""
 
 
-def build(ground: Sequence[Box], robot: Robot, sim: Mujoco) -> Model:
+def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
     """Compile the scene; the robot's pose is set in its data."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -119,11 +115,11 @@ def _set_looks(spec: Any) -> None:
     )
 
 
-def _surface(sim: Mujoco) -> dict[str, Any]:
+def _surface(sim: MujocoSettings) -> dict[str, Any]:
     return {"friction": [sim.friction, 0.0, 0.0], "condim": 3, **_CONTACT}
 
 
-def _add_robot(spec: Any, robot: Robot, sim: Mujoco) -> None:
+def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     half, width = robot.hinge_offset, sim.track_width
     chassis = spec.worldbody.add_body(name="chassis")
     chassis.add_freejoint(name="chassis")
@@ -137,7 +133,7 @@ def _add_robot(spec: Any, robot: Robot, sim: Mujoco) -> None:
             # One drum for the ends of main track and flipper, which turn about the same axle.
             drum = sign * (inner + outer) / 2, (outer - inner) / 2
             _add_end(chassis, f"{end}_drum_{side}", x, *drum, robot, sim)
-    # In the order of HINGES
+    # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for end, ahead in (("front", 1.0), ("rear", -1.0)):
             flipper = chassis.add_body(
@@ -162,7 +158,7 @@ def _set_inertia(
 
 
 def _add_end(
-    body: Any, name: str, x: float, y: float, half: float, robot: Robot, sim: Mujoco
+    body: Any, name: str, x: float, y: float, half: float, robot: Robot, sim: MujocoSettings
 ) -> None:
     """Add a round end, a capsule whose straight part is as wide as the belt."""
     radius = robot.track_radius
@@ -181,7 +177,7 @@ def _add_end(
 
 
 def _add_board(
-    body: Any, name: str, along: tuple[float, float], y: float, robot: Robot, sim: Mujoco
+    body: Any, name: str, along: tuple[float, float], y: float, robot: Robot, sim: MujocoSettings
 ) -> None:
     """Add the straight part of a track between two x [m]."""
     height = robot.track_radius - _RECESS
@@ -198,7 +194,9 @@ def _add_board(
     )
 
 
-def _add_hinge(spec: Any, body: Any, name: str, axis: float, robot: Robot, sim: Mujoco) -> None:
+def _add_hinge(
+    spec: Any, body: Any, name: str, axis: float, robot: Robot, sim: MujocoSettings
+) -> None:
     """Add a flipper's hinge, its end stops and its servo, which follows a velocity."""
     limit = robot.angle_limit + _STOP_PLAY
     body.add_joint(

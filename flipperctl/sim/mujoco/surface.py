@@ -11,16 +11,14 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, Surface
 from flipperctl.errors import PluginFailedError, TerrainError
-
-if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.engine import Mujoco
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 CLOSE = 1e-6
 """Borders closer than this are one, since sums of widths are rounded [m]."""
@@ -51,12 +49,12 @@ class Strip(NamedTuple):
     """Its outline, level ground before and past it included, (V, 2) of x and z [m]."""
 
 
-def reach(sim: Mujoco) -> float:
+def reach(sim: MujocoSettings) -> float:
     """Return how far to each side of the line the robot reaches when it starts [m]."""
     return sim.flipper_offset + sim.track_width / 2 + sim.offset
 
 
-def surface_borders(sim: Mujoco) -> set[float]:
+def surface_borders(sim: MujocoSettings) -> set[float]:
     """Return the borders between the strips of a surface, as y [m]."""
     count = math.ceil((reach(sim) + _MARGIN) / sim.strip_width)
     narrow = count * sim.strip_width
@@ -66,7 +64,7 @@ def surface_borders(sim: Mujoco) -> set[float]:
 
 
 def surface_strips(
-    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: Mujoco
+    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: MujocoSettings
 ) -> list[Strip]:
     """Return the strips between ascending borders.
 

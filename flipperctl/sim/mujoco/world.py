@@ -28,10 +28,10 @@ from flipperctl.api import (
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import build
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
-    from flipperctl.sim.mujoco.engine import Mujoco
 
 _SERVO_RATE = 25.0
 """Velocity that a servo demands for each rad of its angle's error [1/s]."""
@@ -62,7 +62,7 @@ class MujocoWorld:
         self,
         profile: Profile,
         robot: Robot,
-        sim: Mujoco,
+        sim: MujocoSettings,
         start: Start,
         rng: np.random.Generator,
     ) -> None:

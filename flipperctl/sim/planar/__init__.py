@@ -1,9 +1,9 @@
 """The planar engine and sensor; importing this package registers both as ``planar``.
 
-The settings are in ``engine`` and ``sensing``; placing a robot imports pymunk and numba.
+The fields are in ``settings`` and ``sensing``; placing a robot imports pymunk and numba.
 """
 
-from flipperctl.sim.planar.engine import Planar, planar
+from flipperctl.sim.planar.engine import Planar
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 
-__all__ = ["Planar", "PlanarSensor", "TerrainSensor", "planar"]
+__all__ = ["Planar", "PlanarSensor", "TerrainSensor"]

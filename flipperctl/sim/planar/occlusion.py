@@ -6,29 +6,40 @@ grows while the robot drives.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, RobotState
 
-if TYPE_CHECKING:
-    from flipperctl.sim.planar.sensing import PlanarSensor
-
 _BEHIND = 10.0
 """Range of the sensor behind the robot [m]; ahead it is the horizon."""
+
+
+class Mast(NamedTuple):
+    """Where the ranging sensor stands on the chassis, and how far it looks."""
+
+    mount: tuple[float, float]
+    """Place (x, z) of the sensor in frame R [m]."""
+    body_length: float
+    """Length of the chassis, which hides the ground below it [m]."""
+    horizon: float
+    """Range ahead of the robot [m]."""
 
 
 class SeenGround:
     """Remembers which points of the sampled outline a line of sight has reached."""
 
-    def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
-        """Remember nothing yet of ``profile`` with ``margin`` [m] of level ground on both sides."""
+    def __init__(self, profile: Profile, mast: Mast, density: float, margin: float) -> None:
+        """Remember nothing yet of ``profile`` with ``margin`` [m] of level ground on both sides.
+
+        ``density``: points per metre of its outline [1/m].
+        """
         from flipperctl.sim.planar import rays  # numba takes a third of a second to import
 
-        self._rays, self._settings = rays, settings
-        self._spacing = 1 / settings.density
+        self._rays, self._mast = rays, mast
+        self._spacing = 1 / density
         cloud = profile.sample(self._spacing, margin)
         # Edges between two sampled points hide the ground too, so the vertices stand among them.
         vertices = profile.extended(margin, margin)
@@ -41,15 +52,15 @@ class SeenGround:
 
     def scan(self, state: RobotState) -> None:
         """Cast rays from the mount and remember the points that they reach."""
-        s = self._settings
+        mast = self._mast
         x, z = state.position.tolist()
         self._rays.mark_seen(
             self._outline,
             self._index,
             (x, z, float(state.pitch)),
-            (s.mount_x, s.mount_z),
-            s.body_length,
-            (x - _BEHIND, x + s.horizon),
+            mast.mount,
+            mast.body_length,
+            (x - _BEHIND, x + mast.horizon),
             self._seen,
         )
 

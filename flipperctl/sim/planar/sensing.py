@@ -22,7 +22,8 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.sim.planar.occlusion import SeenGround
+from flipperctl.core.bins import mean_heights
+from flipperctl.sim.planar.occlusion import Mast, SeenGround
 
 
 @sensor("planar")
@@ -93,10 +94,11 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
-        self._seen_ground = SeenGround(profile, settings, margin) if settings.occlusion else None
-        from flipperctl.sim.planar.bins import sum_bins  # numba takes a third of a second to import
-
-        self._sum_bins = sum_bins
+        self._seen_ground: SeenGround | None = None
+        if settings.occlusion:
+            mount = settings.mount_x, settings.mount_z
+            mast = Mast(mount, settings.body_length, settings.horizon)
+            self._seen_ground = SeenGround(profile, mast, settings.density, margin)
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -160,17 +162,5 @@ class TerrainSensor:
         return np.asarray(rng.random(len(points)) >= self.settings.dropout)
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Return the mean height of the points of each bin, (N,) in frame L [m] (paper Eq. 1).
-
-        The height of a bin without points is interpolated linearly between its neighbours; without
-        any points, every height is 0.
-        """
-        s = self.settings
-        total, count = np.zeros(s.bins), np.zeros(s.bins)
-        seen = self._sum_bins(points, self._reach, s.bin_width, total, count)
-        if seen == s.bins:
-            return total / count
-        if not seen:
-            return total
-        where = np.flatnonzero(count)
-        return np.interp(np.arange(s.bins), where, total[where] / count[where])
+        """Return the mean height of the points of each bin, (N,) in frame L [m]."""
+        return mean_heights(points, self.settings.bins, self.settings.bin_width)

@@ -27,10 +27,10 @@ from flipperctl.sim.planar.casting import distances
 from flipperctl.sim.planar.energy import Budget
 from flipperctl.sim.planar.joints import join, largest_impulse
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
+from flipperctl.sim.planar.settings import PlanarSettings
 
 if TYPE_CHECKING:
     from flipperctl.sim.planar.compiled import CompiledLoop
-    from flipperctl.sim.planar.engine import Planar
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
 
@@ -52,7 +52,7 @@ class PlanarWorld:
         self,
         profile: Profile,
         robot: Robot,
-        sim: Planar,
+        sim: PlanarSettings,
         start: float,
         front: float = 0.0,
         rear: float = 0.0,

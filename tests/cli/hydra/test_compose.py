@@ -5,6 +5,7 @@ import pytest
 from flipperctl.api import Shaping
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.config import EnvConfig, Teacher, TrainConfig, container, with_overrides
+from flipperctl.errors import ConfigError
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.sim.planar import PlanarSensor
 
@@ -38,6 +39,7 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
         "sim.friction": 0.8,
         "episode.start_noise": 0.2,
         "randomise.delay": [0.0, 0.1],
+        "randomise.sim.gravity": [9.0, 10.0],
         "eval.episodes": 7,
     }
     trained = with_overrides(base, changes)
@@ -54,6 +56,13 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     ((same, _),) = compose.compose_eval(["conditions=trained"], primary)
     assert same.conditions == "trained"
     assert same.environment() == trained.environment()
+    # Paths need no +, whether or not the training has one in that section.
+    paths = ["randomise.sim.friction=[0.8,0.9]", "randomise.robot.track_speed=0.2"]
+    changed = ["terrain=paper_stair", "conditions=trained", *paths]
+    ((other, _),) = compose.compose_eval(changed, primary)
+    assert other.randomise.names == ["delay", "sim.friction", "sim.gravity", "robot.track_speed"]
+    with pytest.raises(ConfigError, match=r"^sim\.friction=0\.7: it has no effect"):
+        compose.compose_eval([*changed, "sim.friction=0.7"], primary)
     changed = ["terrain=paper_stair", "conditions=trained", "sim.friction=0.9"]
     ((other, _),) = compose.compose_eval(changed, primary)
     assert other.terrain.plugin_name == "paper_stair"
@@ -68,6 +77,22 @@ def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
 
 
 # Teachers
+
+
+def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
+    chosen = {
+        "": ["tensorboard"],
+        "logger=csv": [],
+        "logger=[]": [],
+        "~logger": [],
+        "logger=[tensorboard,wandb]": ["tensorboard", "wandb"],
+        "+logger@logger.second=wandb": ["tensorboard", "second"],
+    }
+    for override, names in chosen.items():
+        (config,) = compose.compose_train([override] if override else [])
+        assert list(config.logger) == names
+    (config,) = compose.compose_train(["logger=wandb", "logger.wandb.project=stairs"])
+    assert container(config)["logger"]["wandb"]["project"] == "stairs"
 
 
 def test_there_is_a_teacher_only_on_request() -> None:

@@ -59,26 +59,6 @@ def test_the_paper_s_bins_see_1_125_m_both_ways() -> None:
     assert settings.reach == pytest.approx(1.125)
 
 
-def test_heights_equal_numpys_bin_sums_bit_for_bit() -> None:
-    of = sensor(STEP, bins=15, bin_width=0.15, density=50.0, noise=0.02)
-    for seed in range(20):
-        points = look(of, seed=seed)
-        index = np.minimum(((points[:, 0] + 1.125) / 0.15).astype(np.intp), 14)
-        total = np.bincount(index, points[:, 1], minlength=15)
-        assert np.array_equal(of.heights(points), total / np.bincount(index, minlength=15))
-
-
-def test_an_empty_bin_takes_its_height_from_its_neighbours() -> None:
-    of = sensor(FLAT, bins=5)
-    points = np.array([[-2.0, 0.1], [0.0, 0.3], [0.2, 0.5]])  # bins 0 and 2; 1, 3, 4 are empty
-    # 0.1, half way between, (0.3 + 0.5) / 2, and the last one known from there on
-    assert of.heights(points) == pytest.approx([0.1, 0.25, 0.4, 0.4, 0.4])
-
-
-def test_without_any_point_every_height_is_zero() -> None:
-    assert sensor(FLAT).heights(np.empty((0, 2))).tolist() == [0.0, 0.0, 0.0]
-
-
 def test_terrain_beyond_the_horizon_is_not_seen_yet() -> None:
     wall = Profile([(1.0, 0.0), (1.0, 1.0)])
     near, far = sensor(wall, horizon=0.6), sensor(wall)

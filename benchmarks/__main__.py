@@ -1,0 +1,73 @@
+"""``python -m benchmarks``: measures for those who work on flipperctl, with ``bench``'s options."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from benchmarks.settings import MEASURES, SUITE
+from flipperctl import entry
+from flipperctl.cli import bench
+from flipperctl.cli.command import App, TrainingCommand
+from flipperctl.cli.main import run_app
+from flipperctl.cli.options import AsJson, PluginPaths, with_flags
+from flipperctl.terminal.streams import plain_streams
+
+HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.
+
+[bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of the substep;
+[bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
+[bold]updates[/] against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes succeed,
+against it too; [bold]startup[/] of each command; [bold]discovery[/] of installed plugins.
+Contestants run in turn; medians with quartiles.
+
+OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
+families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
+in_a_row, commands, modules.
+
+[bold]Examples[/]
+
+  python -m benchmarks physics updates
+
+  python -m benchmarks --small --json
+
+  python -m benchmarks solve bench.seeds=3 bench.limit=300 terrain=step --output speed
+"""
+
+app = App(rich_markup_mode="rich", pretty_exceptions_enable=False, add_completion=False)
+
+
+@app.command(help=HELP, cls=TrainingCommand)
+def benchmarks(
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MEASURE]... [OVERRIDE]...",
+            help=f"all, {', '.join(MEASURES)}; and key=value.",
+            show_default=False,
+        ),
+    ] = None,
+    small: bench.Small = False,
+    repeats: bench.Repeats = None,
+    output: bench.OutputFolder = None,
+    as_json: AsJson = False,
+    plugins: PluginPaths = None,
+) -> None:
+    """See HELP."""
+    measures, overrides = bench.split_arguments(arguments or [], MEASURES)
+    bench.run_measures(
+        SUITE,
+        measures,
+        with_flags(overrides, "bench", repeats=repeats),
+        small=small,
+        output=output,
+        as_json=as_json,
+        plugins=plugins,
+    )
+
+
+if __name__ == "__main__":
+    plain_streams()
+    entry.run(lambda: run_app(app, sys.argv[1:], "python -m benchmarks"))

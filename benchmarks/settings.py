@@ -1,0 +1,85 @@
+"""The sizes of the developers' measures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+from pydantic import Field
+
+from flipperctl.bench.settings import COMMON_SMALL, Bench, CommonSettings, Suite
+
+MEASURES = (
+    *("physics", "accuracy", "lookahead", "updates"),
+    *("solve", "startup", "discovery"),
+)
+FAMILIES = (
+    "step",
+    "stair",
+    "building_stair",
+    "ramp",
+    "uplift",
+    "gap",
+    "wave",
+    "rubble",
+    "pallet",
+    "plum",
+)
+"""Terrains of the generalist's training, for measures over all kinds of ground."""
+
+SMALL: Mapping[str, Any] = {
+    **COMMON_SMALL,
+    "episodes": 1,
+    "families": 1,
+    "starts": 1,
+    "seeds": 1,
+    "limit": 2.0,
+    "validate_every": 100,
+    "validation_episodes": 2,
+    "commands": 1,
+    "modules": 3,
+}
+"""Replacements of the defaults with ``--small``, which checks in seconds that everything works."""
+
+
+class BenchmarkSettings(CommonSettings):
+    """The sizes of the measures."""
+
+    episodes: int = Field(
+        4,
+        ge=1,
+        le=1000,
+        description="physics: episodes per round; lookahead: episodes per terrain and controller "
+        "whose decisions are predicted [-]",
+    )
+    starts: int = Field(
+        20, ge=1, le=10_000, description="accuracy: starts per scene, episodes per terrain [-]"
+    )
+    families: int = Field(
+        len(FAMILIES),
+        ge=1,
+        le=len(FAMILIES),
+        description=f"accuracy, lookahead: terrains, the first of {', '.join(FAMILIES)} [-]",
+    )
+    seeds: int = Field(5, ge=1, le=100, description="solve: seeds per contestant [-]")
+    limit: float = Field(600.0, gt=0, le=86_400, description="solve: time limit of a run [s]")
+    validate_every: int = Field(
+        1000, ge=1, le=1_000_000, description="solve: decisions between validations [-]"
+    )
+    validation_episodes: int = Field(
+        100,
+        ge=1,
+        le=10_000,
+        description="solve: episodes per validation, which must all succeed [-]",
+    )
+    in_a_row: int = Field(3, ge=1, le=100, description="solve: consecutive such validations [-]")
+    commands: int = Field(
+        100, ge=1, le=100, description="startup: largest number of commands, in help order [-]"
+    )
+    modules: int = Field(50, ge=1, le=1000, description="discovery: installed plugin modules [-]")
+
+
+Benchmark: TypeAlias = Bench[BenchmarkSettings]
+"""Inputs of a measure."""
+
+SUITE = Suite("benchmarks", MEASURES, BenchmarkSettings, SMALL)

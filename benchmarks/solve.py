@@ -1,0 +1,121 @@
+"""Time to solve: from the start until every unseen episode succeeds in three validations in a row.
+
+flipperctl's trainer with its configuration is compared with Stable-Baselines3's DQN with the best
+settings found for it (see ``sb3``). Both have the same environment and budget of decisions and are
+validated on the same episodes after equal numbers of decisions. They run in turn for each seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+
+from benchmarks.extras import import_extra
+from benchmarks.settings import Benchmark, BenchmarkSettings
+from benchmarks.solve_run import SolveRun, ValidationRecorder
+from flipperctl import checkpoint
+from flipperctl.bench.statistics import quantity, ratio
+from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.errors import MissingExtraError
+from flipperctl.training.trainer import Trainer
+
+ABOUT = (
+    "wall-clock from the start, validations included, until all unseen episodes of several "
+    "validations in a row succeed; training is the same without the time of the validations"
+)
+
+
+def measure(bench: Benchmark) -> dict[str, Any]:
+    """Measure time [s] and decisions until solved for each seed; None for an unsolved run."""
+    contestants: dict[str, Callable[[TrainConfig, SolveRun, Callable[[], None]], None]]
+    contestants, missing = {"flipperctl": solve}, []
+    details: dict[str, Any] = {}
+    try:
+        sb3 = import_extra("benchmarks.sb3", "stable-baselines3", "bench")
+        contestants["sb3"], details["sb3_settings"] = sb3.solve, sb3.SETTINGS
+    except MissingExtraError as error:
+        missing.append(str(error))
+    s = bench.settings
+    runs: dict[str, list[dict[str, Any]]] = {name: [] for name in contestants}
+    threads = torch.get_num_threads()
+    total = s.seeds * len(contestants)
+    try:
+        for seed in range(s.seed + 1, s.seed + 1 + s.seeds):
+            for name, solver in contestants.items():
+                config = configured(bench, seed)
+                run = SolveRun(seed, s)
+                done = sum(map(len, runs.values()))
+                solver(config, run, _reporter(bench, run, name, done, total))
+                runs[name].append(run.report())
+    finally:
+        torch.set_num_threads(threads)
+    unfinished = f"not within {s.limit:g} s"
+    return {
+        "about": ABOUT,
+        **summary(runs, s),
+        **details,
+        "unfinished": unfinished,
+        "missing": missing,
+    }
+
+
+def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchmarkSettings) -> dict[str, Any]:
+    """Return quantities and ratios (other learners over flipperctl) of the runs' reports."""
+    units = {"seconds": "s", "training_seconds": "s", "decisions": "-"}
+    values = {(n, what): [r[what] for r in found] for n, found in runs.items() for what in units}
+    return {
+        "criterion": f"{s.in_a_row} validations in a row, each {s.validation_episodes} of "
+        f"{s.validation_episodes} unseen episodes, one every {s.validate_every} decisions",
+        "limit": {"unit": "s", "value": s.limit},
+        "solved": {
+            n: f"{sum(r['solved'] for r in found)} of {s.seeds}" for n, found in runs.items()
+        },
+        "quantities": {f"{n}.{what}": quantity(v, units[what]) for (n, what), v in values.items()},
+        "ratios": {
+            f"{name} / flipperctl, {what}": ratio(values[name, what], values["flipperctl", what])
+            for name in runs
+            if name != "flipperctl"
+            for what in units
+        },
+        "runs": dict(runs),
+    }
+
+
+def configured(bench: Benchmark, seed: int) -> TrainConfig:
+    """Return the training configuration of one run."""
+    s = bench.settings
+    changes = {
+        "seed": seed,
+        "train.validate_every": s.validate_every,
+        "train.validation_episodes": s.validation_episodes,
+    }
+    return with_overrides(bench.config, changes)
+
+
+def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
+    """Train with flipperctl's trainer until the run is finished."""
+
+    def stop() -> bool:
+        report()
+        return run.finished
+
+    with TemporaryDirectory(prefix="flipperctl-bench-") as folder:
+        directory = Path(folder)
+        (directory / checkpoint.BEST).parent.mkdir()
+        Trainer(config, directory, [ValidationRecorder(run)]).run(stop)
+
+
+def _reporter(
+    bench: Benchmark, run: SolveRun, name: str, done: int, total: int
+) -> Callable[[], None]:
+    def report() -> None:
+        fraction = min(1.0, run.elapsed / run.settings.limit)
+        last = run.validations[-1]["success_rate"] if run.validations else 0.0
+        text = f"{name}, seed {run.seed}: {run.elapsed:.0f} s, success {last:.0%}"
+        bench.report_progress(text, (done + fraction) / total)
+
+    return report

@@ -1,0 +1,80 @@
+"""Wall-clock time of short commands, each in a fresh process, which a user waits for."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import typer.main
+
+from benchmarks.settings import Benchmark
+from flipperctl.bench.process import output
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.cli.main import app
+
+ABOUT = "wall-clock of commands as processes of their own, in turn, beside Python's own start"
+PYTHON = "python -c pass"
+
+Command = tuple[str, ...]
+"""Arguments of ``flipperctl`` on the command line."""
+
+
+def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict[str, Any]:
+    """Measure the time of each command [ms], and its ratio to the start of Python itself.
+
+    Without ``commands``, they are every subcommand's help and two short ones.
+
+    Raises:
+        FlipperctlError: a command failed.
+    """
+    s = bench.settings
+    processes = {PYTHON: [sys.executable, "-c", "pass"]}
+    for command in (short_commands() if commands is None else commands)[: s.commands]:
+        processes[" ".join(("flipperctl", *command))] = [
+            sys.executable,
+            "-m",
+            "flipperctl",
+            *command,
+        ]
+    clocks = {name: _clock(name, process) for name, process in processes.items()}
+    for index, clock in enumerate(clocks.values()):
+        bench.report_progress("warm-up, to cache every file", 0.1 * index / len(clocks))
+        clock()
+    found = measure_in_turn(
+        clocks,
+        s.repeats,
+        lambda fraction: bench.report_progress("processes in turn", 0.1 + 0.9 * fraction),
+    )
+    return {
+        "about": ABOUT,
+        "quantities": {name: quantity(values, "ms") for name, values in found.items()},
+        "ratios": {
+            f"{name} / {PYTHON}": ratio(values, found[PYTHON])
+            for name, values in found.items()
+            if name != PYTHON
+        },
+    }
+
+
+def short_commands() -> list[Command]:
+    """Return every subcommand's help, in its order there, and two short views of ``inspect``."""
+    root = typer.main.get_command(app)
+    helps = [(*path, "--help") for path in _paths(root, ())]
+    return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]
+
+
+def _paths(command: Any, path: Command) -> Iterator[Command]:
+    yield path
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from _paths(inner, (*path, name))
+
+
+def _clock(name: str, process: list[str]) -> Callable[[], float]:
+    def clock() -> float:
+        begun = time.perf_counter()
+        output(process, f"startup: {name}")
+        return 1e3 * (time.perf_counter() - begun)
+
+    return clock

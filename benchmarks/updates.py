@@ -1,0 +1,102 @@
+"""Updates per second of flipperctl's learner compared with Stable-Baselines3's DQN.
+
+Both sample a replay of the same content, take one gradient step and make a soft update of the
+target network; both use one torch thread, Huber loss, clipped gradients and Adam. SB3 gets a
+perceptron with as many layers and, as nearly as integer widths allow, as many weights as
+flipperctl's network. It is measured unchanged (``sb3``) and with torch's fused Adam
+(``sb3_fused``).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from benchmarks.extras import import_extra
+from benchmarks.settings import Benchmark
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.replay import Replay
+from flipperctl.api import ACTIONS
+from flipperctl.bench import learner
+from flipperctl.bench.learner import Contestant
+from flipperctl.bench.statistics import ratio
+from flipperctl.config import TrainConfig
+from flipperctl.errors import MissingExtraError
+
+ABOUT = (
+    "sample, gradient step and soft target update of our agent against Stable-Baselines3's DQN, "
+    "same replay content, equal depth and size, one torch thread each, in turn"
+)
+
+
+def measure(bench: Benchmark) -> dict[str, Any]:
+    """Measure updates and transitions per second [1/s] for each batch size, and their ratios."""
+    missing: list[str] = []
+    try:
+        import_extra("stable_baselines3", "stable-baselines3", "bench")
+        found = learner.measure(bench, rivals)
+    except MissingExtraError as error:
+        missing.append(str(error))
+        found = learner.measure(bench)
+    names = [name for name in found["weights"] if name != "flipperctl"]
+    found["ratios"] = {
+        f"flipperctl / {name}, updates of {size}": ratio(
+            *(
+                found["quantities"][f"{one}.updates.{size}"]["values"]
+                for one in ("flipperctl", name)
+            )
+        )
+        for size in bench.settings.batch_sizes
+        for name in names
+    }
+    return {**found, "about": ABOUT, "missing": missing}
+
+
+def rivals(
+    config: TrainConfig, replay: Replay, batch_size: int, seed: int
+) -> Mapping[str, Contestant]:
+    """Return Stable-Baselines3's DQN, unchanged and with torch's fused Adam."""
+    from benchmarks import sb3
+
+    agent = D3qn(config.network, config.perception, len(ACTIONS), config.agent, seed=seed)
+    wanted = sum(p.numel() for p in agent.online.parameters())
+    layers = hidden_layers(agent.online, input_size(config.network, config.perception))
+    width = equal_width(wanted, config.perception.size, len(ACTIONS), layers)
+    contestants = {}
+    for name, fused in (("sb3", None), ("sb3_fused", True)):
+        model = sb3.model(config, seed, net_arch=(width,) * layers, n_steps=1, fused=fused)
+        sb3.fill(model, replay)
+        count = sum(p.numel() for p in model.q_net.parameters())
+        contestants[name] = Contestant(sb3.updater(model, batch_size), 1, count)
+    return contestants
+
+
+def hidden_layers(module: torch.nn.Module, inputs: int) -> int:
+    """Return the number of linear layers on the longest path to the Q-values, without the last."""
+
+    @functools.cache
+    def longest(node: Any) -> int:
+        earlier = [longest(inner) for inner, _ in node.next_functions if inner]
+        return int(node.name().startswith("Addmm")) + max(earlier, default=0)
+
+    return max(1, longest(module(torch.zeros(2, inputs)).grad_fn) - 1)
+
+
+def equal_width(wanted: int, inputs: int, outputs: int, layers: int) -> int:
+    """Return the width at which a perceptron of ``layers`` hidden layers has ``wanted`` weights.
+
+    Of all integer widths, it is the one with the nearest number of weights.
+    """
+
+    def weights(width: int) -> int:
+        inner = (layers - 1) * (width + 1) * width
+        return (inputs + 1) * width + inner + (width + 1) * outputs
+
+    width = 1
+    while weights(width + 1) <= wanted:
+        width += 1
+    return min((width, width + 1), key=lambda w: abs(weights(w) - wanted))

@@ -1,0 +1,117 @@
+"""Guards the methods of plugins, once, where the core makes the plugins.
+
+In: the class of a plugin that the core has made. Out: the same class, whose methods name plugin,
+method, file and line when they fail. Only what the core calls is renamed: another plugin, or the
+author's own test, gets the error that the method raised, and may catch it.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from flipperctl.api import Plugin
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    PluginError,
+    PluginFailedError,
+    TerrainError,
+)
+from flipperctl.guard import is_called_by_core, raise_named
+
+_CONTRACT = "flipperctl.api"
+_GUARDED = "__guarded__"
+"""Attribute of the functions that this module has made."""
+
+_RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
+    ("network", "build"): ConfigError,
+    ("network", "frames"): ConfigError,
+    ("reward", "bounds"): PluginError,
+}
+"""(kind, method) → the error of a plugin that is refused before it is used."""
+_REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
+    ("terrain", "at"): TerrainError,
+    ("terrain", "generate"): TerrainError,
+    ("terrain", "labelled"): TerrainError,
+}
+"""(kind, method) → the error in place of a ValueError, by which the method refuses a request."""
+_WITH_MEANING = ("notices",)
+"""Methods whose ValueError means something to the caller, who therefore gets it unchanged."""
+_NAMES = {"labelled": "generate"}
+"""Method of the contract → the author's method that it calls, which errors name."""
+
+
+def guard_class(cls: type[Plugin]) -> None:
+    """Guard each method and property of the contract, the inherited ones too; idempotent."""
+    for name in _contract(cls):
+        found = next(vars(base)[name] for base in cls.__mro__ if name in vars(base))
+        replaced = _guard_attribute(name, found)
+        if replaced is not found:
+            setattr(cls, name, replaced)
+
+
+def _contract(cls: type[Plugin]) -> Iterator[str]:
+    """Yield the public names that the contract's base classes of a plugin define."""
+    for base in cls.__mro__:
+        if base.__module__.startswith(_CONTRACT) and issubclass(base, Plugin):
+            yield from (name for name in vars(base) if name[0] != "_" or name == "__call__")
+
+
+def _guard_attribute(name: str, found: Any) -> object:
+    """Return a guarded method or property in place of one; a plain value stays."""
+    if isinstance(found, property) and found.fget is not None:
+        getter = _guard(name, found.fget)
+        return found if getter is found.fget else property(getter, doc=found.__doc__)
+    if inspect.isfunction(found):
+        return _guard(name, found)
+    if not hasattr(type(found), "__get__"):
+        return found
+    if isinstance(found, functools.cached_property):
+        return property(_guard(name, _bound(found)), doc=found.__doc__)
+
+    @functools.wraps(_bound(found))
+    def call(self: Plugin, *given: object, **named: object) -> object:
+        """Call a static, class or partial method, or a compiled function."""
+        method: Callable[..., object] = found.__get__(self, type(self))
+        return method(*given, **named)
+
+    return _guard(name, call)
+
+
+def _bound(descriptor: Any) -> Callable[[Plugin], object]:
+    """Return a function that gets what a descriptor gives for a plugin."""
+
+    @functools.wraps(getattr(descriptor, "func", descriptor))
+    def get(self: Plugin) -> object:
+        return descriptor.__get__(self, type(self))
+
+    return get
+
+
+def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
+    """Return the function, which names its plugin if it fails in a call of the core."""
+    if hasattr(function, _GUARDED):
+        return function
+    shown = _NAMES.get(name, name)
+
+    @functools.wraps(function)
+    def guarded(self: Plugin, *given: object, **named: object) -> object:
+        try:
+            result = function(self, *given, **named)
+        except BaseException as error:
+            refuses = isinstance(error, ValueError)
+            if (refuses and name in _WITH_MEANING) or not is_called_by_core(error):
+                raise
+            key = self.kind, name
+            if refuses and (refusal := _REFUSALS.get(key)):
+                raise_named(error, self, shown, refusal, plain=True)
+            raise_named(error, self, shown, _RAISED.get(key, PluginFailedError))
+        if isinstance(result, Plugin):
+            guard_class(type(result))
+        return result
+
+    setattr(guarded, _GUARDED, True)
+    return guarded

@@ -1,0 +1,131 @@
+"""The ground around the robot, put together from what it has perceived so far.
+
+In: sensed points in frame L and a guess of how far the robot has moved. Out: how far it has moved,
+and a polyline of the ground in frame L. With exact points the latest scan is the ground; with noisy
+ones the scans of the last decisions are aligned and averaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core import thinning
+from flipperctl.core.arrays import FloatArray
+
+_SEARCH = np.arange(-0.10, 0.101, 0.01)
+"""Corrections of the guessed distance that the alignment tries [m]."""
+_OUTLIER = 0.05
+"""Residual of a point above which it counts no more in the alignment [m]."""
+_PRIOR = 0.02
+"""Residual that a correction of the guess by one metre is worth, which decides on level ground."""
+_EXACT = 0.002
+"""Noise below which the latest scan alone is the ground [m]."""
+_CELL = 0.03
+"""Length of the cells in which noisy points are averaged [m]."""
+_TOLERANCE = 0.002
+"""Thinning of the ground without noise [m]."""
+_NARROW = 0.05
+"""Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
+
+Thinning = Callable[[FloatArray, NDArray[np.bool_], float, float], NDArray[np.bool_]]
+"""A function like ``thinning.kept_points``."""
+
+
+class GroundMap:
+    """Remembers aligned scans; all of them are kept in the present frame L."""
+
+    def __init__(self, memory: int, kept_points: Thinning = thinning.kept_points) -> None:
+        """Remember the last ``memory`` scans.
+
+        ``kept_points``: the function that thins the ground, which may be a compiled one.
+        """
+        self._memory, self._kept_points = memory, kept_points
+        self._scans: list[FloatArray] = []
+        self.noise = 0.0
+        """Estimated standard deviation of the height of the latest scan's points [m]."""
+
+    def add(self, points: FloatArray, guess: tuple[float, float]) -> tuple[float, float]:
+        """Add a scan, (P, 2) in frame L [m]; return the motion (x, z) since the previous one [m].
+
+        ``guess`` is the expected motion, which is returned where the scans cannot be aligned.
+        """
+        if len(points) < 8:  # too few to align or to estimate the noise
+            self._move(guess)
+            if len(points):
+                self._scans.append(points)
+            return guess
+        self.noise = _noise(points)
+        motion = self._align(points, guess) if self._scans else guess
+        self._move(motion)
+        self._scans = [*self._scans, points][-self._memory :]
+        return motion
+
+    def line(self) -> FloatArray:
+        """Return the ground as a polyline in frame L, x never decreasing, (V, 2) [m]."""
+        if not self._scans:
+            return np.zeros((0, 2))
+        if self.noise < _EXACT or (len(self._scans) == 1 and self.noise < 2 * _EXACT):
+            points, tolerance = self._scans[-1], _TOLERANCE
+        else:
+            points = _averaged(np.concatenate(self._scans), self.noise)
+            tolerance = _TOLERANCE + 0.3 * self.noise
+        keep = self._kept_points(points, np.zeros(len(points), np.bool_), tolerance, _NARROW)
+        return np.asarray(points[keep])
+
+    def _move(self, motion: tuple[float, float]) -> None:
+        self._scans = [scan - motion for scan in self._scans]
+
+    def _align(self, points: FloatArray, guess: tuple[float, float]) -> tuple[float, float]:
+        """Return the motion that lays the scan onto the map best."""
+        known = (
+            self._scans[-1]
+            if self.noise < _EXACT
+            else _averaged(np.concatenate(self._scans), self.noise)
+        )
+        x, z = points.T
+        best = (np.inf, *guess)
+        for correction in _SEARCH:
+            dx = guess[0] + correction
+            at = x + dx  # where the map's frame has the points
+            inside = (at >= known[0, 0]) & (at <= known[-1, 0])
+            if np.count_nonzero(inside) < 8:
+                continue
+            residual = np.interp(at[inside], known[:, 0], known[:, 1]) - z[inside]
+            dz = float(np.median(residual))
+            off = np.minimum(np.abs(residual - dz), _OUTLIER).mean() + _PRIOR * abs(correction)
+            if off < best[0]:
+                best = (off, dx, dz)
+        return best[1], best[2]
+
+
+def _noise(points: FloatArray) -> float:
+    """Return the standard deviation of the heights about a locally straight line [m].
+
+    It is taken from the median of the second differences, which edges do not affect.
+    """
+    second = np.diff(points[:, 1], 2)
+    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6))
+
+
+def _averaged(points: FloatArray, noise: float) -> FloatArray:
+    """Return the median of each cell; a cell that holds a face gets its lower and upper end."""
+    order = np.argsort(points[:, 0], kind="stable")
+    x, z = points[order].T
+    cell = np.floor(x / _CELL).astype(np.int64)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(cell) > 0]))
+    groups = list(zip(np.split(x, starts[1:]), np.split(z, starts[1:]), strict=True))
+    middle = np.array([np.median(heights) for _, heights in groups])
+    line: list[tuple[float, float]] = []
+    for i, (at, heights) in enumerate(groups):
+        where = float(at.mean())
+        low, high = np.quantile(heights, (0.15, 0.85))
+        if high - low > 4 * noise + _CELL:
+            rising = middle[min(i + 1, len(middle) - 1)] >= middle[max(i - 1, 0)]
+            ends = (low, high) if rising else (high, low)
+            line += [(where, float(end)) for end in ends]
+        else:
+            line.append((where, float(middle[i])))
+    return np.array(line)

@@ -1,0 +1,142 @@
+"""The metrics of one episode: its measures, its return and the parts of each reward term.
+
+In: the transitions of an episode with their rewards. Out: numbers by name, as rows and files have
+them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from numbers import Real
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Measure, Transition, registry
+from flipperctl.config import resolver
+from flipperctl.config.randomise import Randomise
+from flipperctl.errors import NonFiniteError, PluginError
+from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
+
+CORE = (
+    "decisions",
+    "t_cost",
+    "pitch_variation",
+    "pitch_variation_100hz",
+    "max_pitch",
+    "flipper_travel",
+)
+"""Measures for which results have fields of their own, in the order of their columns."""
+
+_RESERVED = frozenset(
+    (
+        *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
+        *("success_rate", "return", "start_shift", "start_front", "start_rear", "epsilon", "loss"),
+        *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
+        *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
+        *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
+    )
+)
+"""Columns and keys that files have beside the measures."""
+_PREFIXES = ("reward_", "search_", "not_reached_")
+
+
+def measures() -> dict[str, Measure]:
+    """Return every registered measure by name: ``CORE``, then the further ones by name.
+
+    Raises:
+        PluginError: a measure has the name of another column, or cannot be made.
+    """
+    return {cls.plugin_name: _make(cls) for cls in (*map(_core, CORE), *further_measures())}
+
+
+def further_measures() -> list[type[Measure]]:
+    """Return the measures beyond ``CORE``, sorted by name."""
+    return [
+        cls
+        for (kind, name), cls in sorted(registry.items(), key=lambda entry: entry[0])
+        if kind == Measure.kind and name not in CORE and issubclass(cls, Measure)
+    ]
+
+
+def heading(measure: type[Measure]) -> str:
+    """Return the heading of a further measure in tables: its name and its unit."""
+    return f"{measure.plugin_name.replace('_', ' ')} [{measure.unit}]"
+
+
+class EpisodeMetrics:
+    """Collects the transitions and the weighted reward terms of one episode."""
+
+    def __init__(self, measures: Mapping[str, Measure]) -> None:
+        self._measures = measures
+        self._episode: list[Transition] = []
+        self._parts: dict[str, float] = {}
+
+    def add(self, t: Transition, parts: Mapping[str, float]) -> None:
+        """Add one decision with the weighted values of its reward terms."""
+        self._episode.append(t)
+        for name, value in parts.items():
+            self._parts[name] = self._parts.get(name, 0.0) + value
+
+    def summary(self) -> dict[str, float]:
+        """Return numbers by name: each measure, the return, and each reward term's part of it.
+
+        Raises:
+            NonFiniteError: a measure is not finite; the text names it.
+            PluginFailedError: a measure raised an error, or returned no number.
+        """
+        return {
+            **{name: _value(one, self._episode) for name, one in self._measures.items()},
+            "return": sum(self._parts.values()),
+            **{f"reward_{name}": value for name, value in self._parts.items()},
+        }
+
+
+class Pitches:
+    """The pitches of an episode so far; each view of them costs no copy."""
+
+    def __init__(self, first: float) -> None:
+        self._values = np.full(128, first)
+        self._count = 1
+
+    def append(self, pitch: float) -> FloatArray:
+        """Add a pitch; return all so far, read-only, (T,) [rad]."""
+        if self._count == len(self._values):
+            self._values = np.concatenate([self._values, np.empty(self._count)])
+        self._values[self._count] = pitch
+        self._count += 1
+        view = self._values[: self._count]
+        view.flags.writeable = False
+        return view
+
+
+def _core(name: str) -> type[Measure]:
+    found = resolver.get(Measure.kind, name, name)
+    assert issubclass(found, Measure)
+    return found
+
+
+def _make(cls: type[Measure]) -> Measure:
+    name = cls.plugin_name
+    if name in _RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
+        raise PluginError(
+            f"{plugin_label(cls)}: files have another column or key {name!r}; choose another name "
+            f"({definition(cls)})"
+        )
+    made = resolver.construct(cls, {})
+    assert isinstance(made, Measure)
+    return made
+
+
+def _value(measure: Measure, episode: Sequence[Transition]) -> float:
+    value: object = measure(episode)
+    with naming(measure, "__call__"):
+        if isinstance(value, np.generic) or getattr(value, "shape", None) == ():
+            value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
+    if not isinstance(value, Real) or isinstance(value, bool):
+        text = f"returned {short_repr(value)}; a finite number is allowed"
+        raise refusal(measure, "__call__", text)
+    if not math.isfinite(value):
+        text = f"returned {value}; a finite number is allowed"
+        raise refusal(measure, "__call__", text, NonFiniteError)
+    return value if isinstance(value, int) else float(value)

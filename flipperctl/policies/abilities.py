@@ -1,0 +1,35 @@
+"""What a policy or a controller can do beyond its contract.
+
+Collectors and policies that use others ask for an ability, never for a class. The costs of all
+actions are an ability of the contract itself: ``flipperctl.api.CostPolicy``.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import Controller, Policy
+
+
+@runtime_checkable
+class LabellingPolicy(Policy, Protocol):
+    """A policy that labels every decision for a student."""
+
+    @property
+    def label(self) -> NDArray[np.float32]:
+        """Distribution over actions at the last decision, (9,)."""
+
+
+@runtime_checkable
+class PolicyUser(Protocol):
+    """A controller that builds on the policy of a file."""
+
+    @property
+    def policy(self) -> str:
+        """A run, a checkpoint, an exported file or a shipped policy; empty for none."""
+
+    def starting_from(self, policy: Policy, /) -> Controller:
+        """Return the same settings with the policy that ``policy`` names, read by the caller."""

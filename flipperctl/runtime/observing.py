@@ -1,0 +1,63 @@
+"""From what a robot measures to the observation of a policy.
+
+In: points of the ground, angles and the pitch. Out: an observation, by the arithmetic with which
+the simulator makes it.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flipperctl.core import observation as layout
+from flipperctl.core.bins import mean_heights
+from flipperctl.errors import NonFiniteError, PolicyError
+from flipperctl.runtime.interface import Interface
+
+Frame = Literal["L", "R"]
+_ROUNDING = 1e-9
+"""Distance past the last bin's edge that counts as rounding [m]."""
+
+
+def observe(
+    interface: Interface,
+    points: ArrayLike,
+    *,
+    front: float,
+    rear: float,
+    pitch: float,
+    frame: Frame,
+    where: str,
+) -> NDArray[np.float32]:
+    """Return an observation, (N + 3,); see ``OnnxPolicy.observation``. ``where``: for errors."""
+    ground = _points(points, where)
+    if frame not in ("L", "R"):
+        raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
+    if frame == "R":
+        ground = layout.to_level(ground, pitch)
+    reach = layout.reach(interface.bins, interface.bin_width)
+    near = ground[np.abs(ground[:, 0]) <= reach + _ROUNDING]
+    if not len(near):
+        raise PolicyError(
+            f"{where}: of {len(ground)} points none lies within ±{reach:g} m of the chassis centre"
+        )
+    heights = mean_heights(near, interface.bins, interface.bin_width)
+    return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
+
+
+def _points(points: ArrayLike, where: str) -> NDArray[np.float64]:
+    try:
+        ground = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"{where}: the points are not numbers: {error}") from error
+    if ground.ndim != 2 or ground.shape[1] != 2:
+        raise PolicyError(f"{where}: the points have shape {ground.shape}; (P, 2) is allowed")
+    bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
+    if bad.size:
+        raise NonFiniteError(
+            f"{where}: point {bad[0]} is {tuple(ground[bad[0]].tolist())}; finite numbers are "
+            "allowed: leave out what the sensor did not measure"
+        )
+    return ground

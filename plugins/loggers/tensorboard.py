@@ -1,0 +1,83 @@
+"""``logger=tensorboard``, the default: event files in the run directory."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from flipperctl.api import Listener, Logger, RunInfo, logger, scalars
+
+
+@logger("tensorboard")
+class TensorBoard(Logger):
+    """Writes TensorBoard events to ``tensorboard/`` in the run directory."""
+
+    def open(self, run: RunInfo) -> Listener:
+        """Begin a new file of events."""
+        return Events(run.folder, run.resume_at)
+
+
+class Events:
+    """Writes scalars under ``episode/`` and ``validation/``, with decisions as steps.
+
+    The events are those of torch's SummaryWriter, but they are written in this thread: the thread
+    of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
+    """
+
+    def __init__(self, folder: Path, resume_at: int | None = None) -> None:
+        """``resume_at``: decision after which earlier events are dropped; None for a new run."""
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        folder.mkdir(parents=True, exist_ok=True)
+        host, process = socket.gethostname(), os.getpid()
+        name = f"events.out.tfevents.{int(time.time()):010d}.{host}.{process}.{time.time_ns()}"
+        self._file = (folder / name).open("wb")
+        self._writer: Any = RecordWriter(self._file)
+        try:
+            self._event(file_version="brain.Event:2")
+            if resume_at is not None:
+                self._drop_after(resume_at)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Write the row's numbers."""
+        self._scalars("episode", row)
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Write the row's numbers."""
+        self._scalars("validation", row)
+        self._file.flush()
+
+    def note(self, text: str) -> None:
+        """Write the note as text."""
+        from torch.utils.tensorboard import summary
+
+        self._event(summary=cast("Any", summary).text("note", text))
+
+    def _scalars(self, group: str, row: Mapping[str, Any]) -> None:
+        from torch.utils.tensorboard import summary
+
+        scalar = cast("Any", summary).scalar
+        for name, value in scalars(group, row).items():
+            self._event(summary=scalar(name, value), step=row["decision"])
+
+    def _drop_after(self, decision: int) -> None:
+        """Make viewers drop the events after this decision from an earlier start of the run."""
+        from tensorboard.compat.proto.event_pb2 import SessionLog
+
+        self._event(session_log=SessionLog(status=SessionLog.START), step=decision + 1)
+
+    def _event(self, **fields: Any) -> None:
+        from tensorboard.compat.proto.event_pb2 import Event
+
+        self._writer.write(Event(wall_time=time.time(), **fields).SerializeToString())
+
+    def close(self) -> None:
+        """Flush and close the file."""
+        self._file.close()

@@ -1,0 +1,69 @@
+"""``mpc`` against the environment, and its prediction model against the engine."""
+
+import pytest
+
+from benchmarks import lookahead
+from benchmarks.prediction import MEASURES, prediction_errors
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead.mpc import Mpc
+from flipperctl.rollout.episode import play
+from tests.bench.small import check, check_ratio
+from tests.benchmarks.small import small_benchmark
+
+
+def test_every_decision_is_timed_and_every_prediction_compared() -> None:
+    bench = small_benchmark()
+    found = lookahead.measure(bench)
+    check(found)
+    quantities = found["quantities"]
+    assert len(quantities["decision"]["values"]) == found["decisions"] > 20
+    assert len(quantities["environment_decisions"]["values"]) == bench.settings.repeats
+    assert quantities["decision"]["high"] <= quantities["decision_p99"]["median"]
+    check_ratio(
+        found,
+        "simulated_decisions / environment_decisions",
+        "simulated_decisions",
+        "environment_decisions",
+    )
+    for controller in ("okada", "random"):
+        for name in MEASURES:
+            key = f"prediction.{controller}.{name}"
+            p90, p99 = (quantities[f"{key}_p{p}"]["median"] for p in (90, 99))
+            assert 0 < quantities[key]["median"] < p90 <= p99
+
+
+def test_rates_by_hand() -> None:
+    rounds = [
+        lookahead.Round([0.1, 0.3], [300, 500], 0.001),
+        lookahead.Round([0.1, 0.1], [300, 300], 0.001),
+    ]
+    found = lookahead.rates(rounds)
+    medians = {name: q["median"] for name, q in found["quantities"].items()}
+    assert medians["decision"] == pytest.approx(0.1)
+    assert medians["decision_p99"] == pytest.approx(0.294)  # 0.97 of the way from 0.1 to 0.3
+    assert medians["simulated_per_decision"] == 300
+    assert medians["simulated_decisions"] == pytest.approx(2500)  # 800 / 0.4 s, 600 / 0.2 s
+    assert medians["environment_decisions"] == pytest.approx(2000)
+    ratio = found["ratios"]["simulated_decisions / environment_decisions"]["ratio"]
+    assert ratio == pytest.approx(1.25)
+
+
+def test_a_second_search_counts_too() -> None:
+    """A plan that loses any time at all is searched for again, at thrice the width."""
+    config = small_benchmark().config.environment()
+    counts = {}
+    for name, from_ in (("once", 100.0), ("twice", 1e-6)):
+        policy = Mpc(beam=2, horizon=2, stuck_from=from_).build()
+        timed = lookahead.TimedMpc(policy)
+        play(FlipperEnv(config=config), timed, 1)
+        counts[name] = timed.simulated
+        assert len(timed.seconds) == len(timed.simulated)
+    assert max(counts["once"]) <= 9 + 3 * 9  # from the root, and from the beam and the last plan
+    assert max(counts["twice"]) > max(counts["once"])
+
+
+def test_predictions_agree_with_the_engine() -> None:
+    errors = prediction_errors(small_benchmark().config.environment(), "okada", [1, 2])
+    assert sorted(errors["position"])[len(errors["position"]) // 2] < 0.01
+    assert sorted(errors["pitch"])[len(errors["pitch"]) // 2] < 0.01
+    assert len(errors["swing"]) == len(errors["pitch"]) > 20

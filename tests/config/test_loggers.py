@@ -1,0 +1,62 @@
+"""The choice of loggers: by names, with settings, of files of 0.2, and without their plugins."""
+
+from typing import Any
+
+import pytest
+
+from flipperctl.config import TrainConfig, container, parse, with_overrides
+from flipperctl.config.absent import with_stand_ins
+from flipperctl.errors import ConfigError
+
+PLAIN = container(TrainConfig(terrain="flat", network="mlp"))
+OLD = {key: value for key, value in PLAIN.items() if key != "logger"}
+"""A configuration of version 0.2, which has no loggers."""
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ("wandb", ["wandb"]),
+        (["tensorboard", "trackio"], ["tensorboard", "trackio"]),
+        ("csv", []),
+        ([], []),
+        ({}, []),
+        ({"second": {"name": "wandb", "mode": "offline"}}, ["second"]),
+    ],
+)
+def test_loggers_are_chosen_by_name(given: Any, names: list[str]) -> None:
+    assert list(parse(TrainConfig, {**OLD, "logger": given}).logger) == names
+
+
+def test_a_training_of_version_0_2_has_its_events() -> None:
+    assert list(parse(TrainConfig, OLD).logger) == ["tensorboard"]
+
+
+def test_a_resumed_run_may_have_other_loggers() -> None:
+    config = parse(TrainConfig, PLAIN)
+    both = with_overrides(config, {"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
+    assert container(both)["logger"]["wandb"]["project"] == "stairs"
+    assert list(both.logger) == ["wandb"]
+    one = with_overrides(both, {"logger.wandb.mode": "offline"})
+    assert container(one)["logger"]["wandb"] == container(both)["logger"]["wandb"] | {
+        "mode": "offline"
+    }
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        ({"logger": "wandbb"}, r"logger\.wandbb: .*did you mean 'wandb'"),
+        ({"logger.wandb.project": "x"}, r"logger\.wandb: .*chosen: tensorboard; logger=wandb"),
+        ({"logger": 3}, "logger: names, or a mapping"),
+        ({"logger": {"../x": {"name": "wandb"}}}, r"logger\.\.\./x: lower-case letters"),
+    ],
+)
+def test_a_wrong_choice_says_what_is_allowed(overrides: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        with_overrides(parse(TrainConfig, PLAIN), overrides)
+
+
+def test_a_policy_is_judged_without_the_plugins_of_its_loggers() -> None:
+    mine = {"mine": {"name": "mine", "server": "here"}, **PLAIN["logger"]}
+    assert with_stand_ins({**PLAIN, "logger": mine}, {})["logger"] == PLAIN["logger"]

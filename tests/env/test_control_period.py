@@ -1,0 +1,40 @@
+"""The time between two decisions, and the time after which a robot that stands is stuck."""
+
+import math
+
+import pytest
+
+from flipperctl.api import Outcome, Profile, Robot, action_index
+from flipperctl.config import Episode
+from flipperctl.env.ends import Ends
+from flipperctl.env.flipper_env import FlipperEnv
+
+
+@pytest.mark.parametrize(("period", "turned"), [(0.3, 7.5), (1.2, 15.0)])
+def test_a_flipper_turns_at_its_own_speed_whatever_the_period(period: float, turned: float) -> None:
+    env = FlipperEnv("flat", robot={"control_period": period})
+    env.reset(seed=0)
+    env.step(action_index(1, 0))
+    assert env.state.time == pytest.approx(period)
+    assert math.degrees(env.state.front) == pytest.approx(turned, abs=0.5)
+    env.step(action_index(0, 0))  # and reaches the angle that the first action commanded
+    assert math.degrees(env.state.front) == pytest.approx(15.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "period", "decisions"),
+    [
+        ({}, 0.6, 20),
+        ({}, 0.3, 20),
+        ({"stuck_window": 5}, 0.3, 5),
+        ({"stuck_time": 3.0}, 0.6, 5),
+        ({"stuck_time": 3.0}, 0.3, 10),
+        ({"stuck_time": 0.1}, 0.6, 2),  # progress is measured over two decisions at least
+    ],
+)
+def test_a_robot_that_stands_is_stuck(
+    settings: dict[str, float], period: float, decisions: int
+) -> None:
+    ends = Ends(Profile([(1.0, 0.0)]), Robot(), Episode(**settings), 0.0, period)
+    found = [ends.decision(0.0) for _ in range(decisions)]
+    assert found == [None] * (decisions - 1) + [Outcome.STUCK]
