@@ -11,6 +11,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator
 from typing import Any
+from weakref import WeakSet
 
 from flipperctl.api import Plugin
 from flipperctl.errors import (
@@ -23,8 +24,8 @@ from flipperctl.errors import (
 from flipperctl.guard import is_called_by_core, raise_named
 
 _CONTRACT = "flipperctl.api"
-_GUARDED = "__guarded__"
-"""Attribute of the functions that this module has made."""
+_made: WeakSet[Callable[..., object]] = WeakSet()
+"""The guarded functions; an attribute would be copied by an author's ``functools.wraps``."""
 
 _RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
     ("network", "build"): ConfigError,
@@ -67,6 +68,9 @@ def _guard_attribute(name: str, found: Any) -> object:
         return found if getter is found.fget else property(getter, doc=found.__doc__)
     if inspect.isfunction(found):
         return _guard(name, found)
+    if isinstance(found, classmethod) and inspect.isfunction(found.__func__):
+        method = _guard(name, found.__func__)
+        return found if method is found.__func__ else classmethod(method)
     if not hasattr(type(found), "__get__"):
         return found
     if isinstance(found, functools.cached_property):
@@ -74,7 +78,7 @@ def _guard_attribute(name: str, found: Any) -> object:
 
     @functools.wraps(_bound(found))
     def call(self: Plugin, *given: object, **named: object) -> object:
-        """Call a static, class or partial method, or a compiled function."""
+        """Call a static or partial method, or a compiled function."""
         method: Callable[..., object] = found.__get__(self, type(self))
         return method(*given, **named)
 
@@ -93,12 +97,12 @@ def _bound(descriptor: Any) -> Callable[[Plugin], object]:
 
 def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
     """Return the function, which names its plugin if it fails in a call of the core."""
-    if hasattr(function, _GUARDED):
+    if function in _made:
         return function
     shown = _NAMES.get(name, name)
 
     @functools.wraps(function)
-    def guarded(self: Plugin, *given: object, **named: object) -> object:
+    def guarded(self: Plugin | type[Plugin], *given: object, **named: object) -> object:
         try:
             result = function(self, *given, **named)
         except BaseException as error:
@@ -113,5 +117,5 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
             guard_class(type(result))
         return result
 
-    setattr(guarded, _GUARDED, True)
+    _made.add(guarded)
     return guarded

@@ -35,6 +35,9 @@ def observe(
     ground = _points(points, where)
     if frame not in ("L", "R"):
         raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
+    for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
+        if not np.isfinite(angle):
+            raise NonFiniteError(f"{where}: {name} is {angle}; finite numbers are allowed")
     if frame == "R":
         ground = layout.to_level(ground, pitch)
     reach = layout.reach(interface.bins, interface.bin_width)

@@ -84,7 +84,7 @@ class OnnxPolicy:
 
         Raises:
             PolicyError: the points have another shape, are not numbers, or none lies in a bin.
-            NonFiniteError: a point is NaN or infinite.
+            NonFiniteError: a point or an angle is NaN or infinite.
         """
         return observe(
             self.interface,

@@ -9,7 +9,9 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
 from flipperctl.lookahead.policy import NO_PLAN
 from flipperctl.policies import labels
+from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
+from flipperctl.rollout.collect import InProcessCollector
 
 
 def policy(name: str, **settings: object) -> PluginPolicy | PluginCostPolicy:
@@ -29,6 +31,17 @@ def test_an_action_that_costs_a_temperature_more_is_e_times_less_probable() -> N
 def test_only_some_controllers_offer_costs() -> None:
     assert isinstance(policy("mpc"), CostPolicy)
     assert not isinstance(policy("okada"), CostPolicy)
+
+
+def test_a_collector_keeps_the_labels_of_any_policy_that_has_them() -> None:
+    for acting, labelled in (
+        (policy("okada"), False),
+        (DemonstratingPolicy(policy("okada")), True),
+    ):
+        collector = InProcessCollector(FlipperEnv("flat"), acting, lambda: 1)
+        step = next(collector.episode())
+        expected = labels.from_action(step.action).tolist() if labelled else None
+        assert (step.label if step.label is None else step.label.tolist()) == expected
 
 
 def test_the_cheapest_action_of_mpc_is_the_one_that_it_takes() -> None:

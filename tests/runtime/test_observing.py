@@ -60,3 +60,8 @@ def test_points_that_are_none_are_refused(
     with pytest.raises(error, match=text) as caught:
         policy.observation(points, **ANGLES, frame=frame)
     assert str(caught.value).startswith(str(policy.path))
+
+
+def test_an_angle_that_is_not_known_is_refused(policy: OnnxPolicy) -> None:
+    with pytest.raises(NonFiniteError, match="pitch is nan"):
+        policy.observation(GROUND, front=0.0, rear=0.0, pitch=math.nan, frame="R")
