@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl import api
+from flipperctl.core.bins import mean_heights
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 MOUNT = 0.25, 0.4  # place of the scanner in frame R: x, z [m]
@@ -124,10 +125,8 @@ class Mapper:
         heights = np.interp(cells, known, [self._map[cell] for cell in known])
         points = np.column_stack([(cells + 0.5) * self._cell - x, heights - z])
         filled = np.array([cell not in self._map for cell in cells.tolist()])
-        bin_of = np.clip(((points[:, 0] + reach) / self._width).astype(int), 0, self._bins - 1)
-        total, count = (np.bincount(bin_of, w, self._bins) for w in (points[:, 1], None))
         pitch, front, rear = self._angles
-        ground = SensedGround(points, total / count, filled)
+        ground = SensedGround(points, mean_heights(points, self._bins, self._width), filled)
         return ground, SensedAngles(front=front, rear=rear, pitch=pitch)
 
     def save(self) -> tuple[Any, ...]:

@@ -235,7 +235,7 @@ def test_the_example_plugin_is_the_one_shown(tmp_path: Path) -> None:
     assert saved()["ridge.py"].split("@terrain")[1].split("def")[0] in example.read_text()
 
 
-@pytest.mark.parametrize("name", ["kinematic.py", "ruler.py"])
+@pytest.mark.parametrize("name", ["kinematic.py", "ruler.py", "inertial.py"])
 def test_the_examples_of_the_tutorials_are_those_shown(name: str) -> None:
     documented = (Path(__file__).parents[1] / "examples" / name).read_text()
     assert documented.partition('"""\n\n')[2] == saved()[name]

@@ -56,7 +56,7 @@ class Simulator(Protocol):
 
         Called once after ``restart`` and once after each ``step``, it returns the perceptions of
         the episode itself, noise included, so that a policy which is played in the simulator takes
-        the same actions as in the episode. Snapshots hold neither noise nor earlier perceptions.
+        the same actions as in the episode.
         """
 
     def perceive_exactly(self) -> Perception:
@@ -68,7 +68,10 @@ class Simulator(Protocol):
         """
 
     def save(self) -> Any:
-        """Return a snapshot of the scene for ``load``."""
+        """Return a snapshot of the scene for ``load``.
+
+        It holds what the sensor remembers, its noise, and the recent observations.
+        """
 
     def load(self, saved: Any) -> None:
         """Return to a snapshot.

@@ -8,14 +8,16 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.core.arrays import FloatArray
+
 
 @dataclass(frozen=True)
 class SensedGround:
     """The sensed ground around the robot, in frame L."""
 
-    points: NDArray[np.float64]
+    points: FloatArray
     """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
-    heights: NDArray[np.float64]
+    heights: FloatArray
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point stands where the ground was never seen; None: every point was seen."""

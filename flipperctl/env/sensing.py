@@ -1,4 +1,4 @@
-"""The parts of a sensor in use, guarded: every call into a plugin's sensing goes through here.
+"""The parts of a sensor in use, guarded: every call into what it returns goes through here.
 
 In: a sensor and what it is mounted on. Out: instruments by name and an estimator, whose failures
 and wrong values are errors that name the sensor, the method, the file and the line. A sensor that
@@ -72,7 +72,7 @@ def put_to_use(
     Raises:
         PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
     """
-    found = _call(sensor, "instruments", sensor.instruments, mounting)
+    found = sensor.instruments(mounting)
     if found is None:
         return {"sensed": GuardedSensor(sensor, mounting)}, Newest()
     if not (isinstance(found, Mapping) and all(isinstance(name, str) for name in found)):
@@ -120,7 +120,7 @@ class GuardedEstimator:
             PluginFailedError: the sensor's code failed, or returned nothing that estimates.
         """
         self._sensor = sensor
-        self._estimator: Estimator = _call(sensor, "estimator", sensor.estimator, robot)
+        self._estimator: Estimator = sensor.estimator(robot)
         needed = ("update", "estimate", "save", "load")
         missing = [method for method in needed if not _has(self._estimator, method)]
         if missing:
@@ -170,7 +170,7 @@ class GuardedSensor:
             PluginFailedError: the sensor's code failed, or returned nothing that senses.
         """
         self._sensor = sensor
-        self._in_use = _call(sensor, "over", sensor.over, mounting.profile, mounting.margin)
+        self._in_use = sensor.over(mounting.profile, mounting.margin)
         if not _has(self._in_use, "sense"):
             text = f"returned {short_repr(self._in_use)}; a flipperctl.api.GroundSensor is allowed"
             raise refusal(sensor, "over", text)
