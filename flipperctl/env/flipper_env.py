@@ -31,7 +31,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
-from flipperctl.env.metrics import EpisodeMetrics, Pitches, measures
+from flipperctl.env.metrics import EpisodeMetrics, measures
 from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import HEIGHT, WIDTH, Scene
@@ -147,7 +147,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
-        self._pitches = Pitches(self.state.pitch)
+        self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
@@ -221,8 +221,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
+        self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, poses = self._pitches.append(after.pitch), self.drive.poses
+        pitches, poses = np.array(self._pitches), self.drive.poses
         self.transition = Transition(
             before,
             after,
