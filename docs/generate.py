@@ -20,7 +20,6 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.bench.settings import BenchSettings
-from flipperctl.cli.hydra.search_space import SearchSettings
 from flipperctl.cli.main import app
 from flipperctl.config import (
     Agent,
@@ -34,6 +33,7 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
+from flipperctl.runs.search import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,
@@ -138,7 +138,7 @@ def _top_level() -> Iterator[Field]:
     from flipperctl.config.describe import settings as all_settings
 
     config_store.register_defaults()
-    (config,) = compose.compose_train([])
+    (config,) = compose.compose_train()
     for setting in all_settings(config):
         f = setting.field
         if setting.path == setting.section or not setting.section:

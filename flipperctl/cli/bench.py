@@ -148,21 +148,22 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
     """
     from flipperctl.bench.settings import sizes
     from flipperctl.cli.hydra import compose, config_store
-    from flipperctl.cli.hydra.errors import convert_hydra_errors
-    from flipperctl.cli.hydra.overrides import check_once, override_values
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.cli.hydra.words import check_once
     from flipperctl.config import resolver
 
     check_once(overrides)
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
-    with convert_hydra_errors():
-        changes = override_values(own)
+    changes = Overrides.parse(own).values()
     try:
         settings = sizes(small=small, changes=changes)
     except ConfigError as error:
         raise ConfigError(f"{SECTION}{error}") from error
     resolver.get("controller", settings.controller, f"{SECTION}controller")
     config_store.register_defaults()
-    configs = compose.compose_train([o for o in overrides if not o.startswith(SECTION)])
+    configs = compose.compose_train(
+        Overrides.parse(o for o in overrides if not o.startswith(SECTION))
+    )
     if len(configs) > 1:
         raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
     return configs[0], settings

@@ -125,7 +125,7 @@ def _attempt(steps: Sequence[Callable[[], None]]) -> None:
 
 
 def _print_tables(result: EvaluationResult, label: str) -> None:
-    from flipperctl.cli.conditions import condition_lines
+    from flipperctl.terminal.conditions import condition_lines
     from flipperctl.terminal.console import console
     from flipperctl.terminal.evaluation import comparisons, search_lines, table
 

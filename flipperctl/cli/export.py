@@ -58,12 +58,13 @@ def export(
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
     from flipperctl import plugins as loader
-    from flipperctl.cli.policy_file import find_policy
     from flipperctl.export.policy import export as run
     from flipperctl.files import check_writable
+    from flipperctl.runs.inherited import find_policy
+    from flipperctl.terminal.streams import print_note
 
     loader.load(plugins or ())
-    file = find_policy(checkpoint)
+    file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
     saved = checkpoints.read(file)
@@ -92,13 +93,10 @@ def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
     Raises:
         ConfigError: an override is malformed, or sets anything but a field of the robot.
     """
-    from flipperctl.cli.hydra.errors import convert_hydra_errors
-    from flipperctl.cli.hydra.overrides import check_words, override_values
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.errors import ConfigError
 
-    check_words(overrides)
-    with convert_hydra_errors():
-        values = override_values(overrides)
+    values = Overrides.parse(overrides).values()
     for key in values:
         section, _, field = key.partition(".")
         if section != "robot" or not field:

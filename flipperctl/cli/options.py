@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from flipperctl.errors import RequestError
-from flipperctl.terminal import follow_up
+from flipperctl.runs import follow_up
 
 
 def _remember_plugins(paths: list[Path] | None) -> list[Path] | None:

@@ -24,7 +24,7 @@ from flipperctl.cli.options import (
     with_flags,
 )
 from flipperctl.errors import RequestError
-from flipperctl.terminal.follow_up import command
+from flipperctl.runs.follow_up import command
 
 if TYPE_CHECKING:
     from flipperctl.evaluation.results import Summary
@@ -132,8 +132,8 @@ def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
 
 
 def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:
-    from flipperctl.cli.conditions import condition_lines
     from flipperctl.evaluation.conditions import scene_names
+    from flipperctl.terminal.conditions import condition_lines
     from flipperctl.terminal.console import console
 
     out = console()

@@ -41,7 +41,7 @@ def _settings(key: str, primary: str) -> Iterator[str]:
         return
     plugins.load()
     config_store.register_defaults()
-    (default,) = compose_train([])
+    (default,) = compose_train()
     sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
     paths = [s.path for s in settings(default) if s.path.partition(".")[0] in sections]
     section, dot, _ = key.partition(".")

@@ -13,7 +13,6 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 
 from flipperctl.api import ObservationLayout, Robot, registry
-from flipperctl.cli import conditions
 from flipperctl.config import (
     DEFAULT_ENGINE,
     EvalConfig,
@@ -24,6 +23,7 @@ from flipperctl.config import (
     container,
     resolver,
 )
+from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
@@ -72,31 +72,28 @@ def register_defaults() -> None:
 def register_trained(config: TrainConfig | EvalConfig) -> str:
     """Register an evaluation of a policy as a primary configuration; return its name.
 
-    The policy brings its terrain, rewards, robot, observation layout and evaluation settings. Its
-    other sections are ``conditions=trained``, unless it is an exported file
-    (``config`` is then an ``EvalConfig``), which lacks them.
+    The sections of its training are ``conditions=trained``, unless the file lacks them.
     """
     store = ConfigStore.instance()
-    own = container(config.environment())
-    own["terrain"] = container(config.terrain, brief=True)
-    layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
-    for group in ("terrain", "rewards", "sim", "perception"):
-        store.store(group=group, name=_TRAINED, node=own.pop(group))
-    kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
-    nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
+    found = Inherited.of(config)
+    for group, node in found.chosen.items():
+        store.store(group=group, name=_TRAINED, node=node)
     primary = EVAL_EXPORT
-    if isinstance(config, TrainConfig):
+    if found.trained is not None:
         primary = EVAL_CHECKPOINT
+        sections = dict(found.trained)
+        for group in ("sim", "perception"):
+            store.store(group=group, name=_TRAINED, node=sections.pop(group))
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
-        node = {"defaults": choices, **own}
-        store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
+        node = {"defaults": choices, **sections}
+        store.store(group="conditions", name=TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
-        *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
+        *({group: _TRAINED} for group in found.chosen),
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
-        *("_self_", {"conditions": conditions.NOMINAL}),
+        *("_self_", {"conditions": NOMINAL}),
     ]
-    store.store(name=primary, node={"defaults": defaults, **nominal, **kept})
+    store.store(name=primary, node={"defaults": defaults, **found.nominal, **found.kept})
     return primary
 
 

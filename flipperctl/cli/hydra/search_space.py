@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from flipperctl.cli.hydra.overrides import parse_overrides
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
 
 
-def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution], list[str]]:
+def search_space(overrides: Overrides) -> tuple[dict[str, BaseDistribution], list[str]]:
     """Return the distributions that Optuna samples, by key, and the fixed overrides.
 
     Raises:
@@ -26,7 +25,7 @@ def search_space(arguments: Sequence[str]) -> tuple[dict[str, BaseDistribution],
 
     space: dict[str, BaseDistribution] = {}
     fixed = []
-    for override in parse_overrides(arguments):
+    for override in overrides.parsed:
         key = override.get_key_element()
         if override.is_interval_sweep():
             sweep: Any = override.value()

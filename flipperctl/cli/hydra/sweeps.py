@@ -6,10 +6,12 @@ and a table that compares them. Any of Hydra's launchers can train them.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,37 +20,21 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli.comparison import SweepRun, compare, sweep_run, unreturned_run
 from flipperctl.cli.hydra import ray_launcher
-from flipperctl.cli.hydra.overrides import literal_override, parse_overrides
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.hydra.words import literal_override
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import make_folder
+from flipperctl.runs import follow_up
+from flipperctl.runs.comparison import SweepRun, sweep_run, unreturned_run, write_comparison
 from flipperctl.runs.lock import hold
+from flipperctl.runs.optuna_search import JobResult
+from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.runs.sweep_stop import stopping
-from flipperctl.terminal import follow_up
+from flipperctl.terminal.sweep import print_comparison
 
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
 """``hydra.sweep.subdir`` of train.yaml, which is replaced by the names of the swept values."""
-_LONGEST = 120
-"""Largest length of a folder's name in characters; file systems allow 255 bytes."""
-
-
-def folder_name(number: int, swept: Mapping[str, str]) -> str:
-    """Return the folder name of a sweep's run, as in ``0_seed=1,terrain=step``.
-
-    Characters that are special to a shell or a file system become ``_``; a long name is cut.
-    """
-    words = ",".join(f"{key}={_short(value)}" for key, value in swept.items())
-    name = re.sub(r"[^A-Za-z0-9_.,=+-]+", "_", f"{number}_{words}")
-    return name if len(name) <= _LONGEST else name[: _LONGEST - 1] + "_"
-
-
-def _short(value: str) -> str:
-    """Return a number with five digits, since a search samples sixteen; keep other values."""
-    try:
-        return value if len(value) <= 8 else f"{float(value):.5g}"
-    except ValueError:
-        return value
 
 
 def uses_default_naming(config: DictConfig) -> bool:
@@ -57,12 +43,28 @@ def uses_default_naming(config: DictConfig) -> bool:
     return bool(sweep["subdir"] == UNNAMED)
 
 
+def job_result(job: JobReturn) -> JobResult:
+    """Return the value that a job returned, or the error that ended it.
+
+    ``return_value`` writes a line to stderr before it raises the error. That line is hidden,
+    since the command shows the error itself.
+    """
+    composed: Any = job.hydra_cfg
+    folder = Path(composed.hydra.runtime.output_dir)
+    with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            return JobResult(folder, job.return_value, None)
+        except Exception as error:  # noqa: BLE001 (a job may fail in any way)
+            return JobResult(folder, None, error)
+
+
 class SweepLauncher:
     """Hydra's launcher with named folders; it keeps the results of the jobs."""
 
     def __init__(self, launcher: Launcher, folder: Path, *, named: bool) -> None:
         """``folder``: that of the sweep; ``named``: whether runs are named after swept values."""
-        self._launcher, self._folder, self._named = launcher, folder.absolute(), named
+        self._launcher, self._named = launcher, named
+        self._typed_folder, self._folder = folder, folder.absolute()
         self.stop: Callable[[], bool] = lambda: False
         """Called before each launch; once it returns True, no further job begins."""
         self.jobs = 0
@@ -124,11 +126,31 @@ class SweepLauncher:
             if stopped and isinstance(error, Exception):
                 raise cause from error
             raise
+        results = [job_result(job) for job in returns]
         self.runs += [
-            sweep_run(job, first + i, values)
-            for i, (job, values) in enumerate(zip(returns, swept, strict=True))
+            sweep_run(first + i, swept[i], found.folder, found.error)
+            for i, found in enumerate(results)
         ]
         return returns
+
+    def train(self, jobs: Sequence[Sequence[str]], first: int) -> list[JobResult]:
+        """Train each job of a search; ``first`` is the number of the first one."""
+        return [job_result(job) for job in self.launch(jobs, initial_job_idx=first)]
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the sweep's folder; Ctrl-C sets ``stop``; compare the runs at the end.
+
+        Raises:
+            RunHeldError: another process works in the folder.
+        """
+        with hold(make_folder(self._typed_folder), "sweep"):
+            try:
+                with stopping(self._typed_folder) as self.stop:
+                    yield
+            finally:
+                compared = write_comparison(self._typed_folder, self.runs)
+                print_comparison(self._typed_folder, compared)
 
     def _swept_values(self, job: Sequence[str]) -> dict[str, str]:
         values = dict(override.partition("=")[::2] for override in job)
@@ -168,21 +190,16 @@ class ListSweep:
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
-        self._jobs.swept = [
-            o.get_key_element() for o in parse_overrides(overrides) if o.is_sweep_override()
-        ]
-        with hold(make_folder(self._folder), "sweep"):
+        self._jobs.swept = Overrides.parse(overrides, check=False).swept
+        with self._jobs.held():
             try:
-                with stopping(self._folder) as self._jobs.stop:
-                    self._sweeper.sweep(arguments)
+                self._sweeper.sweep(arguments)
             except (InterruptedRunError, KeyboardInterrupt) as error:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
                     f"Go on with: {command_to_go_on(self._folder)}"
                 ) from error
-            finally:
-                compare(self._folder, self._jobs.runs)
 
 
 def command_to_go_on(folder: Path) -> str:

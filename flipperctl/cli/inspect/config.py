@@ -46,13 +46,14 @@ def show(
 
     from flipperctl import plugins as loader
     from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import container
 
     loader.load(plugins or ())
     config_store.register_defaults()
-    config = compose.only_one(compose.compose_train(overrides or []))
+    config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
     if describe:
-        (default,) = compose.compose_train([])
+        (default,) = compose.compose_train()
         found = list_settings(config, default)
         if as_json:
             print(json.dumps(found, indent=2))

@@ -68,6 +68,7 @@ def show(
 def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_environment
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.scenes import with_engine
     from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
     from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
@@ -80,7 +81,7 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     if file is not None:
         own = exported_config(file)
         primary = config_store.register_robot(own.robot, own.perception.layout)
-    config = compose_environment(with_engine(overrides), primary)
+    config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
     plane = in_default_engine(config)
     found = [*probe_world(plane), *probe_world(config), *probe_sensing(config)]
     if file is not None:

@@ -79,8 +79,8 @@ def show(
 
 
 def _print(found: list[EngineComparison]) -> None:
-    from flipperctl.cli.conditions import condition_lines
     from flipperctl.evaluation.conditions import scene_names
+    from flipperctl.terminal.conditions import condition_lines
     from flipperctl.terminal.console import console
     from flipperctl.terminal.tables import Table
 

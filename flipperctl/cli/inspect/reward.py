@@ -114,7 +114,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
 
 
 def _print_comparison(found: list[SceneRanking]) -> None:
-    from flipperctl.cli.conditions import condition_lines
+    from flipperctl.terminal.conditions import condition_lines
     from flipperctl.terminal.console import console
     from flipperctl.terminal.rewards import table, verdict_lines
 
@@ -126,7 +126,7 @@ def _print_comparison(found: list[SceneRanking]) -> None:
 
 
 def _print(found: AuditResult) -> None:
-    from flipperctl.cli.conditions import condition_lines
+    from flipperctl.terminal.conditions import condition_lines
     from flipperctl.terminal.console import console
     from flipperctl.terminal.tables import Table
 

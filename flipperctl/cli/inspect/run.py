@@ -86,7 +86,7 @@ def _resume_command(run: Path) -> str:
     """
     from flipperctl import checkpoint
     from flipperctl.errors import CheckpointError
-    from flipperctl.terminal import follow_up
+    from flipperctl.runs import follow_up
 
     command = follow_up.command("train", "--resume", run)
     files: list[str] = []

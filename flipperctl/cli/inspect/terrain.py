@@ -42,6 +42,7 @@ def show(
     """See HELP."""
     from flipperctl import plugins as loader
     from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
     from flipperctl.env.flipper_env import FlipperEnv
     from flipperctl.errors import RequestError
@@ -54,7 +55,7 @@ def show(
     loader.load(plugins or ())
     resolver.get("terrain", name, "terrain")
     config_store.register_defaults()
-    config = compose.compose_environment([f"terrain={name}", *(overrides or [])])
+    config = compose.compose_environment(Overrides.parse([f"terrain={name}", *(overrides or [])]))
     env = FlipperEnv(config=config)
     profiles, point_counts = [], []
     for index in range(draws):

@@ -12,7 +12,8 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 from sqlalchemy.exc import SQLAlchemyError
 
-from flipperctl.cli.hydra.optuna_search import OptunaSearch
+from flipperctl.cli.hydra.optuna_search import SearchSweep
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.search_space import search_space
 from flipperctl.cli.hydra.sweeps import SweepLauncher
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
@@ -54,7 +55,7 @@ def search(
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
     jobs = SweepLauncher(launcher, folder / own, named=False)
-    OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder / own).run(overrides)
+    SearchSweep(SearchSettings(storage=storage, **settings), jobs, folder / own).run(overrides)
     return launcher.jobs, trials(folder)
 
 
@@ -187,7 +188,9 @@ def test_trials_ordered_by_another_measure_are_not_continued(tmp_path: Path) -> 
 
 def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
     interval = ["agent.gamma=interval(0.9,0.99)", "agent.batch_size=int(interval(32,64))"]
-    space, fixed = search_space([*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"])
+    space, fixed = search_space(
+        Overrides.parse([*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"])
+    )
     assert fixed == ["seed=3", "~rewards.pitch"]
     assert space == {
         "agent.gamma": optuna.distributions.FloatDistribution(0.9, 0.99),
@@ -195,7 +198,7 @@ def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
         "network": optuna.distributions.CategoricalDistribution(["mlp", "at_d3qn"]),
     }
     with pytest.raises(ConfigError, match="nothing to search"):
-        search_space(["seed=3"])
+        search_space(Overrides.parse(["seed=3"]))
 
 
 def test_the_objective_orders_by_success_and_then_by_swing_at_100_hz() -> None:

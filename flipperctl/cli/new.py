@@ -52,9 +52,9 @@ def new(
 ) -> None:
     """See HELP."""
     from flipperctl import plugins as loader
-    from flipperctl.cli.new.draft import Draft, next_commands
     from flipperctl.errors import RequestError
     from flipperctl.messages import close_match
+    from flipperctl.scaffold.draft import Draft, next_commands
 
     if kind not in KINDS:
         raise RequestError(
