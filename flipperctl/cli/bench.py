@@ -79,14 +79,12 @@ def bench(
 ) -> None:
     """See HELP."""
     measures, overrides = split_arguments(arguments or [])
-    from flipperctl import plugins as loader
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
     from flipperctl.files import write_json
     from flipperctl.runs.results import result_folder
     from flipperctl.terminal.bench import tables
 
-    loader.load(plugins or ())
     overrides = with_flags(overrides, SECTION.rstrip("."), repeats=repeats)
     config, settings = compose_bench(overrides, small=small)
     document: dict[str, Any] = {

@@ -100,27 +100,21 @@ def run(
 ) -> None:
     """See HELP; the function is as long as its list of options."""
     require_one_policy(checkpoint, controller, overrides)
-    from flipperctl import plugins as loader
-    from flipperctl.checkpoint.recording import require_one_layout
-    from flipperctl.cli.eval_output import EvalOutput
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.scenes import evaluate
-    from flipperctl.files import check_writable
+    from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.results import print_result
+    from flipperctl.terminal.streams import print_note
 
-    loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
     against = _sources(baseline, "--baseline", found[0][1].baselines())
     references = _sources(passable, "--passable")
-    if film:
-        _check_film(film, len(found))
-    if record:
-        check_writable(record)
-        require_one_layout(record, [config for config, _ in found])
     with ExitStack() as stack:
-        written = EvalOutput(found, output, film, record, stack)
+        outputs = {"folder": output, "film": film, "record": record}
+        written = EvaluationFiles(found, stack, **outputs, tell=print_note)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
             found,
@@ -133,10 +127,10 @@ def run(
         # The table names a run as it was typed; files and JSON name the checkpoint in it.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:
-            written.show(result, None if as_json else typed)
+            print_result(result, None if as_json else typed)
         finally:  # a closed pipe costs no file
             written.write(result)
-        written.draw(result, stop)
+        written.draw(result, stop, episodes_progress)
 
 
 def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
@@ -148,11 +142,3 @@ def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> lis
     if not all(chosen):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
-
-
-def _check_film(path: Path, scenes: int) -> None:
-    from flipperctl.report.film import check_film
-
-    if scenes != 1:
-        raise RequestError(f"--film shows one scene; {scenes} are evaluated")
-    check_film(path)

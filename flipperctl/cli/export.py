@@ -57,13 +57,12 @@ def export(
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
-    from flipperctl import plugins as loader
     from flipperctl.export.policy import export as run
     from flipperctl.files import check_writable
     from flipperctl.runs.inherited import find_policy
+    from flipperctl.terminal.export import print_export
     from flipperctl.terminal.streams import print_note
 
-    loader.load(plugins or ())
     file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
@@ -76,15 +75,7 @@ def export(
     if as_json:
         print(json.dumps(found, indent=2))
         return
-    print(
-        f"{target}: {found['bytes']} bytes, from {saved.path}\n"
-        f"compared with torch on {found['observations']} observations of rollouts: "
-        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
-        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
-        f"the chosen action agrees on {found['action_agreement']:.2%}"
-    )
-    if changes := found["robot_changes"]:
-        print(f"for another robot than that of the training: {_describe(changes)}")
+    print_export(target, saved.path, found)
 
 
 def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
@@ -105,16 +96,3 @@ def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
                 "everything else is that of the training"
             )
     return {key.removeprefix("robot."): value for key, value in values.items()}
-
-
-def _describe(changes: dict[str, dict[str, float]]) -> str:
-    from flipperctl.api import Robot
-    from flipperctl.messages import unit
-
-    parts = []
-    for name, values in changes.items():
-        setting = name in Robot.model_fields
-        label = f"robot.{name}" if setting else name.replace("_", " ")
-        of = unit(Robot, name) if setting else "s"
-        parts.append(f"{label} {values['file']:.6g} {of} (training {values['training']:.6g})")
-    return ", ".join(parts)

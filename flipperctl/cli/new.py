@@ -51,7 +51,6 @@ def new(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl import plugins as loader
     from flipperctl.errors import RequestError
     from flipperctl.messages import close_match
     from flipperctl.scaffold.draft import Draft, next_commands
@@ -61,7 +60,6 @@ def new(
             f"there is no kind {kind!r} of plugin{close_match(kind, KINDS)}; "
             f"{', '.join(KINDS)} are allowed"
         )
-    loader.load(plugins or ())
     draft = Draft(kind, name)
     made = draft.write_package(output) if package else draft.write_file(output)
     print(f"wrote {made}; next:")

@@ -12,8 +12,13 @@ from flipperctl.errors import RequestError
 from flipperctl.runs import follow_up
 
 
-def _remember_plugins(paths: list[Path] | None) -> list[Path] | None:
-    follow_up.remember_plugins(paths)
+def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
+    """Load the installed plugins and those of ``paths``, before the command itself runs."""
+    if not context.resilient_parsing:  # shell completion
+        from flipperctl import plugins
+
+        follow_up.remember_plugins(paths)
+        plugins.load(paths or ())
     return paths
 
 
@@ -23,7 +28,7 @@ PluginPaths = Annotated[
         "--plugins",
         metavar="PATH",
         help="A plugin file or folder; may be repeated.",
-        callback=_remember_plugins,  # at every command, with None where it is not given
+        callback=_load_plugins,  # at every command, with None where it is not given
     ),
 ]
 Overrides = Annotated[

@@ -61,10 +61,7 @@ def train(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl import plugins as loader
-
     arguments = list(overrides or [])
-    loader.load(plugins or ())
     if resume is not None:
         _resume(resume, arguments)
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -89,3 +90,23 @@ def _describe(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
     """Return the error in one line, with file and line unless it is one of the core's own."""
     where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
     return f"{error_line(error)}{where}"
+
+
+def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dict[str, Any]:
+    """Run one check; return ``ok``, ``skipped``, the message and the time taken [s]."""
+    begun, text, ok, skipped = clock(), "", True, False
+    try:
+        one()
+    except ConformanceError as error:
+        text, ok = str(error), False
+    except NotChecked as error:
+        text, skipped = str(error), True
+    return {
+        "kind": one.plugin.kind,
+        "name": getattr(one.plugin, "plugin_name", one.plugin.__name__),
+        "check": one.name,
+        "ok": ok,
+        "skipped": skipped,
+        "message": text,
+        "seconds": clock() - begun,
+    }

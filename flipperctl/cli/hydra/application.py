@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import compose_train, parse_training
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.words import check_words
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import failure, make_folder, write_bytes
 from flipperctl.runs import folder as run_folder
@@ -91,8 +90,9 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
     plain = not any(word.startswith("-") for word in words)
     # With options of Hydra, other words may be their values.
     typed = words if plain else [w for w in words if "=" in w and not w.startswith("-")]
-    overrides = Overrides.parse(typed, check=False) if several else _single(typed)
-    check_words(typed)
+    overrides = Overrides.parse(typed)
+    if not several:
+        overrides.check_single()
     overrides.check_folders()
     overrides.check_mappings()
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
@@ -108,12 +108,6 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
     if stop():
         raise KeyboardInterrupt
     return True
-
-
-def _single(words: Sequence[str]) -> Overrides:
-    found = Overrides.parse(words, check=False)
-    found.check_single()
-    return found
 
 
 def _shut_ray_down() -> None:

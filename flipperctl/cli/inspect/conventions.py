@@ -46,16 +46,15 @@ def show(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl import plugins as loader
+    from flipperctl.terminal.conventions import print_probes
 
-    loader.load(plugins or ())
     found = _probes(list(overrides or []), checkpoint)
     wrong = [probe for probe in found if not probe.holds]
     if as_json:
         document = {"holds": not wrong, "probes": [probe.container() for probe in found]}
         print(json.dumps(document, indent=2))
     else:
-        _print(found)
+        print_probes(found)
     if wrong:
         first = wrong[0]
         raise FlipperctlError(
@@ -87,21 +86,3 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     if file is not None:
         found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
     return found
-
-
-def _print(found: list[Probe]) -> None:
-    from flipperctl.terminal.console import console
-    from flipperctl.terminal.tables import Table
-
-    headings = ("probed", "convention", "found", "expected", "")
-    table = Table(headings, words=["convention"])
-    for probe in found:
-        unit = "" if probe.unit == "-" else f" {probe.unit}"
-        table.add(
-            probe.of,
-            probe.meaning,
-            f"{probe.found:.3f}{unit}",
-            f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
-            "holds" if probe.holds else "WRONG",
-        )
-    table.print(console())
