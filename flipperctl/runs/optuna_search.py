@@ -1,7 +1,7 @@
 """A search over trainings that resumes after any stop: Optuna proposes, the caller trains.
 
-In: a study, what it samples, and something that trains jobs. Out: one training for each trial, the
-results in the study, ``optimization_results.yaml`` in the search's folder.
+In: a study, what it samples, and the sweep that trains its jobs. Out: one training for each trial,
+the results in the study, ``optimization_results.yaml`` in the folder of the sweep.
 """
 
 from __future__ import annotations
@@ -10,14 +10,23 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import OmegaConf
+from pydantic import ValidationError
 
-from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    RequestError,
+)
+from flipperctl.messages import explain
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.sweep import JobResult, Sweep
 from flipperctl.runs.trial_owner import claim, signs_of_life
 from flipperctl.runs.trials import FAILED, fail_abandoned, finished, running, stop, suggest
 
@@ -30,25 +39,25 @@ _POLL = 1.0
 """Time between two looks at the trials of other searches [s]."""
 
 
-@dataclass(frozen=True)
-class JobResult:
-    """What came of one job of a sweep or a search."""
+def check_settings(given: Mapping[str, Any]) -> SearchSettings:
+    """Return the settings of a search.
 
-    folder: Path
-    """The run's directory."""
-    value: float | None
-    """The objective; None without a validation, or after an error."""
-    error: Exception | None
-
-
-class Jobs(Protocol):
-    """Trains jobs, each of which is a list of overrides."""
-
-    stop: Callable[[], bool]
-    """Returns whether the user has asked to stop."""
-
-    def train(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobResult]:
-        """Train each job, ``first`` being the number of the first; fewer after an interrupt."""
+    Raises:
+        MissingExtraError: Optuna is not installed.
+        ConfigError: one of the settings is of the wrong type or out of bounds.
+    """
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError(
+            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+        ) from error
+    try:
+        settings = SearchSettings(**given)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return settings
 
 
 @dataclass(frozen=True)
@@ -62,7 +71,7 @@ class OptunaSearch:
 
     settings: SearchSettings
     study: Study
-    jobs: Jobs
+    jobs: Sweep
     space: Mapping[str, BaseDistribution]
     """What is sampled, by key."""
     fixed: Sequence[str]
@@ -142,7 +151,7 @@ class OptunaSearch:
         for end in range(1, len(jobs) + 1):
             if end < len(jobs) and numbers[end] == numbers[end - 1] + 1:
                 continue
-            results += self.jobs.train(jobs[begin:end], numbers[begin])
+            results += self.jobs.launch(jobs[begin:end], numbers[begin])
             if len(results) < end:  # interrupted
                 break
             begin = end
@@ -204,7 +213,7 @@ class OptunaSearch:
         )
         return None
 
-    def conclude(self, folder: Path) -> None:
+    def conclude(self) -> None:
         """Write ``optimization_results.yaml`` into the search's folder, and tell the best trial.
 
         Raises:
@@ -220,7 +229,7 @@ class OptunaSearch:
             "best_value": best.value,
             "best_run": best.user_attrs["run"],
         }
-        OmegaConf.save(OmegaConf.create(results), folder / "optimization_results.yaml")
+        OmegaConf.save(OmegaConf.create(results), self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
             f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"

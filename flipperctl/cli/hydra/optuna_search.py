@@ -16,16 +16,14 @@ from typing import Any
 from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
-from pydantic import ValidationError
 
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.search_space import search_space
-from flipperctl.cli.hydra.sweeps import SweepLauncher, command_to_go_on, uses_default_naming
-from flipperctl.errors import ConfigError, MissingExtraError
-from flipperctl.messages import explain
-from flipperctl.runs.optuna_search import OptunaSearch
+from flipperctl.cli.hydra.sweeps import command_to_go_on, launched_by, uses_default_naming
+from flipperctl.runs.optuna_search import OptunaSearch, check_settings
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.search_space import distributions
 from flipperctl.runs.study import open_study
+from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
 
 
@@ -42,23 +40,12 @@ def prepare(
         MissingExtraError: Optuna is not installed.
         ConfigError: one of ``sweeper_settings`` is of the wrong type or out of bounds.
     """
-    try:
-        import optuna
-    except ImportError as error:
-        raise MissingExtraError(
-            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
-        ) from error
-    try:
-        settings = SearchSettings(**sweeper_settings)
-    except ValidationError as error:
-        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    settings = check_settings(sweeper_settings)
     launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
     folder = Path(config.hydra.sweep.dir)
-    jobs = SweepLauncher(launcher, folder, named=uses_default_naming(config))
-    return SearchSweep(settings, jobs, folder)
+    return SearchSweep(settings, launched_by(launcher, folder, named=uses_default_naming(config)))
 
 
 @dataclass(frozen=True)
@@ -66,9 +53,7 @@ class SearchSweep:
     """A search whose trials are jobs of Hydra."""
 
     settings: SearchSettings
-    jobs: SweepLauncher
-    folder: Path
-    """Folder of the sweep."""
+    jobs: Sweep
 
     def run(self, arguments: Sequence[str]) -> None:
         """Train trial after trial; ``arguments`` are the user's overrides.
@@ -76,14 +61,15 @@ class SearchSweep:
         Raises:
             RunHeldError: another process works in the sweep's folder.
         """
-        space, fixed = search_space(Overrides.parse(arguments, check=False))
+        sampled, fixed = Overrides.parse(arguments, check=False).sampled()
+        space = distributions(sampled)
         study = open_study(self.settings, arguments)
         self.jobs.swept = list(space)
         search = OptunaSearch(
             *(self.settings, study, self.jobs, space, fixed),
             tell=print_note,
-            command_to_go_on=lambda: command_to_go_on(self.folder),
+            command_to_go_on=lambda: command_to_go_on(self.jobs.folder),
         )
         with self.jobs.held():
             search.run()
-        search.conclude(self.folder)
+        search.conclude()

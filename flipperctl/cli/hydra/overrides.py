@@ -17,6 +17,7 @@ from hydra.errors import OverrideParseException
 
 from flipperctl.cli.hydra.words import check_words, quote_override
 from flipperctl.errors import ConfigError
+from flipperctl.runs.search_space import Interval
 
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
@@ -123,6 +124,21 @@ class Overrides:
                     f"{override.input_line}: a mapping is merged into what is there, and an empty "
                     f"one changes nothing; {drop}"
                 )
+
+    def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
+        """Return the intervals and lists that a search samples, by key, and the other words."""
+        found: dict[str, Interval | Sequence[str]] = {}
+        fixed = []
+        for override in self.parsed:
+            key, typed = override.get_key_element(), str(override.input_line)
+            if override.is_interval_sweep():
+                sweep: Any = override.value()
+                found[key] = Interval(sweep.start, sweep.end, "log" in sweep.tags, typed)
+            elif override.is_sweep_override():
+                found[key] = list(override.sweep_string_iterator())
+            else:
+                fixed.append(typed)
+        return found, fixed
 
     def combinations(self, choices: Sequence[str] = ()) -> Iterator[Overrides]:
         """Yield every combination of the values in lists; intervals are left out.
