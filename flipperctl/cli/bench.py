@@ -25,6 +25,7 @@ MEASURES = (
 )
 SECTION = "bench."
 
+COMMAND = TrainingCommand
 HELP = """Measure how fast flipperctl is on this machine, against its limits and another learner.
 
 [bold]physics[/] the environment against Chipmunk alone; [bold]engines[/] simulated time per CPU
@@ -50,12 +51,7 @@ in_a_row, calls, decisions, commands, modules.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("bench", help=HELP, cls=TrainingCommand)(bench)
-
-
-def bench(
+def run(
     context: typer.Context,
     arguments: Annotated[
         list[str] | None,

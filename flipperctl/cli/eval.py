@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,10 +20,6 @@ from flipperctl.cli.options import (
     require_one_policy,
     with_flags,
 )
-from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.policies.source import PolicySource
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
@@ -49,11 +44,6 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
   flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
 """
-
-
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("eval", help=HELP)(run)
 
 
 def run(
@@ -104,14 +94,15 @@ def run(
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
+    from flipperctl.runs.named_policies import controllers
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.results import print_result
     from flipperctl.terminal.streams import print_note
 
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
-    against = _sources(baseline, "--baseline", found[0][1].baselines())
-    references = _sources(passable, "--passable")
+    against = controllers(baseline, "--baseline", found[0][1].baselines())
+    references = controllers(passable, "--passable")
     with ExitStack() as stack:
         outputs = {"folder": output, "film": film, "record": record}
         written = EvaluationFiles(found, stack, **outputs, tell=print_note)
@@ -131,14 +122,3 @@ def run(
         finally:  # a closed pipe costs no file
             written.write(result)
         written.draw(result, stop, episodes_progress)
-
-
-def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
-    from flipperctl.policies.source import PolicySource
-
-    chosen = default if names is None else [] if names == "none" else names.split(",")
-    if "none" in chosen:
-        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
-    if not all(chosen):
-        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
-    return [PolicySource.of_plugin(name.strip(), option) for name in chosen]

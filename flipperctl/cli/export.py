@@ -38,12 +38,7 @@ class Kind(StrEnum):
     pt2 = "pt2"
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("export", help=HELP)(export)
-
-
-def export(
+def run(
     kind: Annotated[Kind, typer.Argument(help="The format.")],
     checkpoint: Annotated[
         Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
@@ -57,7 +52,7 @@ def export(
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
-    from flipperctl.export.policy import export as run
+    from flipperctl.export.policy import export
     from flipperctl.files import check_writable
     from flipperctl.runs.inherited import find_policy
     from flipperctl.terminal.export import print_export
@@ -71,7 +66,7 @@ def export(
     check_writable(target)
     robot = _robot_overrides(overrides or [])
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
-    found = run(saved, kind.value, target, robot)
+    found = export(saved, kind.value, target, robot)
     if as_json:
         print(json.dumps(found, indent=2))
         return

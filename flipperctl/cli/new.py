@@ -28,12 +28,7 @@ passes the conformance suite; nothing is ever overwritten.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("new", help=HELP)(new)
-
-
-def new(
+def run(
     kind: Annotated[str, typer.Argument(metavar="KIND", help=", ".join(KINDS) + ".")],
     name: Annotated[
         str,

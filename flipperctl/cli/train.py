@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -37,15 +37,13 @@ class TrainCommand(TrainingCommand):
     """The subcommand, which hands Hydra's options on."""
 
     foreign_options = HYDRA_OPTIONS
+    context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    settings = {"ignore_unknown_options": True}  # Hydra's own options arrive as overrides
-    app.command("train", help=HELP, cls=TrainCommand, context_settings=settings)(train)
+COMMAND = TrainCommand
 
 
-def train(
+def run(
     overrides: Overrides = None,
     resume: Annotated[
         Path | None,
@@ -69,9 +67,9 @@ def train(
         arguments += ["--cfg", cfg]
     if multirun:
         arguments.append("--multirun")
-    from flipperctl.cli.hydra.application import train as run
+    from flipperctl.cli.hydra.application import train
 
-    run(arguments, check=cfg is None)
+    train(arguments, check=cfg is None)
 
 
 def _resume(run: Path, words: list[str]) -> None:

@@ -47,11 +47,6 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("transfer", help=HELP)(run)
-
-
 def run(
     overrides: Overrides = None,
     checkpoint: CheckpointFile = None,

@@ -110,3 +110,25 @@ def run_check(one: Check, clock: Callable[[], float] = time.perf_counter) -> dic
         "message": text,
         "seconds": clock() - begun,
     }
+
+
+def run_checks(todo: Sequence[Check], report: Callable[[str, float], None]) -> list[dict[str, Any]]:
+    """Run every check; ``report`` is given the name of the next one and the finished fraction."""
+    rows = []
+    for index, one in enumerate(todo):
+        report(str(one), index / len(todo))
+        rows.append(run_check(one))
+    return rows
+
+
+def require_passed(rows: Sequence[dict[str, Any]]) -> None:
+    """Refuse the results of checks of which one failed.
+
+    Raises:
+        ConformanceError: a check failed; the text names plugins and checks.
+    """
+    if failed := [f"{row['kind']} {row['name']} ({row['check']})" for row in rows if not row["ok"]]:
+        raise ConformanceError(
+            f"{len(failed)} of {len(rows)} checks failed: {', '.join(failed[:10])}"
+            + (" …" if len(failed) > 10 else "")
+        )

@@ -26,7 +26,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.config_store import CHOICES, GROUPS
 from flipperctl.cli.hydra.overrides import Overrides, unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
-from flipperctl.messages import close_match, reinstall_hint
+from flipperctl.messages import close_match, explain_unknown_key, reinstall_hint
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 _ENTRY_NAMES = {
@@ -101,28 +101,7 @@ def unknown_key(
         key = f"{key}={override.value()}"
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
         return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
-    *parents, leaf = key.split(".")
-    inside = ""  # the innermost existing section on the path to the key
-    for parent in parents:
-        if not isinstance(node.get(parent), dict):
-            leaf = parent
-            break
-        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
-    known = sorted(name for name in node if name != "name")
-    inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
-    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
-    return ConfigError(
-        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
-        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
-    )
-
-
-def _paths(node: dict[Any, Any], before: str = "") -> Iterator[str]:
-    """Yield the path of every key in nested mappings."""
-    for name, value in node.items():
-        yield f"{before}{name}"
-        if isinstance(value, dict):
-            yield from _paths(value, f"{before}{name}.")
+    return ConfigError(explain_unknown_key(key, node))
 
 
 def _first_refused(

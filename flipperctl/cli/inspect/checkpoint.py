@@ -23,12 +23,7 @@ with any versions of the packages that wrote them.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("checkpoint", help=HELP)(show)
-
-
-def show(
+def run(
     path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
     as_json: AsJson = False,
     plugins: PluginPaths = None,

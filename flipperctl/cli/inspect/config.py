@@ -10,6 +10,7 @@ import typer
 from flipperctl.cli.command import TrainingCommand
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
+COMMAND = TrainingCommand
 HELP = """Print the composed, validated training configuration as YAML.
 
 With [bold]--describe[/], list every setting of it instead: value, default, bounds, unit, meaning.
@@ -24,12 +25,7 @@ With [bold]--describe[/], list every setting of it instead: value, default, boun
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("config", help=HELP, cls=TrainingCommand)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     describe: Annotated[
         bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")

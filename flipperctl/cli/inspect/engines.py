@@ -31,12 +31,7 @@ Settings of sim are those of the other engine; friction and gravity apply to bot
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("engines", help=HELP)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx.")

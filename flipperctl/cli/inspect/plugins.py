@@ -30,12 +30,7 @@ on recorded episodes of every outcome, networks up to ONNX, controllers against 
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("plugins", help=HELP)(show)
-
-
-def show(
+def run(
     name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Run the conformance suite; fail if a check fails.")
@@ -74,27 +69,18 @@ def show(
 def _check(plugins: list[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
     import sys
 
-    from flipperctl.errors import ConformanceError
     from flipperctl.terminal.bench import Bar, Lines
     from flipperctl.terminal.plugins import print_checks
     from flipperctl.testing import checks
-    from flipperctl.testing.check import run_check
+    from flipperctl.testing.check import require_passed, run_checks
 
-    todo = checks(*plugins, pictures=pictures)
     shown = Bar("check") if sys.stderr.isatty() else Lines("check")
     try:
-        rows = []
-        for index, one in enumerate(todo):
-            shown(str(one), index / len(todo))
-            rows.append(run_check(one))
+        rows = run_checks(checks(*plugins, pictures=pictures), shown)
     finally:
         shown.close()
     if as_json:
         print(json.dumps(rows, indent=2))
     else:
         print_checks(rows)
-    if failed := [f"{row['kind']} {row['name']} ({row['check']})" for row in rows if not row["ok"]]:
-        raise ConformanceError(
-            f"{len(failed)} of {len(rows)} checks failed: {', '.join(failed[:10])}"
-            + (" …" if len(failed) > 10 else "")
-        )
+    require_passed(rows)

@@ -35,12 +35,7 @@ choose draws and processes.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("reward", help=HELP)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")

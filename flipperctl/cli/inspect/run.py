@@ -18,12 +18,7 @@ HELP = """Summarise a training run, and plot its learning curves with --output.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("run", help=HELP)(show)
-
-
-def show(
+def run(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")

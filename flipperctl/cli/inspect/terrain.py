@@ -20,12 +20,7 @@ HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture wit
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("terrain", help=HELP)(show)
-
-
-def show(
+def run(
     name: Annotated[str, typer.Argument(help="A terrain plugin.")],
     overrides: Overrides = None,
     output: Annotated[
