@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,7 +25,7 @@ from flipperctl.cli.options import (
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.scenes import Scene
+    pass
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
@@ -75,10 +74,11 @@ def run(
     from flipperctl.cli.scenes import scenes, with_engine
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import write_json
+    from flipperctl.report.drawn_film import film_episode
     from flipperctl.report.film import check_film
     from flipperctl.runs.results import result_folder
     from flipperctl.studies.engines import in_default_engine
-    from flipperctl.studies.transfer import correct_scenes, transfer
+    from flipperctl.studies.transfer import transfer_scenes
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.transfer import print_transfer
 
@@ -89,15 +89,12 @@ def run(
     if film:
         check_film(film)
         only_one(asked)
-    chosen = None if only is None else [only]
     with ExitStack() as stack:
         folder = None
         if output:
             folder = stack.enter_context(result_folder(output, "transfer", ["transfer.json"]))
         workers = stack.enter_context(EpisodeWorkers())
-        found = correct_scenes(
-            [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
-        )
+        found = transfer_scenes(asked, workers, only, episodes_progress)
         document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
         if as_json:
             print(json.dumps(document, indent=2))
@@ -108,14 +105,4 @@ def run(
         if folder:
             folder.replace(lambda part: write_json(part / "transfer.json", document))
         if film:
-            _film(film, asked, only or 0)
-
-
-def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
-    from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.report.drawn_film import film
-    from flipperctl.rollout.seeds import EvaluationSeeds
-
-    config, source = only_one(asked)
-    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
-    film(config, source, seeds(episode), path)
+            film_episode(*only_one(asked), only or 0, film)

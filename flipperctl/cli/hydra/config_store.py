@@ -12,17 +12,9 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 
-from flipperctl.api import ObservationLayout, Robot, registry
-from flipperctl.config import (
-    DEFAULT_ENGINE,
-    EvalConfig,
-    LocalCollector,
-    RayCollector,
-    Teacher,
-    TrainConfig,
-    container,
-    resolver,
-)
+from flipperctl.api import ObservationLayout, Robot
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, container
+from flipperctl.config.defaults import GROUPS, entries, sections
 from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
@@ -35,11 +27,6 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
-GROUPS = (
-    *("terrain", "rewards", "network", "collector", "teacher"),
-    *("sim", "perception", "conditions"),
-)
-"""Config groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
 """Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
@@ -49,24 +36,10 @@ _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 def register_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
-    teaching = container(Teacher())
-    store.store(group="teacher", name="none", node=teaching)
-    # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
-    store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
-    for (kind, name), cls in registry.items():
-        defaults = resolver.defaults(cls)
-        store.store(group=kind, name=name, node=defaults)
-        if kind == "controller":
-            store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
-    for collector in (LocalCollector(), RayCollector()):
-        store.store(group="collector", name=collector.name, node=container(collector))
-    for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
-        sections = {
-            name: container(info.default) if hasattr(info.default, "model_dump") else info.default
-            for name, info in model.model_fields.items()
-            if name not in GROUPS
-        }
-        store.store(name=primary, node=sections)
+    for group, name, node in entries():
+        store.store(group=group, name=name, node=node)
+    store.store(name="flipperctl_train", node=sections(TrainConfig))
+    store.store(name="flipperctl_eval", node=sections(EvalConfig))
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:

@@ -23,8 +23,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.hydra.config_store import CHOICES, GROUPS
+from flipperctl.cli.hydra.config_store import CHOICES
 from flipperctl.cli.hydra.overrides import Overrides, unreadable
+from flipperctl.config.defaults import GROUPS
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.messages import close_match, explain_unknown_key, reinstall_hint
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
-from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.studies.conventions import Probe
@@ -41,22 +41,17 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl.studies.conventions import require_conventions
     from flipperctl.terminal.conventions import print_probes
 
     found = _probes(list(overrides or []), checkpoint)
-    wrong = [probe for probe in found if not probe.holds]
     if as_json:
-        document = {"holds": not wrong, "probes": [probe.container() for probe in found]}
+        holds = all(probe.holds for probe in found)
+        document = {"holds": holds, "probes": [probe.container() for probe in found]}
         print(json.dumps(document, indent=2))
     else:
         print_probes(found)
-    if wrong:
-        first = wrong[0]
-        raise FlipperctlError(
-            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
-            f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
-            f"{first.tolerance:.3f} is allowed"
-        )
+    require_conventions(found)
 
 
 def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
@@ -64,9 +59,8 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.scenes import with_engine
-    from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
-    from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
-    from flipperctl.studies.engines import in_default_engine
+    from flipperctl.policies.exported import exported_config, is_exported
+    from flipperctl.studies.conventions import probe
 
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
@@ -76,8 +70,4 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
         own = exported_config(file)
         primary = config_store.register_robot(own.robot, own.perception.layout)
     config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
-    plane = in_default_engine(config)
-    found = [*probe_world(plane), *probe_world(config), *probe_sensing(config)]
-    if file is not None:
-        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
-    return found
+    return probe(config, file)

@@ -1,0 +1,48 @@
+"""The defaults from which a configuration is composed: of each plugin, variant and section.
+
+In: the registry and the models. Out: entries of groups, of which one is chosen by name, and the
+sections that are not chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from flipperctl.api import registry
+from flipperctl.config import resolver
+from flipperctl.config.models import EvalConfig, TrainConfig
+from flipperctl.config.sections import LocalCollector, RayCollector
+from flipperctl.config.teacher import Teacher
+
+GROUPS = (
+    *("terrain", "rewards", "network", "collector", "teacher"),
+    *("sim", "perception", "conditions"),
+)
+"""Groups whose choice is stored under a key of the same name."""
+
+
+def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield group, name and settings of each registered plugin, collector and teacher."""
+    teaching = resolver.container(Teacher())
+    yield "teacher", "none", teaching
+    # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
+    yield "teacher", "recorded", {**teaching, "episodes": ""}
+    for (kind, name), cls in registry.items():
+        defaults = resolver.defaults(cls)
+        yield kind, name, defaults
+        if kind == "controller":
+            yield "teacher", name, {**teaching, "controller": defaults}
+    for collector in (LocalCollector(), RayCollector()):
+        yield "collector", collector.name, resolver.container(collector)
+
+
+def sections(model: type[TrainConfig | EvalConfig]) -> dict[str, Any]:
+    """Return the fields of a whole configuration that no group chooses, at their defaults."""
+    return {
+        name: resolver.container(info.default)
+        if hasattr(info.default, "model_dump")
+        else info.default
+        for name, info in model.model_fields.items()
+        if name not in GROUPS
+    }
