@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import AsJson, PluginPaths, with_flags
+from flipperctl.cli.options import AsJson, PluginPaths
 from flipperctl.errors import ConfigError, RequestError
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ def run(
     measures, overrides = split_arguments(arguments or [])
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
+    from flipperctl.config.words import with_flags
     from flipperctl.files import write_json
     from flipperctl.runs.results import result_folder
     from flipperctl.terminal.bench import tables
@@ -143,8 +144,8 @@ def compose_bench(overrides: list[str], *, small: bool) -> tuple[TrainConfig, Be
     from flipperctl.bench.settings import sizes
     from flipperctl.cli.hydra import compose, config_store
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.cli.hydra.words import check_once
     from flipperctl.config import resolver
+    from flipperctl.config.words import check_once
 
     check_once(overrides)
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]

@@ -18,7 +18,6 @@ from flipperctl.cli.options import (
     PluginPaths,
     Seed,
     require_one_policy,
-    with_flags,
 )
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
@@ -91,6 +90,7 @@ def run(
     """See HELP; the function is as long as its list of options."""
     require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_flags
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts

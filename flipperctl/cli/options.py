@@ -65,31 +65,3 @@ def require_one_policy(
             f"policy, or --controller {words[0]}, if it is a controller"
         )
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
-
-
-def with_flags(
-    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
-) -> list[str]:
-    """Return the overrides, and those of ``section`` that the given flags stand for.
-
-    Raises:
-        RequestError: an override sets what a flag sets.
-    """
-    found = list(overrides or [])
-    keys = {override.lstrip("+~").partition("=")[0]: override for override in found}
-    for name, value in flags.items():
-        key = f"{section}.{name}"
-        if value is None:
-            continue
-        if key in keys:
-            raise RequestError(
-                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
-            )
-        found.append(f"{key}={value}")
-    return found
-
-
-def with_default(overrides: list[str], key: str, value: object) -> list[str]:
-    """Return the overrides, and ``key=value`` if none of them sets the key."""
-    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
-    return overrides if key in given else [*overrides, f"{key}={value}"]

@@ -58,9 +58,3 @@ def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
             "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
         )
     return [(config, source) for config in configs]
-
-
-def with_engine(overrides: list[str]) -> list[str]:
-    """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
-    chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
-    return list(overrides) if chosen else ["sim=mujoco", *overrides]

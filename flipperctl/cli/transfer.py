@@ -20,7 +20,6 @@ from flipperctl.cli.options import (
     PluginPaths,
     Seed,
     require_one_policy,
-    with_flags,
 )
 from flipperctl.errors import RequestError
 
@@ -71,7 +70,8 @@ def run(
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.scenes import scenes, with_engine
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import write_json
     from flipperctl.report.drawn_film import film_episode

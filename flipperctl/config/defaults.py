@@ -6,20 +6,25 @@ sections that are not chosen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from flipperctl.api import registry
+from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.models import EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.config.teacher import Teacher
+from flipperctl.errors import ConfigError
+from flipperctl.messages import close_match, reinstall_hint
 
 GROUPS = (
     *("terrain", "rewards", "network", "collector", "teacher"),
     *("sim", "perception", "conditions"),
 )
 """Groups whose choice is stored under a key of the same name."""
+_ENTRY_NAMES = {"rewards": "preset", "conditions": "set"}
+"""The noun for an entry, where it is not the group's name."""
 
 
 def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
@@ -46,3 +51,12 @@ def sections(model: type[TrainConfig | EvalConfig]) -> dict[str, Any]:
         for name, info in model.model_fields.items()
         if name not in GROUPS
     }
+
+
+def missing_entry(group: str, name: str, known: Collection[str]) -> ConfigError:
+    """Return the error for a group that has no entry of this name, as in ``terrain=stiar``."""
+    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
+    return ConfigError(
+        f"{group}: there is no {what} {name!r}{close_match(name, known)}; "
+        f"known: {', '.join(sorted(known)) or 'none'}{reinstall_hint(group)}"
+    )

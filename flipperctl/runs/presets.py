@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from omegaconf import OmegaConf
 
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, parse, with_overrides
-from flipperctl.config.defaults import entries, sections
+from flipperctl.config.defaults import entries, missing_entry, sections
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
 from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited, explain_missing_training
@@ -159,9 +159,7 @@ def _preset(group: str, name: str, others: Collection[str] = ()) -> tuple[dict[s
     found = [f.name for f in folder.iterdir()] if folder.is_dir() else []
     known = sorted({*others, *(f.removesuffix(".yaml") for f in found if f.endswith(".yaml"))})
     if name not in known:
-        raise ConfigError(
-            f"{group}: there is no {name!r}{close_match(name, known)}; known: {', '.join(known)}"
-        )
+        raise missing_entry(group, name, known)
     return _read(f"{group}/{name}.yaml")
 
 

@@ -25,15 +25,11 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.config_store import CHOICES
 from flipperctl.cli.hydra.overrides import Overrides, unreadable
-from flipperctl.config.defaults import GROUPS
+from flipperctl.config.defaults import GROUPS, missing_entry
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
-from flipperctl.messages import close_match, explain_unknown_key, reinstall_hint
+from flipperctl.messages import explain_unknown_key
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_ENTRY_NAMES = {
-    "rewards": "preset",
-    "conditions": "set",
-}  # the noun for an entry, where it is not the group's name
 
 
 @contextmanager
@@ -64,11 +60,7 @@ def missing_choice(error: MissingConfigException) -> RequestError:
             f"{group}={option} needs the package hydra-{extra}-launcher; "
             f"install flipperctl[{extra}]"
         )
-    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
-    return ConfigError(
-        f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
-        f"known: {', '.join(sorted(options)) or 'none'}{reinstall_hint(group)}"
-    )
+    return missing_entry(group, option, options)
 
 
 def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:

@@ -15,7 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.errors import OverrideParseException
 
-from flipperctl.cli.hydra.words import check_words, quote_override
+from flipperctl.config.words import check_words, quote_override
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
 

@@ -22,7 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli.hydra import ray_launcher
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.words import literal_override
+from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 from flipperctl.runs import follow_up
 from flipperctl.runs.sweep import Job, JobResult, Sweep

@@ -58,7 +58,7 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.cli.scenes import with_engine
+    from flipperctl.config.words import with_engine
     from flipperctl.policies.exported import exported_config, is_exported
     from flipperctl.studies.conventions import probe
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
 
 HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
@@ -48,7 +48,8 @@ def run(
     """See HELP."""
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
-    from flipperctl.cli.scenes import scenes, with_engine
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.studies.engines import compare_engines, in_default_engine
     from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress

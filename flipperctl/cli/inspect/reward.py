@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
@@ -56,6 +56,7 @@ def run(
     """See HELP."""
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
+    from flipperctl.config.words import with_default, with_flags
 
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if compare is not None:

@@ -1,4 +1,8 @@
-"""The words of overrides before they are parsed: mistakes that the parser would not explain."""
+"""Overrides as words, ``key=value``, before they are parsed: mistakes in typing, and further ones.
+
+In: the words that a user typed, and the values of options. Out: words, or the error that explains
+what the parser would not.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import re
 import shlex
 from collections.abc import Iterable, Sequence
 
-from flipperctl.errors import ConfigError
+from flipperctl.errors import ConfigError, RequestError
 
 
 def key_of(word: str) -> str:
@@ -63,3 +67,36 @@ def literal_override(key: str, value: str) -> str:
 def quote_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes literally, quoted for the shell as well."""
     return shlex.quote(literal_override(key, value))
+
+
+def with_flags(
+    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
+) -> list[str]:
+    """Return the overrides, and those of ``section`` that the given flags stand for.
+
+    Raises:
+        RequestError: an override sets what a flag sets.
+    """
+    found = list(overrides or [])
+    keys = {key_of(override): override for override in found}
+    for name, value in flags.items():
+        key = f"{section}.{name}"
+        if value is None:
+            continue
+        if key in keys:
+            raise RequestError(
+                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
+            )
+        found.append(f"{key}={value}")
+    return found
+
+
+def with_default(overrides: list[str], key: str, value: object) -> list[str]:
+    """Return the overrides, and ``key=value`` if none of them sets the key."""
+    return overrides if key in map(key_of, overrides) else [*overrides, f"{key}={value}"]
+
+
+def with_engine(overrides: list[str]) -> list[str]:
+    """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
+    chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
+    return list(overrides) if chosen else ["sim=mujoco", *overrides]
