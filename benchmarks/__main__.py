@@ -12,7 +12,8 @@ from flipperctl import entry
 from flipperctl.cli import bench
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
-from flipperctl.cli.options import AsJson, PluginPaths, with_flags
+from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.config.words import with_flags
 from flipperctl.terminal.streams import plain_streams
 
 HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.
@@ -64,7 +65,6 @@ def benchmarks(
         small=small,
         output=output,
         as_json=as_json,
-        plugins=plugins,
     )
 
 

@@ -20,6 +20,7 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.bench.settings import BenchSettings
+from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.main import app
 from flipperctl.config import (
     Agent,
@@ -136,11 +137,10 @@ TEXTS: Mapping[str, Callable[[], str]] = {
 
 def _top_level() -> Iterator[Field]:
     """Yield the keys that name a plugin or a variant, and those outside of all sections."""
-    from flipperctl.cli.hydra import compose, config_store
     from flipperctl.config.describe import settings as all_settings
 
     config_store.register_defaults()
-    (config,) = compose.compose_train([])
+    (config,) = compose.compose_train()
     for setting in all_settings(config):
         f = setting.field
         if setting.path == setting.section or not setting.section:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
@@ -114,6 +114,32 @@ def explain(
     whole = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # of a model
     value = "" if whole else f"; the value is {_short(first['input'])}"
     return f"{location}: {message}{allowed}{value}{rest}"
+
+
+def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
+    """Return the error for a dotted key that the nested mapping ``node`` does not have."""
+    *parents, leaf = key.split(".")
+    inside = ""  # the innermost existing section on the path to the key
+    for parent in parents:
+        if not isinstance(node.get(parent), dict):
+            leaf = parent
+            break
+        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+    known = sorted(name for name in node if name != "name")
+    inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
+    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
+    return (
+        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
+        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
+    )
+
+
+def _paths(node: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """Yield the path of every key in nested mappings."""
+    for name, value in node.items():
+        yield f"{before}{name}"
+        if isinstance(value, dict):
+            yield from _paths(value, f"{before}{name}.")
 
 
 def _owner(

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 
 from flipperctl.api import registry
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.training import start
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import RequestError
+from flipperctl.runs.training import start
 from tests.drawn_settings import (
     GROUPS,
     NOT_DRAWN,

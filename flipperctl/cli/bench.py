@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import AsJson, PluginPaths, with_flags
+from flipperctl.cli.options import AsJson, PluginPaths
 from flipperctl.errors import ConfigError, RequestError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
 """Measures of version 0.2 that are run in a clone of the repository since."""
 SECTION = "bench."
 
+COMMAND = TrainingCommand
 HELP = """Measure how fast flipperctl is on this machine.
 
 [bold]engines[/] simulated time per CPU time of each engine, alone and in the environment;
@@ -53,12 +54,7 @@ Repeats = Annotated[
 OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("bench", help=HELP, cls=TrainingCommand)(bench)
-
-
-def bench(
+def run(
     arguments: Annotated[
         list[str] | None,
         typer.Argument(
@@ -74,6 +70,8 @@ def bench(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl.config.words import with_flags
+
     words = arguments or []
     for name in MOVED:
         if name in words:
@@ -89,7 +87,6 @@ def bench(
         small=small,
         output=output,
         as_json=as_json,
-        plugins=plugins,
     )
 
 
@@ -108,14 +105,12 @@ def run_measures(
     small: bool,
     output: Path | None,
     as_json: bool,
-    plugins: Sequence[Path] | None,
 ) -> None:
     """Run measures of a suite one after another; print their tables, or one JSON document.
 
     Raises:
         RequestError: the overrides are wrong, or ``output`` cannot be written.
     """
-    from flipperctl import plugins as loader
     from flipperctl.bench.machine import load, machine
     from flipperctl.bench.settings import Bench
     from flipperctl.files import write_json
@@ -123,7 +118,6 @@ def run_measures(
     from flipperctl.terminal.bench import tables
     from flipperctl.terminal.console import console
 
-    loader.load(plugins or ())
     config, settings = compose_bench(suite, overrides, small=small)
     document: dict[str, Any] = {
         "machine": machine(),
@@ -182,21 +176,22 @@ def compose_bench(
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
     """
     from flipperctl.cli.hydra import compose, config_store
-    from flipperctl.cli.hydra.errors import convert_hydra_errors
-    from flipperctl.cli.hydra.overrides import check_once, override_values
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
+    from flipperctl.config.words import check_once
 
     check_once(overrides)
     own = [o.removeprefix(SECTION) for o in overrides if o.startswith(SECTION)]
-    with convert_hydra_errors():
-        changes = override_values(own)
+    changes = Overrides.parse(own).values()
     try:
         settings = suite.settings(small=small, changes=changes)
     except ConfigError as error:
         raise ConfigError(f"{SECTION}{error}") from error
     resolver.get("controller", settings.controller, f"{SECTION}controller")
     config_store.register_defaults()
-    configs = compose.compose_train([o for o in overrides if not o.startswith(SECTION)])
+    configs = compose.compose_train(
+        Overrides.parse(o for o in overrides if not o.startswith(SECTION))
+    )
     if len(configs) > 1:
         raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
     return configs[0], settings

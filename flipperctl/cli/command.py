@@ -1,12 +1,13 @@
 """How every subcommand reads its options: one value for each, and unknown ones explained.
 
-``App.command`` registers functions as ``Command``; nothing else is needed in a subcommand. An
+``App.add`` registers a module with its function ``run`` and its ``HELP`` as a ``Command``. An
 ``App`` is a ``Group``, which explains the options that it does not have in the same words.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, ClassVar
 
 import typer
@@ -20,6 +21,8 @@ class Command(TyperCommand):
 
     foreign_options: ClassVar[Sequence[str]] = ()
     """Options that the subcommand hands on as they are."""
+    context: ClassVar[dict[str, bool]] = {}
+    """Settings of click's context."""
     primary: ClassVar[str] = "eval"
     """What the subcommand's overrides configure: an evaluation or a training."""
 
@@ -120,6 +123,10 @@ class App(typer.Typer):
         """Take the settings of ``typer.Typer``."""
         super().__init__(**{"cls": Group, **settings})
 
-    def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
-        """Register a function as a subcommand; see ``typer.Typer.command``."""
-        return super().command(name, **{"cls": Command, **settings})
+    def add(self, name: str, module: ModuleType) -> None:
+        """Register a subcommand: the module's ``run``, ``HELP`` and, if it has one, ``COMMAND``.
+
+        ``COMMAND`` is a subclass of ``Command``.
+        """
+        cls: type[Command] = getattr(module, "COMMAND", Command)
+        self.command(name, help=module.HELP, cls=cls, context_settings=cls.context)(module.run)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,12 +18,7 @@ from flipperctl.cli.options import (
     PluginPaths,
     Seed,
     require_one_policy,
-    with_flags,
 )
-from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.policies.source import PolicySource
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
@@ -49,11 +43,6 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
   flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
 """
-
-
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("eval", help=HELP)(run)
 
 
 def run(
@@ -100,27 +89,23 @@ def run(
 ) -> None:
     """See HELP; the function is as long as its list of options."""
     require_one_policy(checkpoint, controller, overrides)
-    from flipperctl import plugins as loader
-    from flipperctl.checkpoint.recording import require_one_layout
-    from flipperctl.cli.eval_output import EvalOutput
     from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_flags
     from flipperctl.evaluation.scenes import evaluate
-    from flipperctl.files import check_writable
+    from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
+    from flipperctl.runs.named_policies import controllers
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.results import print_result
+    from flipperctl.terminal.streams import print_note
 
-    loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
-    against = _sources(baseline, "--baseline", found[0][1].baselines())
-    references = _sources(passable, "--passable")
-    if film:
-        _check_film(film, len(found))
-    if record:
-        check_writable(record)
-        require_one_layout(record, [config for config, _ in found])
+    against = controllers(baseline, "--baseline", found[0][1].baselines())
+    references = controllers(passable, "--passable")
     with ExitStack() as stack:
-        written = EvalOutput(found, output, film, record, stack)
+        outputs = {"folder": output, "film": film, "record": record}
+        written = EvaluationFiles(found, stack, **outputs, tell=print_note)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
             found,
@@ -133,26 +118,7 @@ def run(
         # The table names a run as it was typed; files and JSON name the checkpoint in it.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:
-            written.show(result, None if as_json else typed)
+            print_result(result, None if as_json else typed)
         finally:  # a closed pipe costs no file
             written.write(result)
-        written.draw(result, stop)
-
-
-def _sources(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
-    from flipperctl.policies.source import PolicySource
-
-    chosen = default if names is None else [] if names == "none" else names.split(",")
-    if "none" in chosen:
-        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
-    if not all(chosen):
-        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
-    return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
-
-
-def _check_film(path: Path, scenes: int) -> None:
-    from flipperctl.report.film import check_film
-
-    if scenes != 1:
-        raise RequestError(f"--film shows one scene; {scenes} are evaluated")
-    check_film(path)
+        written.draw(result, stop, episodes_progress)

@@ -38,12 +38,7 @@ class Kind(StrEnum):
     pt2 = "pt2"
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("export", help=HELP)(export)
-
-
-def export(
+def run(
     kind: Annotated[Kind, typer.Argument(help="The format.")],
     checkpoint: Annotated[
         Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
@@ -57,13 +52,13 @@ def export(
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
-    from flipperctl import plugins as loader
-    from flipperctl.cli.policy_file import find_policy
-    from flipperctl.export.policy import export as run
+    from flipperctl.export.policy import export
     from flipperctl.files import check_writable
+    from flipperctl.runs.inherited import find_policy
+    from flipperctl.terminal.export import print_export
+    from flipperctl.terminal.streams import print_note
 
-    loader.load(plugins or ())
-    file = find_policy(checkpoint)
+    file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
     saved = checkpoints.read(file)
@@ -71,19 +66,11 @@ def export(
     check_writable(target)
     robot = _robot_overrides(overrides or [])
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
-    found = run(saved, kind.value, target, robot)
+    found = export(saved, kind.value, target, robot)
     if as_json:
         print(json.dumps(found, indent=2))
         return
-    print(
-        f"{target}: {found['bytes']} bytes, from {saved.path}\n"
-        f"compared with torch on {found['observations']} observations of rollouts: "
-        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
-        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
-        f"the chosen action agrees on {found['action_agreement']:.2%}"
-    )
-    if changes := found["robot_changes"]:
-        print(f"for another robot than that of the training: {_describe(changes)}")
+    print_export(target, saved.path, found)
 
 
 def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
@@ -92,13 +79,10 @@ def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
     Raises:
         ConfigError: an override is malformed, or sets anything but a field of the robot.
     """
-    from flipperctl.cli.hydra.errors import convert_hydra_errors
-    from flipperctl.cli.hydra.overrides import check_words, override_values
+    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.errors import ConfigError
 
-    check_words(overrides)
-    with convert_hydra_errors():
-        values = override_values(overrides)
+    values = Overrides.parse(overrides).values()
     for key in values:
         section, _, field = key.partition(".")
         if section != "robot" or not field:
@@ -107,16 +91,3 @@ def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
                 "everything else is that of the training"
             )
     return {key.removeprefix("robot."): value for key, value in values.items()}
-
-
-def _describe(changes: dict[str, dict[str, float]]) -> str:
-    from flipperctl.api import Robot
-    from flipperctl.messages import unit
-
-    parts = []
-    for name, values in changes.items():
-        setting = name in Robot.model_fields
-        label = f"robot.{name}" if setting else name.replace("_", " ")
-        of = unit(Robot, name) if setting else "s"
-        parts.append(f"{label} {values['file']:.6g} {of} (training {values['training']:.6g})")
-    return ", ".join(parts)

@@ -39,7 +39,11 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 
 
 for _name in COMMANDS:
-    import_module(f"flipperctl.cli.{_name}").add_to(app)
+    _module = import_module(f"flipperctl.cli.{_name}")
+    if hasattr(_module, "VIEWS"):
+        app.add_typer(_module.group())
+    else:
+        app.add(_name, _module)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

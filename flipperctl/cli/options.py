@@ -9,11 +9,16 @@ from typing import Annotated
 import typer
 
 from flipperctl.errors import RequestError
-from flipperctl.terminal import follow_up
+from flipperctl.runs import follow_up
 
 
-def _remember_plugins(paths: list[Path] | None) -> list[Path] | None:
-    follow_up.remember_plugins(paths)
+def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
+    """Load the installed plugins and those of ``paths``, before the command itself runs."""
+    if not context.resilient_parsing:  # shell completion
+        from flipperctl import plugins
+
+        follow_up.remember_plugins(paths)
+        plugins.load(paths or ())
     return paths
 
 
@@ -23,7 +28,7 @@ PluginPaths = Annotated[
         "--plugins",
         metavar="PATH",
         help="A plugin file or folder; may be repeated.",
-        callback=_remember_plugins,  # at every command, with None where it is not given
+        callback=_load_plugins,  # at every command, with None where it is not given
     ),
 ]
 Overrides = Annotated[
@@ -60,31 +65,3 @@ def require_one_policy(
             f"policy, or --controller {words[0]}, if it is a controller"
         )
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
-
-
-def with_flags(
-    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
-) -> list[str]:
-    """Return the overrides, and those of ``section`` that the given flags stand for.
-
-    Raises:
-        RequestError: an override sets what a flag sets.
-    """
-    found = list(overrides or [])
-    keys = {override.lstrip("+~").partition("=")[0]: override for override in found}
-    for name, value in flags.items():
-        key = f"{section}.{name}"
-        if value is None:
-            continue
-        if key in keys:
-            raise RequestError(
-                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
-            )
-        found.append(f"{key}={value}")
-    return found
-
-
-def with_default(overrides: list[str], key: str, value: object) -> list[str]:
-    """Return the overrides, and ``key=value`` if none of them sets the key."""
-    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
-    return overrides if key in given else [*overrides, f"{key}={value}"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,16 +20,11 @@ from flipperctl.cli.options import (
     PluginPaths,
     Seed,
     require_one_policy,
-    with_flags,
 )
 from flipperctl.errors import RequestError
-from flipperctl.terminal.follow_up import command
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.results import Summary
-    from flipperctl.evaluation.scenes import Scene
-    from flipperctl.studies.transfer import TransferResult
-    from flipperctl.terminal.tables import Table
+    pass
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
@@ -49,11 +43,6 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 
   flipperctl transfer --controller okada terrain=plum --seed 3 --only 4 --film plum.gif
 """
-
-
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("transfer", help=HELP)(run)
 
 
 def run(
@@ -80,18 +69,19 @@ def run(
     require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
-    from flipperctl import plugins as loader
     from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.scenes import scenes, with_engine
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.files import write_json
+    from flipperctl.report.drawn_film import film_episode
     from flipperctl.report.film import check_film
     from flipperctl.runs.results import result_folder
     from flipperctl.studies.engines import in_default_engine
-    from flipperctl.studies.transfer import correct_scenes, transfer
+    from flipperctl.studies.transfer import transfer_scenes
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.transfer import print_transfer
 
-    loader.load(plugins or ())
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:
@@ -99,99 +89,20 @@ def run(
     if film:
         check_film(film)
         only_one(asked)
-    chosen = None if only is None else [only]
     with ExitStack() as stack:
         folder = None
         if output:
             folder = stack.enter_context(result_folder(output, "transfer", ["transfer.json"]))
         workers = stack.enter_context(EpisodeWorkers())
-        found = correct_scenes(
-            [transfer(c, s, workers, only=chosen, progress=episodes_progress) for c, s in asked]
-        )
+        found = transfer_scenes(asked, workers, only, episodes_progress)
         document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
         if as_json:
             print(json.dumps(document, indent=2))
         else:
             option = "--checkpoint" if checkpoint else "--controller"
-            _print(found, [option, str(checkpoint or controller)], overrides or [])
+            print_transfer(found, [option, str(checkpoint or controller)], overrides or [])
         sys.stdout.flush()
         if folder:
             folder.replace(lambda part: write_json(part / "transfer.json", document))
         if film:
-            _film(film, asked, only or 0)
-
-
-def _film(path: Path, asked: Sequence[Scene], episode: int) -> None:
-    from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.report.drawn_film import film
-    from flipperctl.rollout.seeds import EvaluationSeeds
-
-    config, source = only_one(asked)
-    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
-    film(config, source, seeds(episode), path)
-
-
-def _print(found: list[TransferResult], policy: list[str], overrides: Sequence[str]) -> None:
-    from flipperctl.cli.conditions import condition_lines
-    from flipperctl.evaluation.conditions import scene_names
-    from flipperctl.terminal.console import console
-
-    out = console()
-    names = scene_names([(one.terrain, one.conditions) for one in found])
-    named = list(zip(names, found, strict=True))
-    _table(named).print(out)
-    lines = condition_lines((one.terrain, one.seed, one.conditions) for one in found)
-    for line in (*lines, *_failures(named, policy, overrides)):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _table(named: list[tuple[str, TransferResult]]) -> Table:
-    from flipperctl.evaluation.tables import interval_text
-    from flipperctl.terminal.evaluation import gap_cells
-    from flipperctl.terminal.pitch_variation import HEADING
-    from flipperctl.terminal.tables import Table
-
-    one = named[0][1]
-    first, second = one.engines
-    title = f"{one.controller} in {second} against {first}, the same episodes"
-    headings = (
-        *("terrain", "episodes", f"success in {first}", f"in {second}", "Δ success", "won, lost"),
-        *("p (Holm)", "kept", HEADING, f"Δ {HEADING}", "Δ t_cost [s]", "failures"),
-    )
-    table = Table(headings, title, words=["failures"])
-    for name, one in named:
-        table.add(
-            name,
-            str(one.other.episodes),
-            f"{one.default.success_rate:.3f}",
-            f"{one.other.success_rate:.3f}",
-            *gap_cells(one.success_gap),
-            "–" if one.kept is None else f"{one.kept:.1%}",
-            f"{_swing(one.default)} → {_swing(one.other)}",
-            interval_text(one.gap.pitch_variation_100hz, sign="+"),
-            interval_text(one.gap.t_cost, 1, sign="+"),
-            ", ".join(f"{cause} {count}" for cause, count in one.causes.items()) or "none",
-        )
-    return table
-
-
-def _failures(
-    named: list[tuple[str, TransferResult]], policy: list[str], overrides: Sequence[str]
-) -> Iterator[str]:
-    """Yield a line for each failure, and the command that plays it again."""
-    others = [o for o in overrides if not o.startswith("terrain=")]
-    for name, one in named:
-        for f in one.failures:
-            yield (
-                f"{name}, episode {f.episode}: {f.cause} ({f.outcome} after {f.time:.1f} s "
-                f"at x {f.x:.2f} m, pitch {f.pitch:.2f}, roll {f.roll:.2f}, yaw {f.yaw:.2f} rad, "
-                f"{f.side:.2f} m aside; {f.default_outcome} in {one.engines[0]})"
-            )
-            again = [*policy, f"terrain={one.terrain}", *others]
-            seed = ["--seed", str(one.seed), "--only", str(f.episode)]
-            yield f"  {command('transfer', *again, *seed)}"
-
-
-def _swing(summary: Summary) -> str:
-    found = summary.pitch_variation_100hz
-    return "–" if found is None else f"{found.mean:.2f}"
+            film_episode(*only_one(asked), only or 0, film)

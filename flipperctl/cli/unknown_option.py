@@ -34,20 +34,13 @@ def _settings(key: str, primary: str) -> Iterator[str]:
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_train
     from flipperctl.config import EvalConfig
-    from flipperctl.config.describe import settings
+    from flipperctl.config.describe import paths_named
 
     if primary == "train" and key in _RUN_FOLDER:
         yield _RUN_FOLDER[key]
         return
     plugins.load()
     config_store.register_defaults()
-    (default,) = compose_train([])
+    (default,) = compose_train()
     sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
-    paths = [s.path for s in settings(default) if s.path.partition(".")[0] in sections]
-    section, dot, _ = key.partition(".")
-    if key in (*config_store.CHOICES, *paths) or (dot and section in sections):
-        yield key
-        return
-    ends = [path for path in paths if path.rpartition(".")[2] == key]
-    if len(ends) <= 3:
-        yield from ends
+    yield from paths_named(key, default, sections, config_store.CHOICES)

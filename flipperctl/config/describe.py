@@ -5,12 +5,12 @@ In: frozen settings, plugins among them at any depth. Out: one ``Setting`` for e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any, Literal, get_args, get_origin
 
-from flipperctl.api import Plugin, Robot, Settings
+from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
 from flipperctl.config.randomise import SECTION_OF
 from flipperctl.messages import bounds, meaning, unit
@@ -84,6 +84,52 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
     for where, part in inside:
         yield from _choice(where, part)
         yield from settings(part, where)
+
+
+def describe_plugin(kind: str, name: str) -> dict[str, Any]:
+    """Return a registered plugin and its fields as plain data."""
+    cls = registry[kind, name]
+    return {
+        "kind": kind,
+        "name": name,
+        "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
+        "module": cls.__module__,
+        "source": resolver.source(cls),
+        "fields": [asdict(field) for field in fields(cls)],
+    }
+
+
+def list_settings(config: Settings, default: Settings) -> list[dict[str, Any]]:
+    """Return every setting as plain data; ``default`` has the default plugin of each kind."""
+    choices = {s.path: s.value for s in settings(default)}
+    return [
+        {
+            "section": s.section,
+            "path": s.path,
+            "value": s.value,
+            "default": choices.get(s.path) if s.path == s.section else s.field.default,
+            "bounds": s.field.bounds,
+            "unit": s.field.unit,
+            "type": s.field.type,
+            "description": s.field.description,
+        }
+        for s in settings(config)
+    ]
+
+
+def paths_named(
+    key: str, config: Settings, sections: Collection[str], choices: Collection[str]
+) -> list[str]:
+    """Return the paths that ``key`` may mean: a whole path, or the end of at most three.
+
+    They lie in ``sections`` of ``config``; ``choices`` are further keys.
+    """
+    paths = [s.path for s in settings(config) if s.path.partition(".")[0] in sections]
+    section, dot, _ = key.partition(".")
+    if key in (*choices, *paths) or (dot and section in sections):
+        return [key]
+    ends = [path for path in paths if path.rpartition(".")[2] == key]
+    return ends if len(ends) <= 3 else []
 
 
 def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:

@@ -19,6 +19,7 @@ from flipperctl.errors import RequestError
 from flipperctl.policies.source import PolicySource
 from flipperctl.report.film import check_film, write_frames
 from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 SIZE = 640, 480
 """Width and height [pixels]."""
@@ -42,6 +43,11 @@ def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> Non
 
     pictures = [fromarray(frame) for frame in shots.frames]
     write_frames(path, pictures, [_EVERY * SAMPLE_PERIOD] * len(pictures))
+
+
+def film_episode(config: EvalConfig, source: PolicySource, episode: int, path: Path) -> None:
+    """Film the episode with this index of an evaluation; see ``film``."""
+    film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(episode), path)
 
 
 class Shots(Observer):

@@ -20,7 +20,7 @@ from yaml import YAMLError
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import remove_partial
+from flipperctl.files import remove_partial, write_bytes
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
@@ -88,6 +88,11 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
         f"{directory / CONFIG} is damaged and there is no checkpoint, so the run cannot be "
         f"resumed; delete {directory} and start the run again"
     )
+
+
+def write_config(directory: Path, config: TrainConfig) -> None:
+    """Write the configuration as ``config.yaml``."""
+    write_bytes(directory / CONFIG, OmegaConf.to_yaml(container(config)).encode())
 
 
 def _read_mapping(path: Path) -> dict[str, Any] | None:

@@ -8,8 +8,9 @@ an error in another engine, so each probe is far from passing with the opposite 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.env.world import place as place_guarded
+from flipperctl.errors import FlipperctlError
+from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.runtime.interface import Interface
+from flipperctl.studies.engines import in_default_engine
 
 _FLAT = Profile([(0.0, 0.0)])
 _SLOPE = math.radians(15)
@@ -47,6 +51,35 @@ class Probe:
     def container(self) -> dict[str, Any]:
         """Return plain data."""
         return {**asdict(self), "holds": self.holds}
+
+
+def probe(config: EnvConfig, file: Path | None = None) -> list[Probe]:
+    """Return the probes of both engines, of sensing and, if it is given, of an exported file.
+
+    Raises:
+        ConfigError: the default engine cannot have the configuration's settings.
+        PolicyError: the file is damaged.
+    """
+    found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
+    if file is not None:
+        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
+    return found
+
+
+def require_conventions(found: Sequence[Probe]) -> None:
+    """Refuse probes of which one differs from the contract.
+
+    Raises:
+        FlipperctlError: one does; the text has the first.
+    """
+    wrong = [one for one in found if not one.holds]
+    if wrong:
+        first = wrong[0]
+        raise FlipperctlError(
+            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
+            f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
+            f"{first.tolerance:.3f} is allowed"
+        )
 
 
 def probe_world(config: EnvConfig) -> Iterator[Probe]:

@@ -23,7 +23,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import Differences, Summary
-from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
+from flipperctl.evaluation.scenes import Progress, Scene, no_progress, play_scene
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -168,6 +168,19 @@ def transfer(
         sum(crossed) / len(crossed) if crossed else None,
         differences(theirs, ours),
         tuple(explain(config, source, *pair) for pair in pairs if not pair[1].reached),
+    )
+
+
+def transfer_scenes(
+    scenes: Sequence[Scene],
+    workers: EpisodeWorkers,
+    only: int | None = None,
+    progress: Progress = no_progress,
+) -> list[TransferResult]:
+    """Return the result of each scene, its tests corrected for all; ``only``: of one episode."""
+    chosen = None if only is None else [only]
+    return correct_scenes(
+        [transfer(c, source, workers, only=chosen, progress=progress) for c, source in scenes]
     )
 
 

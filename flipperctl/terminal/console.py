@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 from rich.console import Console
@@ -33,6 +34,12 @@ def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     wanted = int(columns) if columns.isdecimal() else 0
     on_terminal = file is not None and file.isatty()
     return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
+
+
+def print_lines(to: Console, lines: Iterable[str]) -> None:
+    """Print each line as it is, without markup and without breaks."""
+    for line in lines:
+        to.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def plain(text: str, of: Console) -> str:

@@ -12,8 +12,18 @@ from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import FEWEST
 from flipperctl.evaluation.tables import interval_text
 from flipperctl.studies.ranking import Contradiction, SceneRanking, Verdict
+from flipperctl.terminal.conditions import condition_lines
+from flipperctl.terminal.console import console, print_lines
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
+
+
+def print_comparison(found: list[SceneRanking]) -> None:
+    """Print the ranking of each scene, its conditions, and the verdicts."""
+    out = console()
+    table(found).print(out)
+    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
+    print_lines(out, (*conditions, *verdict_lines(found)))
 
 
 def table(scenes: Sequence[SceneRanking]) -> Table:

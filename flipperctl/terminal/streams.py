@@ -29,6 +29,11 @@ def plain_streams() -> None:
             stream.reconfigure(errors=PLAIN)
 
 
+def print_note(text: str) -> None:
+    """Print a line on stderr, beside the results on stdout."""
+    print(text, file=sys.stderr)
+
+
 def log_to_stderr() -> None:
     """Print the package's log messages to stderr, for debugging."""
     import logging

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -89,3 +90,45 @@ def _describe(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
     """Return the error in one line, with file and line unless it is one of the core's own."""
     where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
     return f"{error_line(error)}{where}"
+
+
+def run_check(one: Check) -> dict[str, Any]:
+    """Run one check; return ``ok``, ``skipped``, the message and the time taken [s]."""
+    begun, text, ok, skipped = time.perf_counter(), "", True, False
+    try:
+        one()
+    except ConformanceError as error:
+        text, ok = str(error), False
+    except NotChecked as error:
+        text, skipped = str(error), True
+    return {
+        "kind": one.plugin.kind,
+        "name": getattr(one.plugin, "plugin_name", one.plugin.__name__),
+        "check": one.name,
+        "ok": ok,
+        "skipped": skipped,
+        "message": text,
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def run_checks(todo: Sequence[Check], report: Callable[[str, float], None]) -> list[dict[str, Any]]:
+    """Run every check; ``report`` is given the name of the next one and the finished fraction."""
+    rows = []
+    for index, one in enumerate(todo):
+        report(str(one), index / len(todo))
+        rows.append(run_check(one))
+    return rows
+
+
+def require_passed(rows: Sequence[dict[str, Any]]) -> None:
+    """Refuse the results of checks of which one failed.
+
+    Raises:
+        ConformanceError: a check failed; the text names plugins and checks.
+    """
+    if failed := [f"{row['kind']} {row['name']} ({row['check']})" for row in rows if not row["ok"]]:
+        raise ConformanceError(
+            f"{len(failed)} of {len(rows)} checks failed: {', '.join(failed[:10])}"
+            + (" …" if len(failed) > 10 else "")
+        )

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli.hydra.sweeps import UNNAMED, folder_name
+from flipperctl.cli.hydra.sweeps import UNNAMED
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs.lock import hold
+from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.long.forked import differences, result

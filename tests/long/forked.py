@@ -45,7 +45,7 @@ def preload() -> None:
     import flipperctl.cli.hydra.compose
     import flipperctl.cli.hydra.optuna_search
     import flipperctl.cli.main
-    import flipperctl.cli.training  # noqa: F401
+    import flipperctl.runs.training  # noqa: F401
     from flipperctl import plugins
     from flipperctl.env.flipper_env import FlipperEnv
 

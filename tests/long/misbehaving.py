@@ -195,8 +195,8 @@ def _preload() -> None:
     import tensorboard  # noqa: F401
     import torch
 
-    import flipperctl.cli.training
     import flipperctl.evaluation.episodes
+    import flipperctl.runs.training
     import flipperctl.sim.planar.compiled  # noqa: F401
 
     torch.set_num_threads(1)

@@ -14,8 +14,7 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.d3qn import arrays
-from flipperctl.cli.inspect.checkpoint import _print as show
-from flipperctl.cli.inspect.checkpoint import describe
+from flipperctl.checkpoint.contents import contents
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
@@ -23,6 +22,7 @@ from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.terminal.checkpoint import print_checkpoint as show
 from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document
 from tests.short import short_config, trainer
@@ -72,7 +72,7 @@ def _old(data: bytes) -> bytes:
 def read_checkpoint(path: Path) -> str:
     """Read a checkpoint as the commands do before they run it; return a hash of its contents."""
     saved = checkpoint.read(checkpoint.find(path))
-    found = describe(saved)
+    found = contents(saved)
     with contextlib.redirect_stdout(io.StringIO()):
         print(json.dumps(found))
         show(found, saved)

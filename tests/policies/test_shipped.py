@@ -6,6 +6,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import container
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes
@@ -25,7 +26,8 @@ def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_th
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
     config_store.register_defaults()
-    (experiment,) = compose.compose_train([f"experiment={name}", f"seed={saved.config().seed}"])
+    words = [f"experiment={name}", f"seed={saved.config().seed}"]
+    (experiment,) = compose.compose_train(Overrides.parse(words))
     assert container(saved.config()) == container(experiment)
     config = saved.config().environment()
     results = list(play_episodes(config, PolicySource(checkpoint=path), episodes=5, seed=0))

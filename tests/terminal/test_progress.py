@@ -40,10 +40,10 @@ def test_a_bar_keeps_quiet_about_the_time_left_as_long(
 def test_an_interrupted_start_of_a_resumed_run_says_how_to_resume(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def interrupt(*_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("flipperctl.cli.training.resume_run", interrupt)
+    monkeypatch.setattr("flipperctl.runs.training.resume", interrupt)
     done = call("train", "--resume", "my run", cwd=tmp_path)
     assert done.code == 130
     assert done.err == "error: interrupted. Resume with: flipperctl train --resume 'my run'\n"

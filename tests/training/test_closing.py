@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from flipperctl.cli import training
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import WriteError
+from flipperctl.runs import training
 from flipperctl.training.closing import closing, open_all
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import RUN
@@ -87,7 +87,7 @@ def test_a_listener_that_cannot_be_made_closes_those_before(
     monkeypatch.setattr(training, "MetricsCsv", Kept)
     monkeypatch.setattr(training, "openers", lambda *given: [fail])
     with pytest.raises(WriteError, match="no space"):
-        training._train(trainer, None, lambda: False)
+        training._train(trainer, None, training.Reports(), lambda: False)
     assert made[0]._file.closed
 
 

@@ -1,6 +1,6 @@
 """Compose validated configurations from overrides, with Hydra.
 
-In: overrides as the user typed them. Out: ``TrainConfig`` and ``EvalConfig``, one for each
+In: overrides. Out: ``TrainConfig`` and ``EvalConfig``, one for each
 combination of the lists among the overrides. ``config_store`` holds the defaults.
 """
 
@@ -13,18 +13,24 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli import conditions
-from flipperctl.cli.hydra.combinations import combinations
-from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
+from flipperctl.cli.hydra.config_store import (
+    CHOICES,
+    CONFIGS,
+    EVAL_CHECKPOINT,
+    EVAL_CONTROLLER,
+    EVAL_EXPORT,
+)
 from flipperctl.cli.hydra.errors import (
     convert_hydra_errors,
     missing_choice,
     unknown_key,
     wrong_choice,
 )
-from flipperctl.cli.hydra.overrides import check_words
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
+from flipperctl.config.effect import check_effect
 from flipperctl.errors import ConfigError
+from flipperctl.runs.inherited import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
 
 Composed = TypeVar("Composed")
@@ -35,11 +41,11 @@ def parse_training(composed: DictConfig) -> TrainConfig:
     return parse(TrainConfig, {"logger": {}, **_plain(composed)})
 
 
-def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
+def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # noqa: B008  # frozen
     """Return one configuration for each combination of the sweeps in ``overrides``.
 
     Raises:
-        ConfigError: an override is malformed, unknown, of the wrong type or out of bounds.
+        ConfigError: an override is unknown, of the wrong type or out of bounds.
     """
     composed = _compositions("train", overrides)
     found = [parse(TrainConfig, {"logger": {}, **plain}) for _, plain in composed]
@@ -49,21 +55,21 @@ def compose_train(overrides: Sequence[str]) -> list[TrainConfig]:
 
 
 def compose_eval(
-    overrides: Sequence[str], primary: str = EVAL_CONTROLLER
+    overrides: Overrides, primary: str = EVAL_CONTROLLER
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """Return the configuration of each combination, and the controller's settings, if any."""
     found = []
     for combination, plain in _compositions(primary, overrides):
         settings = plain.pop("controller", None)
-        plain["conditions"] = conditions.chosen_name(combination)
+        plain["conditions"] = combination.choice("conditions") or NOMINAL
         config = parse(EvalConfig, plain)
-        conditions.check_effect(config, combination)
+        check_effect(config, combination.typed)
         print_notices(config)
         found.append((config, settings))
     return found
 
 
-def compose_environment(overrides: Sequence[str], primary: str = EVAL_CONTROLLER) -> EnvConfig:
+def compose_environment(overrides: Overrides, primary: str = EVAL_CONTROLLER) -> EnvConfig:
     """Return the environment of an evaluation with these overrides."""
     config, _ = only_one(compose_eval(overrides, primary))
     return config
@@ -83,30 +89,19 @@ def only_one(found: Sequence[Composed]) -> Composed:
     return found[0]
 
 
-def _compositions(
-    primary: str, overrides: Sequence[str]
-) -> Iterator[tuple[list[str], dict[str, Any]]]:
+def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, dict[str, Any]]]:
     """Yield each combination of the sweeps, and what it composes to."""
-    check_words(overrides)
     with convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
-        for combination in combinations(overrides):
-            if (
-                primary != EVAL_CHECKPOINT
-                and conditions.chosen_name(combination) == conditions.TRAINED
-            ):
-                raise ConfigError(
-                    conditions.explain_missing_training(exported=primary == EVAL_EXPORT)
-                )
+        for combination in overrides.combinations(CHOICES):
+            if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
+                raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
             try:
-                yield combination, _plain(compose(primary, combination))
+                yield combination, _plain(compose(primary, combination.words))
             except MissingConfigException as error:
                 raise missing_choice(error) from error
             except ConfigCompositionException as error:
                 raise unknown_key(error, primary, combination) from error
-            except (
-                TypeError,
-                ValueError,
-            ) as error:  # Hydra's errors for a group whose choice is not a name
+            except (TypeError, ValueError) as error:  # Hydra's for a choice that is not a name
                 raise wrong_choice(error, combination) from error
 
 

@@ -13,20 +13,11 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from flipperctl.api import Measure, ObservationLayout, Robot, registry
-from flipperctl.cli import conditions
-from flipperctl.config import (
-    DEFAULT_ENGINE,
-    EvalConfig,
-    LocalCollector,
-    RayCollector,
-    Teacher,
-    TrainConfig,
-    container,
-    resolver,
-)
-from flipperctl.config.loggers import METRICS_ALONE
+from flipperctl.api import ObservationLayout, Robot
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, container
+from flipperctl.config.defaults import GROUPS, LISTS, entries, sections
 from flipperctl.config.randomise import PATH_SECTIONS
+from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
@@ -38,11 +29,6 @@ EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
-GROUPS = (
-    *("terrain", "rewards", "network", "collector", "teacher", "logger"),
-    *("sim", "perception", "conditions"),
-)
-"""Config groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
 """Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
@@ -52,28 +38,11 @@ _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 def register_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
-    teaching = container(Teacher())
-    store.store(group="teacher", name="none", node=teaching)
-    # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
-    store.store(group="teacher", name="recorded", node={**teaching, "episodes": ""})
-    store.store(group="logger", name=METRICS_ALONE, node={})
-    for (kind, name), cls in registry.items():
-        if kind == Measure.kind:
-            continue  # every measure is taken of every episode; none is chosen
-        defaults = resolver.defaults(cls)
-        package = f"logger.{name}" if kind == "logger" else None  # several may be chosen
-        store.store(group=kind, name=name, node=defaults, package=package)
-        if kind == "controller":
-            store.store(group="teacher", name=name, node={**teaching, "controller": defaults})
-    for collector in (LocalCollector(), RayCollector()):
-        store.store(group="collector", name=collector.name, node=container(collector))
-    for primary, model in (("flipperctl_train", TrainConfig), ("flipperctl_eval", EvalConfig)):
-        sections = {
-            name: container(info.default) if hasattr(info.default, "model_dump") else info.default
-            for name, info in model.model_fields.items()
-            if name not in GROUPS
-        }
-        store.store(name=primary, node=_with_paths(sections))
+    for group, name, node in entries():
+        package = f"{group}.{name}" if group in LISTS else None  # several may be chosen
+        store.store(group=group, name=name, node=node, package=package)
+    store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
+    store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
 
 
 def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
@@ -89,31 +58,29 @@ def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
 def register_trained(config: TrainConfig | EvalConfig) -> str:
     """Register an evaluation of a policy as a primary configuration; return its name.
 
-    The policy brings its terrain, rewards, robot, observation layout and evaluation settings. Its
-    other sections are ``conditions=trained``, unless it is an exported file
-    (``config`` is then an ``EvalConfig``), which lacks them.
+    The sections of its training are ``conditions=trained``, unless the file lacks them.
     """
     store = ConfigStore.instance()
-    own = container(config.environment())
-    own["terrain"] = container(config.terrain, brief=True)
-    layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
-    for group in ("terrain", "rewards", "sim", "perception"):
-        store.store(group=group, name=_TRAINED, node=own.pop(group))
-    kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
-    nominal = {name: container(EvalConfig(terrain=config.terrain))[name] for name in own}
+    found = Inherited.of(config)
+    for group, node in found.chosen.items():
+        store.store(group=group, name=_TRAINED, node=node)
     primary = EVAL_EXPORT
-    if isinstance(config, TrainConfig):
+    if found.trained is not None:
         primary = EVAL_CHECKPOINT
+        sections = dict(found.trained)
+        for group in ("sim", "perception"):
+            store.store(group=group, name=_TRAINED, node=sections.pop(group))
         choices = [{f"override /{group}": _TRAINED} for group in ("sim", "perception")]
-        node = {"defaults": choices, **_with_paths(own)}
-        store.store(group="conditions", name=conditions.TRAINED, node=node, package="_global_")
+        node = {"defaults": choices, **_with_paths(sections)}
+        store.store(group="conditions", name=TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
-        *({"terrain": _TRAINED}, {"rewards": _TRAINED}),
+        *({group: _TRAINED} for group in found.chosen),
         *({group: DEFAULT_ENGINE} for group in ("sim", "perception")),
-        *("_self_", {"conditions": conditions.NOMINAL}),
+        *("_self_", {"conditions": NOMINAL}),
     ]
-    store.store(name=primary, node={"defaults": defaults, **_with_paths(nominal), **kept})
+    nominal = _with_paths(found.nominal)
+    store.store(name=primary, node={"defaults": defaults, **nominal, **found.kept})
     return primary
 
 

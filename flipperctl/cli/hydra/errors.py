@@ -6,8 +6,7 @@ of an exception is never parsed: the override at fault is the first that Hydra r
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,16 +23,13 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.hydra.config_store import CHOICES, GROUPS
-from flipperctl.cli.hydra.overrides import parse_overrides, quote_override
+from flipperctl.cli.hydra.config_store import CHOICES
+from flipperctl.cli.hydra.overrides import Overrides, unreadable
+from flipperctl.config.defaults import GROUPS, missing_entry
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
-from flipperctl.messages import close_match, reinstall_hint
+from flipperctl.messages import explain_unknown_key
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
-_ENTRY_NAMES = {
-    "rewards": "preset",
-    "conditions": "set",
-}  # the noun for an entry, where it is not the group's name
 
 
 @contextmanager
@@ -44,16 +40,7 @@ def convert_hydra_errors() -> Iterator[None]:
     except FlipperctlError:
         raise
     except OverrideParseException as error:
-        key, _, value = str(error.override).partition("=")
-        if re.search(r"\s[+~]*[\w./@]+=", value):
-            raise ConfigError(
-                f"{error.override!r}: one word holds several overrides; leave the quotes around "
-                f"them out: {error.override}"
-            ) from error
-        raise ConfigError(
-            f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
-            f"stands, quote it: {quote_override(key, value)}"
-        ) from error
+        raise unreadable(error) from error
     except MissingConfigException as error:
         raise missing_choice(error) from error
     except (HydraException, OmegaConfBaseException) as error:
@@ -73,16 +60,12 @@ def missing_choice(error: MissingConfigException) -> RequestError:
             f"{group}={option} needs the package hydra-{extra}-launcher; "
             f"install flipperctl[{extra}]"
         )
-    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
-    return ConfigError(
-        f"{group}: there is no {what} {option!r}{close_match(option, options)}; "
-        f"known: {', '.join(sorted(options)) or 'none'}{reinstall_hint(group)}"
-    )
+    return missing_entry(group, option, options)
 
 
-def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
+def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:
     """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
-    for override in parse_overrides(overrides):
+    for override in overrides.parsed:
         key, value = override.get_key_element(), override.value()
         names = value if isinstance(value, list) else [value]
         optional = key == "experiment" and value is None
@@ -92,16 +75,16 @@ def wrong_choice(error: Exception, overrides: Sequence[str]) -> ConfigError:
 
 
 def unknown_key(
-    error: ConfigCompositionException, primary: str, overrides: Sequence[str]
+    error: ConfigCompositionException, primary: str, overrides: Overrides
 ) -> ConfigError:
     """Return the error for an override of an unknown key, or ``error`` in one line."""
-    choices = [o for o in overrides if o.partition("=")[0] in CHOICES]
+    choices = [word for word in overrides.words if word.partition("=")[0] in CHOICES]
     try:
         composed = compose(primary, choices)
     except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
         choices, composed = [], compose(primary)
     node: Any = OmegaConf.to_container(composed, resolve=True)
-    others = [o for o in overrides if o not in choices]
+    others = [o for o in overrides.parsed if str(o.input_line) not in choices]
     refused = _first_refused(primary, choices, others)
     if refused is None or not _names_no_key(*refused):
         return ConfigError(_one_line(error))
@@ -111,38 +94,17 @@ def unknown_key(
         key = f"{key}={override.value()}"
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
         return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
-    *parents, leaf = key.split(".")
-    inside = ""  # the innermost existing section on the path to the key
-    for parent in parents:
-        if not isinstance(node.get(parent), dict):
-            leaf = parent
-            break
-        node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
-    known = sorted(name for name in node if name != "name")
-    inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
-    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
-    return ConfigError(
-        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
-        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
-    )
-
-
-def _paths(node: dict[Any, Any], before: str = "") -> Iterator[str]:
-    """Yield the path of every key in nested mappings."""
-    for name, value in node.items():
-        yield f"{before}{name}"
-        if isinstance(value, dict):
-            yield from _paths(value, f"{before}{name}.")
+    return ConfigError(explain_unknown_key(key, node))
 
 
 def _first_refused(
-    primary: str, choices: list[str], others: list[str]
+    primary: str, choices: list[str], others: list[Override]
 ) -> tuple[Override, ConfigCompositionException] | None:
     """Return the first of ``others`` that does not compose, and why.
 
     Hydra applies overrides of config groups before overrides of keys.
     """
-    ordered = sorted(parse_overrides(others), key=lambda o: not _is_group(o))
+    ordered = sorted(others, key=lambda o: not _is_group(o))
     accepted = list(choices)
     for override in ordered:
         accepted.append(str(override.input_line))

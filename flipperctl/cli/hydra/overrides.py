@@ -1,128 +1,195 @@
-"""Parse and quote overrides, and explain mistakes for which Hydra has no clear message."""
+"""The overrides of a command, parsed once: their keys, values, choices and combinations.
+
+In: the words as the user typed them. Out: one ``Overrides``, which every later step is given.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
-import shlex
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.errors import OverrideParseException
 
+from flipperctl.config.words import check_words, quote_override
 from flipperctl.errors import ConfigError
+from flipperctl.runs.search_space import Interval
 
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
-def parse_overrides(overrides: Iterable[str]) -> list[Override]:
-    """Return the overrides as Hydra parses them.
+@dataclass(frozen=True)
+class Overrides:
+    """Overrides as Hydra parses them, in their order."""
 
-    Raises:
-        OverrideParseException: Hydra cannot read one of them.
-    """
-    found: list[Override] = OverridesParser.create().parse_overrides(list(overrides))
-    return found
+    parsed: tuple[Override, ...] = ()
 
+    @classmethod
+    def parse(cls, words: Iterable[str], *, check: bool = True) -> Overrides:
+        """Return the overrides that are written in the words.
 
-def override_values(overrides: Iterable[str]) -> dict[str, Any]:
-    """Return the value of each key, for overrides that are applied without composition.
+        ``check``: whether words that are no overrides are explained, as after a mistake in typing.
 
-    Raises:
-        OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: an override is not a plain ``key=value``, such as a list of values, or a key
-            is given twice.
-    """
-    overrides = list(overrides)
-    check_once(overrides)
-    found = {}
-    for override in parse_overrides(overrides):
-        plain = not (override.is_delete() or override.is_add() or override.is_force_add())
-        if not plain or override.is_sweep_override():
-            raise ConfigError(f"{override.input_line}: one value is allowed here, as in key=value")
-        found[override.key_or_group] = override.value()
-    return found
+        Raises:
+            ConfigError: a word is no override, or Hydra cannot read it, or a key is given twice.
+        """
+        words = list(words)
+        if check:
+            check_words(words)
+        try:
+            return cls(tuple(OverridesParser.create().parse_overrides(words)))
+        except OverrideParseException as error:
+            raise unreadable(error) from error
 
+    @property
+    def words(self) -> list[str]:
+        """The overrides as they were typed."""
+        return [str(override.input_line) for override in self.parsed]
 
-def check_once(overrides: Iterable[str]) -> None:
-    """Refuse a key with two values, of which Hydra would take the last.
+    @property
+    def typed(self) -> dict[str, str]:
+        """Each key or group, and the word that overrides it."""
+        return {o.key_or_group: str(o.input_line) for o in self.parsed}
 
-    Raises:
-        ConfigError: a key is given twice.
-    """
-    given: dict[str, str] = {}
-    for override in overrides:
-        key = override.lstrip("+~").partition("=")[0]
-        if key in given:
-            raise ConfigError(f"{key} is given twice: {given[key]} and {override}; one is allowed")
-        given[key] = override
+    @property
+    def swept(self) -> list[str]:
+        """Keys with several values, or with an interval."""
+        return [o.get_key_element() for o in self.parsed if o.is_sweep_override()]
 
+    def where(self, chosen: Callable[[str], bool]) -> Overrides:
+        """Return the overrides whose key or group is chosen."""
+        return Overrides(tuple(o for o in self.parsed if chosen(o.key_or_group)))
 
-def check_folders(overrides: Iterable[str]) -> None:
-    """Refuse an empty folder name, which would mix runs with the user's own files.
+    def choice(self, group: str) -> str | None:
+        """Return the last name that is chosen for a group; None if there is none."""
+        found = [o for o in self.parsed if o.key_or_group == group]
+        value = found[-1].value() if found and not found[-1].is_delete() else None
+        return str(value) if value else None
 
-    Raises:
-        OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
-    """
-    for override in parse_overrides(overrides):
-        key = override.get_key_element()
-        if key in _FOLDERS and override.value() in ("", None):
-            raise ConfigError(
-                f"{key}: the name of a folder is allowed, . for the one you are in; "
-                f"the value is {override.value()!r}"
-            )
+    def values(self) -> dict[str, Any]:
+        """Return the value of each key, for overrides that are applied without composition.
 
+        Raises:
+            ConfigError: an override is not a plain ``key=value``, such as a list of values.
+        """
+        for o in self.parsed:
+            plain = not (o.is_delete() or o.is_add() or o.is_force_add())
+            if not plain or o.is_sweep_override():
+                raise ConfigError(f"{o.input_line}: one value is allowed here, as in key=value")
+        return {o.key_or_group: o.value() for o in self.parsed}
 
-def check_mappings(overrides: Iterable[str]) -> None:
-    """Refuse an empty mapping, since Hydra merges it and nothing would change.
+    def check_single(self) -> None:
+        """Refuse lists of values, which make several runs.
 
-    Raises:
-        OverrideParseException: Hydra cannot read one of the overrides.
-        ConfigError: a value is an empty mapping; the text has the override that drops the key.
-    """
-    for override in parse_overrides(overrides):
-        if not override.is_delete() and override.value() == {}:
-            key = override.get_key_element()
-            drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
-            raise ConfigError(
-                f"{override.input_line}: a mapping is merged into what is there, and an empty one "
-                f"changes nothing; {drop}"
-            )
-
-
-def check_words(overrides: Sequence[str]) -> None:
-    """Refuse a word that is not an override, because of the shell or a typing mistake.
-
-    Raises:
-        ConfigError: a word has no key, or no ``=``, for instance after a space in a value; or a
-            key is given twice.
-    """
-    before = ""
-    for word in overrides:
-        key, equals, _ = word.lstrip("+~").partition("=")
-        if equals and not key.strip():
-            raise ConfigError(f"{word!r} has no key; write key=value, as in terrain=stair")
-        if not equals and not word.startswith("~"):
-            hint = ""
-            if before:
-                key, _, value = before.partition("=")
-                hint = (
-                    f"; if it belongs to {before!r}, write {quote_override(key, f'{value} {word}')}"
+        Raises:
+            ConfigError: a setting has several values.
+        """
+        for override in self.parsed:
+            if override.is_sweep_override():
+                key, _, value = str(override.input_line).partition("=")
+                raise ConfigError(
+                    f"{override.input_line}: several values make several runs; add -m for them, or "
+                    f"brackets if the setting is a list: {key}=[{value}]"
                 )
-            raise ConfigError(
-                f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
-            )
-        before = word
-    check_once(overrides)
+
+    def check_folders(self) -> None:
+        """Refuse an empty folder name, which would mix runs with the user's own files.
+
+        Raises:
+            ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
+        """
+        for override in self.parsed:
+            key = override.get_key_element()
+            if key in _FOLDERS and override.value() in ("", None):
+                raise ConfigError(
+                    f"{key}: the name of a folder is allowed, . for the one you are in; "
+                    f"the value is {override.value()!r}"
+                )
+
+    def check_mappings(self) -> None:
+        """Refuse an empty mapping, since Hydra merges it and nothing would change.
+
+        Raises:
+            ConfigError: a value is an empty mapping; the text has the override that drops the key.
+        """
+        for override in self.parsed:
+            if not override.is_delete() and override.value() == {}:
+                key = override.get_key_element()
+                drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
+                raise ConfigError(
+                    f"{override.input_line}: a mapping is merged into what is there, and an empty "
+                    f"one changes nothing; {drop}"
+                )
+
+    def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
+        """Return the intervals and lists that a search samples, by key, and the other words."""
+        found: dict[str, Interval | Sequence[str]] = {}
+        fixed = []
+        for override in self.parsed:
+            key, typed = override.get_key_element(), str(override.input_line)
+            if override.is_interval_sweep():
+                sweep: Any = override.value()
+                found[key] = Interval(sweep.start, sweep.end, "log" in sweep.tags, typed)
+            elif override.is_sweep_override():
+                found[key] = list(override.sweep_string_iterator())
+            else:
+                fixed.append(typed)
+        return found, fixed
+
+    def combinations(self, choices: Sequence[str] = ()) -> Iterator[Overrides]:
+        """Yield every combination of the values in lists; intervals are left out.
+
+        A sweeper samples intervals, and the job checks the sampled values. ``choices`` are groups
+        of which a name must be chosen.
+
+        Raises:
+            ConfigError: null is chosen where a name is needed, or a mapping is empty.
+        """
+        self.check_mappings()
+        parts: list[Sequence[Override]] = []
+        for override in self.parsed:
+            if override.key_or_group in choices and str(override.input_line).endswith("=null"):
+                raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
+            if override.is_interval_sweep():
+                continue
+            if override.is_sweep_override():
+                key = override.get_key_element()
+                values = [f"{key}={value}" for value in override.sweep_string_iterator()]
+                parts.append(Overrides.parse(values, check=False).parsed)
+            else:
+                parts.append([override])
+        yield from map(Overrides, itertools.product(*parts))
+
+    def interval_probes(self) -> Iterator[Overrides]:
+        """Yield the overrides with each interval at its ends, and at a value between them.
+
+        The value between them reveals an interval of real numbers for an integer setting.
+        """
+        for index, override in enumerate(self.parsed):
+            interval = override.value()
+            if isinstance(interval, IntervalSweep):
+                start, end = cast("tuple[float, float]", (interval.start, interval.end))
+                whole = isinstance(start, int) and isinstance(end, int)
+                between = start if whole else start + 0.3819 * (end - start)
+                key = override.get_key_element()
+                probes = [f"{key}={x}" for x in (start, end, between)]
+                for probe in Overrides.parse(probes, check=False).parsed:
+                    yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
 
 
-def literal_override(key: str, value: str) -> str:
-    """Return an override whose value Hydra takes literally."""
-    escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
-    return f'{key}="{escaped}"'
-
-
-def quote_override(key: str, value: str) -> str:
-    """Return an override whose value Hydra takes literally, quoted for the shell as well."""
-    return shlex.quote(literal_override(key, value))
+def unreadable(error: OverrideParseException) -> ConfigError:
+    """Return the error for a word that Hydra cannot parse."""
+    key, _, value = str(error.override).partition("=")
+    if re.search(r"\s[+~]*[\w./@]+=", value):
+        return ConfigError(
+            f"{error.override!r}: one word holds several overrides; leave the quotes around "
+            f"them out: {error.override}"
+        )
+    return ConfigError(
+        f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
+        f"stands, quote it: {quote_override(key, value)}"
+    )

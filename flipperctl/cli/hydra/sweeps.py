@@ -6,10 +6,12 @@ and a table that compares them. Any of Hydra's launchers can train them.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,37 +20,16 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli.comparison import SweepRun, compare, sweep_run, unreturned_run
 from flipperctl.cli.hydra import ray_launcher
-from flipperctl.cli.hydra.overrides import literal_override, parse_overrides
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
-from flipperctl.files import make_folder
-from flipperctl.runs.lock import hold
-from flipperctl.runs.sweep_stop import stopping
-from flipperctl.terminal import follow_up
+from flipperctl.runs import follow_up
+from flipperctl.runs.sweep import Job, JobResult, Sweep
+from flipperctl.terminal.sweep import print_comparison
 
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
 """``hydra.sweep.subdir`` of train.yaml, which is replaced by the names of the swept values."""
-_LONGEST = 120
-"""Largest length of a folder's name in characters; file systems allow 255 bytes."""
-
-
-def folder_name(number: int, swept: Mapping[str, str]) -> str:
-    """Return the folder name of a sweep's run, as in ``0_seed=1,terrain=step``.
-
-    Characters that are special to a shell or a file system become ``_``; a long name is cut.
-    """
-    words = ",".join(f"{key}={_short(value)}" for key, value in swept.items())
-    name = re.sub(r"[^A-Za-z0-9_.,=+-]+", "_", f"{number}_{words}")
-    return name if len(name) <= _LONGEST else name[: _LONGEST - 1] + "_"
-
-
-def _short(value: str) -> str:
-    """Return a number with five digits, since a search samples sixteen; keep other values."""
-    try:
-        return value if len(value) <= 8 else f"{float(value):.5g}"
-    except ValueError:
-        return value
 
 
 def uses_default_naming(config: DictConfig) -> bool:
@@ -57,82 +38,37 @@ def uses_default_naming(config: DictConfig) -> bool:
     return bool(sweep["subdir"] == UNNAMED)
 
 
-class SweepLauncher:
-    """Hydra's launcher with named folders; it keeps the results of the jobs."""
+def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
+    """Return a sweep in ``folder`` whose jobs a launcher of Hydra trains."""
+    from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
-    def __init__(self, launcher: Launcher, folder: Path, *, named: bool) -> None:
-        """``folder``: that of the sweep; ``named``: whether runs are named after swept values."""
-        self._launcher, self._folder, self._named = launcher, folder.absolute(), named
-        self.stop: Callable[[], bool] = lambda: False
-        """Called before each launch; once it returns True, no further job begins."""
-        self.jobs = 0
-        """Number of jobs that were asked for."""
-        self.swept: list[str] = []
-        """Keys that the sweep varies."""
-        self.runs: list[SweepRun] = []
-
-    def launch(
-        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
-    ) -> Sequence[JobReturn]:
-        """Train each job; return the results of Hydra's launcher, fewer after an interrupt."""
-        from hydra._internal.core_plugins.basic_launcher import BasicLauncher
-
-        # Hydra's basic launcher runs the jobs in sequence and would continue after Ctrl-C.
-        size = 1 if isinstance(self._launcher, BasicLauncher) else len(job_overrides)
-        returns: list[JobReturn] = []
-        self.jobs += len(job_overrides)
-        for start in range(0, len(job_overrides), size):
-            number = initial_job_idx + start
-            stopped = self.runs and isinstance(self.runs[-1].error, InterruptedRunError)
-            if stopped or self.stop():
-                self._leave_out(job_overrides[start:], number)
-                break
-            returns += self._launch(job_overrides[start : start + size], number)
-        return returns
-
-    def _leave_out(self, jobs: Sequence[Sequence[str]], first: int) -> None:
-        """Add the runs of jobs that are not launched, if their folders have known names."""
-        swept = [self._swept_values(job) for job in jobs]
-        error = InterruptedRunError("interrupted")
-        self.runs += [
-            unreturned_run(first + i, values, self._folder / folder_name(first + i, values), error)
-            for i, values in enumerate(swept)
-            if self._named and self.swept
-        ]
-
-    def _launch(self, jobs: Sequence[Sequence[str]], first: int) -> Sequence[JobReturn]:
-        swept = [self._swept_values(job) for job in jobs]
+    def launch(jobs: Sequence[Job], names: Sequence[str], first: int) -> list[JobResult]:
         # A worker of a running cluster has another working directory.
-        jobs = [[*job, literal_override("hydra.sweep.dir", str(self._folder))] for job in jobs]
-        names: list[str] = []
-        if self._named and self.swept:
-            names = [folder_name(first + i, values) for i, values in enumerate(swept)]
-            jobs = [
-                [*job, f"hydra.sweep.subdir='{name}'"]
-                for job, name in zip(jobs, names, strict=True)
-            ]
-        try:
-            ray_launcher.connect(self._launcher)
-            returns = self._launcher.launch(jobs, initial_job_idx=first)
-        except BaseException as error:  # a second Ctrl-C, or a worker process that was killed
-            stopped = self.stop() or isinstance(error, KeyboardInterrupt)
-            cause = InterruptedRunError("interrupted") if stopped else error
-            self.runs += [
-                unreturned_run(first + i, swept[i], self._folder / name, cause)
-                for i, name in enumerate(names)
-            ]
-            if stopped and isinstance(error, Exception):
-                raise cause from error
-            raise
-        self.runs += [
-            sweep_run(job, first + i, values)
-            for i, (job, values) in enumerate(zip(returns, swept, strict=True))
-        ]
-        return returns
+        place = literal_override("hydra.sweep.dir", str(folder.absolute()))
+        words = [[*job, place] for job in jobs]
+        for job, name in zip(words, names, strict=False):
+            job.append(f"hydra.sweep.subdir='{name}'")
+        ray_launcher.connect(launcher)
+        return [job_result(job) for job in launcher.launch(words, initial_job_idx=first)]
 
-    def _swept_values(self, job: Sequence[str]) -> dict[str, str]:
-        values = dict(override.partition("=")[::2] for override in job)
-        return {key.lstrip("+~"): values[key] for key in self.swept if key in values}
+    # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.
+    serial = isinstance(launcher, BasicLauncher)
+    return Sweep(folder, launch, print_comparison, named=named, serial=serial)
+
+
+def job_result(job: JobReturn) -> JobResult:
+    """Return the value that a job returned, or the error that ended it.
+
+    ``return_value`` writes a line to stderr before it raises the error. That line is hidden,
+    since the command shows the error itself.
+    """
+    composed: Any = job.hydra_cfg
+    folder = Path(composed.hydra.runtime.output_dir)
+    with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            return JobResult(folder, job.return_value, None)
+        except Exception as error:  # noqa: BLE001 (a job may fail in any way)
+            return JobResult(folder, None, error)
 
 
 class ListSweep:
@@ -153,11 +89,17 @@ class ListSweep:
         self._params = settings["params"] or {}
         self._sweeper = cast("Any", BasicSweeper(**settings))
         self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
-        self._folder = Path(str(config.hydra.sweep.dir))
-        self._jobs = SweepLauncher(
-            self._sweeper.launcher, self._folder, named=uses_default_naming(config)
-        )
-        self._sweeper.launcher = _RaisingLauncher(self._jobs)
+        folder, named = Path(str(config.hydra.sweep.dir)), uses_default_naming(config)
+        self._jobs = launched_by(self._sweeper.launcher, folder, named=named)
+        self._sweeper.launcher = self
+
+    def launch(
+        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
+    ) -> Sequence[JobReturn]:
+        """Train each job, and raise the first error before Hydra's sweeper rewords it."""
+        self._jobs.launch(job_overrides, initial_job_idx)
+        self._jobs.raise_errors()
+        return []
 
     def run(self, arguments: list[str]) -> None:
         """Train every combination, from where an earlier start in the same folder left it.
@@ -168,21 +110,16 @@ class ListSweep:
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
-        self._jobs.swept = [
-            o.get_key_element() for o in parse_overrides(overrides) if o.is_sweep_override()
-        ]
-        with hold(make_folder(self._folder), "sweep"):
+        self._jobs.swept = Overrides.parse(overrides, check=False).swept
+        with self._jobs.held():
             try:
-                with stopping(self._folder) as self._jobs.stop:
-                    self._sweeper.sweep(arguments)
+                self._sweeper.sweep(arguments)
             except (InterruptedRunError, KeyboardInterrupt) as error:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Go on with: {command_to_go_on(self._folder)}"
+                    f"Go on with: {command_to_go_on(self._jobs.folder)}"
                 ) from error
-            finally:
-                compare(self._folder, self._jobs.runs)
 
 
 def command_to_go_on(folder: Path) -> str:
@@ -193,21 +130,3 @@ def command_to_go_on(folder: Path) -> str:
         plain = re.fullmatch(r"[\w./-]+", short) is not None
         words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
     return follow_up.command("train", "-m", *words)
-
-
-class _RaisingLauncher:
-    """A launcher that raises the first job's error before Hydra's sweeper rewords it."""
-
-    def __init__(self, jobs: SweepLauncher) -> None:
-        self._jobs = jobs
-
-    def launch(
-        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
-    ) -> Sequence[JobReturn]:
-        returns = self._jobs.launch(job_overrides, initial_job_idx=initial_job_idx)
-        errors = [run.error for run in self._jobs.runs if run.error is not None]
-        if self._jobs.stop() or any(isinstance(e, InterruptedRunError) for e in errors):
-            raise InterruptedRunError("interrupted")
-        if errors:
-            raise errors[0]
-        return returns

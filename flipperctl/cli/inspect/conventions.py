@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flipperctl.cli.options import AsJson, Overrides, PluginPaths
-from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.studies.conventions import Probe
@@ -32,12 +32,7 @@ default one.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("conventions", help=HELP)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="An exported .onnx file.")
@@ -46,32 +41,26 @@ def show(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl import plugins as loader
+    from flipperctl.studies.conventions import require_conventions
+    from flipperctl.terminal.conventions import print_probes
 
-    loader.load(plugins or ())
     found = _probes(list(overrides or []), checkpoint)
-    wrong = [probe for probe in found if not probe.holds]
     if as_json:
-        document = {"holds": not wrong, "probes": [probe.container() for probe in found]}
+        holds = all(probe.holds for probe in found)
+        document = {"holds": holds, "probes": [probe.container() for probe in found]}
         print(json.dumps(document, indent=2))
     else:
-        _print(found)
-    if wrong:
-        first = wrong[0]
-        raise FlipperctlError(
-            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
-            f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
-            f"{first.tolerance:.3f} is allowed"
-        )
+        print_probes(found)
+    require_conventions(found)
 
 
 def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.scenes import with_engine
-    from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
-    from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
-    from flipperctl.studies.engines import in_default_engine
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.config.words import with_engine
+    from flipperctl.policies.exported import exported_config, is_exported
+    from flipperctl.studies.conventions import probe
 
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
@@ -80,27 +69,5 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     if file is not None:
         own = exported_config(file)
         primary = config_store.register_robot(own.robot, own.perception.layout)
-    config = compose_environment(with_engine(overrides), primary)
-    plane = in_default_engine(config)
-    found = [*probe_world(plane), *probe_world(config), *probe_sensing(config)]
-    if file is not None:
-        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
-    return found
-
-
-def _print(found: list[Probe]) -> None:
-    from flipperctl.terminal.console import console
-    from flipperctl.terminal.tables import Table
-
-    headings = ("probed", "convention", "found", "expected", "")
-    table = Table(headings, words=["convention"])
-    for probe in found:
-        unit = "" if probe.unit == "-" else f" {probe.unit}"
-        table.add(
-            probe.of,
-            probe.meaning,
-            f"{probe.found:.3f}{unit}",
-            f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
-            "holds" if probe.holds else "WRONG",
-        )
-    table.print(console())
+    config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
+    return probe(config, file)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.studies.engines import EngineComparison
 
 HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
 
@@ -35,12 +31,7 @@ Settings of sim are those of the other engine; friction and gravity apply to bot
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("engines", help=HELP)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx.")
@@ -57,12 +48,12 @@ def show(
     """See HELP."""
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
-    from flipperctl import plugins as loader
-    from flipperctl.cli.scenes import scenes, with_engine
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.studies.engines import compare_engines, in_default_engine
+    from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress
 
-    loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
     found = []
@@ -75,64 +66,4 @@ def show(
     if as_json:
         print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
     else:
-        _print(found)
-
-
-def _print(found: list[EngineComparison]) -> None:
-    from flipperctl.cli.conditions import condition_lines
-    from flipperctl.evaluation.conditions import scene_names
-    from flipperctl.terminal.console import console
-    from flipperctl.terminal.tables import Table
-
-    first, second = found[0].engines
-    title = f"{second} against {first}, the same actions of {found[0].controller}"
-    headings = (
-        *("terrain", "episodes", "equal outcomes", "both reached", "agree"),
-        *("pitch RMS [rad] (largest)", "time (largest)", "θ̂_R"),
-    )
-    table = Table(headings, title)
-    named = list(zip(scene_names([(s.terrain, s.conditions) for s in found]), found, strict=True))
-    for name, scene in named:
-        table.add(name, *_cells(scene))
-    out = console()
-    table.print(out)
-    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
-    for line in (*conditions, *_disagreements(named)):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _cells(scene: EngineComparison) -> list[str]:
-    from flipperctl.studies.engines import mean
-
-    total, reached = len(scene.episodes), scene.reached
-    counts = [
-        str(total),
-        f"{sum(e.equal_outcomes for e in scene.episodes)}/{total}",
-        str(len(reached)),
-        f"{sum(e.agrees for e in scene.episodes)}/{total}",
-    ]
-    if not reached:
-        return [*counts, "–", "–", "–"]
-    slowest = max((e.time_ratio for e in reached), key=abs)
-    swing = mean(e.swings[1] for e in reached), mean(e.swings[0] for e in reached)
-    return [
-        *counts,
-        f"{mean(e.pitch_rms for e in reached):.3f} ({max(e.pitch_rms for e in reached):.3f})",
-        f"{mean(e.time_ratio for e in reached):+.1%} ({slowest:+.1%})",
-        f"{swing[0]:.2f} for {swing[1]:.2f} rad",
-    ]
-
-
-def _disagreements(named: list[tuple[str, EngineComparison]]) -> Iterator[str]:
-    for name, scene in named:
-        for e in scene.episodes:
-            if e.agrees:
-                continue
-            where = ""
-            if e.parts_at is not None:
-                where = f"; they part at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
-            yield (
-                f"{name}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
-                f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "
-                f"{e.pitch_rms:.3f} rad, {e.pitch_rms_along:.3f} rad at equal x{where}"
-            )
+        print_engines(found)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths, with_default, with_flags
+from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.studies.audit import AuditResult
-    from flipperctl.studies.ranking import SceneRanking
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
 
@@ -39,12 +35,7 @@ choose draws and processes.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("reward", help=HELP)(show)
-
-
-def show(
+def run(
     overrides: Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
@@ -65,21 +56,20 @@ def show(
     """See HELP."""
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
-    from flipperctl import plugins as loader
+    from flipperctl.config.words import with_default, with_flags
 
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if compare is not None:
         if checkpoint is not None or controller is not None:
             raise RequestError("--compare names all policies; leave --checkpoint, --controller out")
-        loader.load(plugins or ())
         _compare(compare, arguments, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.studies.audit import audit
+    from flipperctl.terminal.audit import print_audit
     from flipperctl.terminal.progress import episodes_progress
 
-    loader.load(plugins or ())
     chosen = None if checkpoint else controller or "okada"
     config, source = only_one(scenes(arguments, checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
@@ -89,7 +79,7 @@ def show(
     if as_json:
         print(json.dumps(found.container(), indent=2))
     else:
-        _print(found)
+        print_audit(found)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
@@ -98,6 +88,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.studies.ranking import decide
     from flipperctl.studies.reward_comparison import compare_rewards
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.rewards import print_comparison
 
     sources, others = policies(names, overrides)
     scenes = reward_scenes(others, sources)
@@ -110,41 +101,4 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     if as_json:
         print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
     else:
-        _print_comparison(found)
-
-
-def _print_comparison(found: list[SceneRanking]) -> None:
-    from flipperctl.cli.conditions import condition_lines
-    from flipperctl.terminal.console import console
-    from flipperctl.terminal.rewards import table, verdict_lines
-
-    out = console()
-    table(found).print(out)
-    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in found)
-    for line in (*conditions, *verdict_lines(found)):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _print(found: AuditResult) -> None:
-    from flipperctl.cli.conditions import condition_lines
-    from flipperctl.terminal.console import console
-    from flipperctl.terminal.tables import Table
-
-    title = (
-        f"{found.controller} on {found.terrain}: {found.episodes} episodes, "
-        f"{found.decisions} decisions, mean return {found.mean_return:.2f}"
-    )
-    headings = ("term", "weight", "mean a decision", "lowest", "highest", "share of the return")
-    table = Table([*headings, "saturated"], title)
-    for name, term in found.terms.items():
-        table.add(
-            name,
-            f"{term.weight:g}",
-            *(f"{value:.4f}" for value in (term.mean, term.lowest, term.highest)),
-            f"{term.share:.1%}",
-            "–" if term.saturated is None else f"{term.saturated:.1%}",
-        )
-    out = console()
-    table.print(out)
-    for line in condition_lines([(found.terrain, found.seed, found.conditions)]):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
+        print_comparison(found)

@@ -2,13 +2,13 @@
 
 import pytest
 
-from flipperctl.cli.hydra.overrides import override_values
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError
 
 
 def test_values_have_the_types_that_hydra_gives_them() -> None:
     given = ["train.decisions=500", "device='cuda:0'", "batch_sizes=[1,2]", "x=1e-3", "y=null"]
-    assert override_values(given) == {
+    assert Overrides.parse(given).values() == {
         "train.decisions": 500,
         "device": "cuda:0",
         "batch_sizes": [1, 2],
@@ -22,4 +22,4 @@ def test_values_have_the_types_that_hydra_gives_them() -> None:
 )
 def test_only_plain_values_are_allowed(override: str) -> None:
     with pytest.raises(ConfigError, match="one value is allowed here"):
-        override_values([override])
+        Overrides.parse([override]).values()

@@ -12,11 +12,12 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 from sqlalchemy.exc import SQLAlchemyError
 
-from flipperctl.cli.hydra.optuna_search import OptunaSearch
-from flipperctl.cli.hydra.search_space import search_space
-from flipperctl.cli.hydra.sweeps import SweepLauncher
+from flipperctl.cli.hydra.optuna_search import SearchSweep
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.hydra.sweeps import launched_by
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
 from flipperctl.runs.search import SearchSettings, objective
+from flipperctl.runs.search_space import distributions
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
 
@@ -53,8 +54,8 @@ def search(
     """The jobs of this start, and all trials of the study."""
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
-    jobs = SweepLauncher(launcher, folder / own, named=False)
-    OptunaSearch(SearchSettings(storage=storage, **settings), jobs, folder / own).run(overrides)
+    jobs = launched_by(launcher, folder / own, named=False)
+    SearchSweep(SearchSettings(storage=storage, **settings), jobs).run(overrides)
     return launcher.jobs, trials(folder)
 
 
@@ -187,15 +188,16 @@ def test_trials_ordered_by_another_measure_are_not_continued(tmp_path: Path) -> 
 
 def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
     interval = ["agent.gamma=interval(0.9,0.99)", "agent.batch_size=int(interval(32,64))"]
-    space, fixed = search_space([*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"])
+    words = [*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"]
+    sampled, fixed = Overrides.parse(words).sampled()
     assert fixed == ["seed=3", "~rewards.pitch"]
-    assert space == {
+    assert distributions(sampled) == {
         "agent.gamma": optuna.distributions.FloatDistribution(0.9, 0.99),
         "agent.batch_size": optuna.distributions.IntDistribution(32, 64),
         "network": optuna.distributions.CategoricalDistribution(["mlp", "at_d3qn"]),
     }
     with pytest.raises(ConfigError, match="nothing to search"):
-        search_space(["seed=3"])
+        distributions({})
 
 
 def test_the_objective_orders_by_success_and_then_by_swing_at_100_hz() -> None:

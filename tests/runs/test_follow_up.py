@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.runs import follow_up
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.terminal import follow_up
 from tests.cli.call import EXACT, call
 
 RIDGE = Path("examples/ridge.py").absolute()

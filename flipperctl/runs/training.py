@@ -1,18 +1,21 @@
-"""A training run as the command line starts it: files, progress, Ctrl-C and the final message."""
+"""Train in a run directory: begin, go on or resume, with its lock, its files and Ctrl-C.
+
+In: a training's configuration and a directory. Out: the files of the run, and its summary. Nothing
+is printed here: ``Reports`` says what the caller wants to hear.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from flipperctl import checkpoint
+from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig, container, with_overrides
+from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
@@ -20,28 +23,52 @@ from flipperctl.errors import (
     RequestError,
     WriteError,
 )
-from flipperctl.files import make_folder, write_bytes
+from flipperctl.files import make_folder
 from flipperctl.runs import folder as run_folder
+from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.lock import hold
-from flipperctl.terminal.follow_up import command, quote_path
-from flipperctl.terminal.notices import print_notices
-from flipperctl.terminal.pitch_variation import swing_text
-from flipperctl.terminal.progress import progress
+from flipperctl.runs.preflight import check_device
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv
 from flipperctl.training.loggers import openers
 from flipperctl.training.trainer import Trainer
 
 
+@dataclass(frozen=True)
+class Reports:
+    """What the caller wants to hear of a training; nothing by default."""
+
+    listeners: Sequence[Callable[[int, int], Listener]] = ()
+    """Each makes a listener from the number of decisions in all, and of those already made."""
+    tell: Callable[[str], None] = lambda text: None
+    """Takes a line about where the run begins, or that there is nothing to train."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that is trained to its end."""
+
+    directory: Path
+    summary: dict[str, Any]
+    """Contents of ``summary.json``."""
+    trained: bool
+    """Whether this call trained it; False if it was finished before."""
+
+
 def start(
-    config: TrainConfig, directory: Path, keep_more: Callable[[], None] = lambda: None
-) -> dict[str, Any]:
-    """Train in a new run directory; return the summary.
+    config: TrainConfig,
+    directory: Path,
+    reports: Reports = Reports(),  # frozen
+    *,
+    keep_more: Callable[[], None] = lambda: None,
+) -> Finished:
+    """Train in a new run directory.
 
     ``keep_more`` writes further files into it, once it is known to be new and locked.
 
     Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
         RunHeldError: another process is training in it.
         OutputError: it already holds a run.
         RequestError: the training cannot begin; nothing of it is left in the directory.
@@ -53,15 +80,17 @@ def start(
                 f"{directory} already holds a run; resume it with: "
                 f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
             )
-        return _begin(config, directory, keep_more)
+        return _begin(config, directory, reports, keep_more)
 
 
 def start_or_go_on(
     config: TrainConfig,
     directory: Path,
-    keep_more: Callable[[], None],
-    stop: Callable[[], bool],
-) -> dict[str, Any]:
+    reports: Reports = Reports(),  # frozen
+    *,
+    keep_more: Callable[[], None] = lambda: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Finished:
     """Train one run of a sweep, from where an earlier start of the sweep left it.
 
     A finished run is left alone. ``stop``, called between episodes, ends the run as Ctrl-C does.
@@ -75,7 +104,7 @@ def start_or_go_on(
     make_folder(directory)
     with _held(directory):
         if not run_folder.holds_run(directory):
-            return _begin(config, directory, keep_more, stop)
+            return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
         if differing := run_folder.differing_settings(earlier, config):
             raise OutputError(
@@ -84,9 +113,34 @@ def start_or_go_on(
                 "choose another hydra.sweep.dir"
             )
         if (summary := run_folder.finished(directory, config.train.decisions)) is not None:
-            print(f"{quote_path(directory)} is finished", file=sys.stderr)
-            return summary
-        return _go_on(config, directory, saved, stop)
+            reports.tell(f"{quote_path(directory)} is finished")
+            return Finished(directory, summary, trained=False)
+        return _go_on(config, directory, reports, saved, stop)
+
+
+def resume(
+    run: Path,
+    changes: Mapping[str, Any],
+    reports: Reports = Reports(),  # frozen
+    *,
+    check: Callable[[TrainConfig], None] = check_device,
+) -> Finished:
+    """Resume a run from its last full checkpoint, or from its start if it has none.
+
+    ``run`` is its directory or its last checkpoint. ``changes`` are merged into its configuration,
+    by their keys, such as ``train.decisions``; ``check`` may refuse the result.
+
+    Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
+        RunHeldError: another process is training it.
+        CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
+    """
+    directory = run_folder.find(run)
+    with hold(directory):
+        saved, config = run_folder.read(directory)
+        config = with_overrides(config, dict(changes))
+        check(config)
+        return _go_on(config, directory, reports, saved)
 
 
 @contextlib.contextmanager
@@ -103,80 +157,57 @@ def _held(directory: Path) -> Iterator[None]:
 def _begin(
     config: TrainConfig,
     directory: Path,
+    reports: Reports,
     keep_more: Callable[[], None],
     stop: Callable[[], bool] = lambda: False,
-) -> dict[str, Any]:
+) -> Finished:
     run_folder.clear_leftovers(directory)
     trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)
     keep_more()
     try:
-        return _train(trainer, None, stop)
+        return _train(trainer, None, reports, stop)
     except RequestError:
         if trainer.progress.decision == 0:  # the corrected request may have the directory
             run_folder.discard(directory, config.logger)
         raise
 
 
-def resume_run(run: Path, changes: dict[str, Any], check: Callable[[TrainConfig], None]) -> None:
-    """Resume a run from its last full checkpoint, or from its start if it has none.
-
-    ``changes`` are merged into its configuration; ``check`` may refuse the result.
-
-    Raises:
-        RunHeldError: another process is training it.
-        CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
-    """
-    directory = run_folder.find(run)
-    with hold(directory):
-        saved, config = run_folder.read(directory)
-        config = with_overrides(config, changes)
-        check(config)
-        print_notices(config)
-        _go_on(config, directory, saved)
-
-
 def _go_on(
     config: TrainConfig,
     directory: Path,
+    reports: Reports,
     saved: Checkpoint | None,
     stop: Callable[[], bool] = lambda: False,
-) -> dict[str, Any]:
+) -> Finished:
     run_folder.clear_leftovers(directory)
     trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)
     if saved is None:
-        print(
+        reports.tell(
             f"{directory} was stopped before its first checkpoint; it begins again "
-            "with the same configuration and seed",
-            file=sys.stderr,
+            "with the same configuration and seed"
         )
     else:
         trainer.restore(saved)
     decision = trainer.progress.decision
     summary = run_folder.finished(directory, decision)
     if decision >= config.train.decisions and summary is not None:
-        print(
+        reports.tell(
             f"nothing left to do: {directory} has trained {decision} decisions, and "
             f"train.decisions is {config.train.decisions}; give a larger train.decisions=… to "
-            "continue",
-            file=sys.stderr,
+            "continue"
         )
-        return summary
-    return _train(trainer, decision, stop)
+        return Finished(directory, summary, trained=False)
+    return _train(trainer, decision, reports, stop)
 
 
-def _train(trainer: Trainer, resume_at: int | None, stop: Callable[[], bool]) -> dict[str, Any]:
-    config, directory = trainer.config, trainer.directory
-    write_bytes(directory / run_folder.CONFIG, OmegaConf.to_yaml(container(config)).encode())
-    metrics, terms = directory / run_folder.METRICS, list(config.rewards)
-    trainer.listeners += open_all(
-        [
-            lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
-            *openers(config, directory, resume_at),
-            lambda: progress(config.train.decisions, trainer.progress.decision),
-        ]
-    )
+def _train(
+    trainer: Trainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
+) -> Finished:
+    directory = trainer.directory
+    run_folder.write_config(directory, trainer.config)
+    trainer.listeners += _listeners(trainer, resume_at, reports)
     try:
         with interrupts("finishing the episode and saving …") as interrupted:
             summary = trainer.run(lambda: interrupted() or stop())
@@ -192,13 +223,18 @@ def _train(trainer: Trainer, resume_at: int | None, stop: Callable[[], bool]) ->
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
             f"Resume with: {command('train', '--resume', directory)}"
         )
-    best = summary["best"]
-    print(
-        f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{swing_text(best, 2)}, {best['t_cost']:.1f} s. "
-        f"{summary['decisions']} decisions in {summary['seconds']:.0f} s.\n"
-        f"Evaluate: {command('eval', '--checkpoint', directory)}\n"
-        f"Export:   {command('export', 'onnx', '--checkpoint', directory)}",
-        file=sys.stderr,
+    return Finished(directory, summary, trained=True)
+
+
+def _listeners(trainer: Trainer, resume_at: int | None, reports: Reports) -> list[Listener]:
+    """Open the listeners that write the run's files, and then those of the caller."""
+    config, directory = trainer.config, trainer.directory
+    metrics, terms = directory / run_folder.METRICS, list(config.rewards)
+    total, done = config.train.decisions, trainer.progress.decision
+    return open_all(
+        [
+            lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
+            *openers(config, directory, resume_at),
+            *(lambda make=make: make(total, done) for make in reports.listeners),
+        ]
     )
-    return summary

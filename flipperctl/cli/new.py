@@ -28,12 +28,7 @@ as written and passes the conformance suite; nothing is ever overwritten.
 """
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the subcommand."""
-    app.command("new", help=HELP)(new)
-
-
-def new(
+def run(
     kind: Annotated[str, typer.Argument(metavar="KIND", help=", ".join(KINDS) + ".")],
     name: Annotated[
         str,
@@ -51,17 +46,15 @@ def new(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl import plugins as loader
-    from flipperctl.cli.new.draft import Draft, next_commands
     from flipperctl.errors import RequestError
     from flipperctl.messages import close_match
+    from flipperctl.scaffold.draft import Draft, next_commands
 
     if kind not in KINDS:
         raise RequestError(
             f"there is no kind {kind!r} of plugin{close_match(kind, KINDS)}; "
             f"{', '.join(KINDS)} are allowed"
         )
-    loader.load(plugins or ())
     draft = Draft(kind, name)
     made = draft.write_package(output) if package else draft.write_file(output)
     print(f"wrote {made}; next:")

@@ -1,0 +1,28 @@
+"""Overrides without an effect: those of settings that are sampled anew for every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from flipperctl.config.models import EnvConfig
+from flipperctl.errors import ConfigError
+
+
+def check_effect(config: EnvConfig, given: Mapping[str, str]) -> None:
+    """Refuse an override of a setting that is sampled anew for every episode.
+
+    ``given`` holds the overridden keys, and the override of each as it was typed.
+
+    Raises:
+        ConfigError: an override sets a randomised setting; the text has the range.
+    """
+    for key, typed in given.items():
+        for one in config.randomise.sampled():
+            # The nominal turning rate still sets the decision period.
+            if key == f"{one.section}.{one.field}" and one.field != "flipper_speed":
+                value = one.value
+                shown = "[{:g},{:g}]".format(*value) if isinstance(value, tuple) else f"{value:g}"
+                raise ConfigError(
+                    f"{typed}: it has no effect, since {one.key}={shown} "
+                    f"samples it for every episode; add {one.key}=null, or change that value"
+                )

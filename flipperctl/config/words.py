@@ -1,0 +1,102 @@
+"""Overrides as words, ``key=value``, before they are parsed: mistakes in typing, and further ones.
+
+In: the words that a user typed, and the values of options. Out: words, or the error that explains
+what the parser would not.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterable, Sequence
+
+from flipperctl.errors import ConfigError, RequestError
+
+
+def key_of(word: str) -> str:
+    """Return the key of an override as it was typed."""
+    return word.lstrip("+~").partition("=")[0]
+
+
+def check_once(overrides: Iterable[str]) -> None:
+    """Refuse a key with two values, of which Hydra would take the last.
+
+    Raises:
+        ConfigError: a key is given twice.
+    """
+    given: dict[str, str] = {}
+    for override in overrides:
+        key = key_of(override)
+        if key in given:
+            raise ConfigError(f"{key} is given twice: {given[key]} and {override}; one is allowed")
+        given[key] = override
+
+
+def check_words(overrides: Sequence[str]) -> None:
+    """Refuse a word that is not an override, because of the shell or a typing mistake.
+
+    Raises:
+        ConfigError: a word has no key, or no ``=``, for instance after a space in a value; or a
+            key is given twice.
+    """
+    before = ""
+    for word in overrides:
+        key, equals, _ = word.lstrip("+~").partition("=")
+        if equals and not key.strip():
+            raise ConfigError(f"{word!r} has no key; write key=value, as in terrain=stair")
+        if not equals and not word.startswith("~"):
+            hint = ""
+            if before:
+                key, _, value = before.partition("=")
+                hint = (
+                    f"; if it belongs to {before!r}, write {quote_override(key, f'{value} {word}')}"
+                )
+            raise ConfigError(
+                f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
+            )
+        before = word
+    check_once(overrides)
+
+
+def literal_override(key: str, value: str) -> str:
+    """Return an override whose value Hydra takes literally."""
+    escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
+    return f'{key}="{escaped}"'
+
+
+def quote_override(key: str, value: str) -> str:
+    """Return an override whose value Hydra takes literally, quoted for the shell as well."""
+    return shlex.quote(literal_override(key, value))
+
+
+def with_flags(
+    overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
+) -> list[str]:
+    """Return the overrides, and those of ``section`` that the given flags stand for.
+
+    Raises:
+        RequestError: an override sets what a flag sets.
+    """
+    found = list(overrides or [])
+    keys = {key_of(override): override for override in found}
+    for name, value in flags.items():
+        key = f"{section}.{name}"
+        if value is None:
+            continue
+        if key in keys:
+            raise RequestError(
+                f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
+            )
+        found.append(f"{key}={value}")
+    return found
+
+
+def with_default(overrides: list[str], key: str, value: object) -> list[str]:
+    """Return the overrides, and ``key=value`` if none of them sets the key."""
+    return overrides if key in map(key_of, overrides) else [*overrides, f"{key}={value}"]
+
+
+def with_engine(overrides: list[str]) -> list[str]:
+    """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
+    chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
+    return list(overrides) if chosen else ["sim=mujoco", *overrides]

@@ -1,0 +1,237 @@
+"""A search over trainings that resumes after any stop: Optuna proposes, the caller trains.
+
+In: a study, what it samples, and the sweep that trains its jobs. Out: one training for each trial,
+the results in the study, ``optimization_results.yaml`` in the folder of the sweep.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from omegaconf import OmegaConf
+from pydantic import ValidationError
+
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    RequestError,
+)
+from flipperctl.messages import explain
+from flipperctl.runs.follow_up import command
+from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.sweep import JobResult, Sweep
+from flipperctl.runs.trial_owner import claim, signs_of_life
+from flipperctl.runs.trials import FAILED, fail_abandoned, finished, running, stop, suggest
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.distributions import BaseDistribution
+    from optuna.trial import Trial
+
+_POLL = 1.0
+"""Time between two looks at the trials of other searches [s]."""
+
+
+def check_settings(given: Mapping[str, Any]) -> SearchSettings:
+    """Return the settings of a search.
+
+    Raises:
+        MissingExtraError: Optuna is not installed.
+        ConfigError: one of the settings is of the wrong type or out of bounds.
+    """
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError(
+            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+        ) from error
+    try:
+        settings = SearchSettings(**given)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return settings
+
+
+@dataclass(frozen=True)
+class OptunaSearch:
+    """A search that asks Optuna for trials until ``n_trials`` are finished.
+
+    The proposals of one search depend only on the seed and the finished trials, so a resumed search
+    has the same results as an uninterrupted one. Several searches may share a study, each in a
+    folder of its own.
+    """
+
+    settings: SearchSettings
+    study: Study
+    jobs: Sweep
+    space: Mapping[str, BaseDistribution]
+    """What is sampled, by key."""
+    fixed: Sequence[str]
+    """Overrides of every job."""
+    tell: Callable[[str], None]
+    """Takes a line about the progress of the search."""
+    command_to_go_on: Callable[[], str]
+
+    def run(self) -> None:
+        """Train trial after trial.
+
+        Raises:
+            InterruptedRunError: the search was stopped; the text has the command to go on with.
+            RequestError: a trial was refused.
+        """
+        study = self.study
+        if known := len(finished(study)):
+            self.tell(f"the study {study.study_name!r} has {known} finished trials already")
+        awaited = 0
+        while (count := len(finished(study))) < self.settings.n_trials:
+            fail_abandoned(study)
+            others = len(running(study))
+            size = min(self.settings.n_jobs, self.settings.n_trials - count - others)
+            if size <= 0:
+                if others != awaited:
+                    self.tell(f"waiting for trials of another search: {others}")
+                awaited = others
+                self._raise_if_stopped()
+                time.sleep(_POLL)
+                continue
+            asked = [self._ask() for _ in range(size)]
+            trials = [trial for trial in asked if trial is not None]
+            if trials:
+                self._train(trials)
+            self._raise_if_stopped()
+
+    def _raise_if_stopped(self) -> None:
+        if self.jobs.stop():  # between two jobs
+            raise self._interrupted()
+
+    def _ask(self) -> Trial | None:
+        """Return a new trial of this process; None if others have begun the last ones meanwhile.
+
+        The seed of its proposal is its place among the trials that count or run, so that an
+        interrupted trial is sampled again, and no two searches propose the same.
+        """
+        study = self.study
+        trial = study.ask()
+        claim(trial)
+        place = sum(t.number < trial.number for t in [*finished(study), *running(study)])
+        if place >= self.settings.n_trials:
+            stop(study, trial.number)
+            return None
+        study.sampler = self._sampler(place)
+        for name, distribution in self.space.items():
+            suggest(trial, name, distribution)
+        return trial
+
+    def _train(self, trials: Sequence[Trial]) -> None:
+        jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
+        try:
+            with signs_of_life(trials):
+                results = self._launch(jobs, [trial.number for trial in trials])
+        except BaseException:
+            for trial in trials:
+                stop(self.study, trial.number)
+            raise
+        self._record_results(trials, results)
+
+    def _launch(self, jobs: Sequence[Sequence[str]], numbers: Sequence[int]) -> list[JobResult]:
+        """Train the jobs, side by side as far as their numbers follow each other.
+
+        A launcher numbers its jobs in sequence, and another search may have taken one in between.
+        """
+        results: list[JobResult] = []
+        begin = 0
+        for end in range(1, len(jobs) + 1):
+            if end < len(jobs) and numbers[end] == numbers[end - 1] + 1:
+                continue
+            results += self.jobs.launch(jobs[begin:end], numbers[begin])
+            if len(results) < end:  # interrupted
+                break
+            begin = end
+        return results
+
+    def _sampler(self, count: int) -> Any:
+        from optuna.samplers import RandomSampler, TPESampler
+
+        seed = int(np.random.SeedSequence([self.settings.seed, count]).generate_state(1)[0])
+        return (TPESampler if self.settings.sampler == "tpe" else RandomSampler)(seed=seed)
+
+    def _record_results(self, trials: Sequence[Trial], results: Sequence[JobResult]) -> None:
+        problems = [
+            self._record_result(trial, result)
+            for trial, result in zip(trials, results, strict=False)  # fewer after an interrupt
+        ]
+        for trial in trials[len(results) :]:
+            stop(self.study, trial.number)
+        for problem in filter(None, problems):
+            if isinstance(problem, InterruptedRunError):
+                raise self._interrupted() from problem
+            raise problem
+
+    def _interrupted(self) -> InterruptedRunError:
+        done = f"{len(finished(self.study))} of {self.settings.n_trials} trials are finished"
+        return InterruptedRunError(f"interrupted; {done}. Go on with: {self.command_to_go_on()}")
+
+    def _record_result(self, trial: Trial, result: JobResult) -> Exception | None:
+        """Record the result of a trial; return the error that stops the search, if any."""
+        from optuna.exceptions import UpdateFinishedTrialError
+
+        try:
+            return self._conclude_trial(trial, result)
+        except UpdateFinishedTrialError:  # this process had given no sign of life for long
+            self.tell(f"trial {trial.number} is lost: another search has closed it")
+            return None
+
+    def _conclude_trial(self, trial: Trial, result: JobResult) -> Exception | None:
+        from optuna.trial import TrialState
+
+        study, value, error = self.study, result.value, result.error
+        if error is not None:
+            if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
+                trial.set_user_attr(FAILED, True)  # a result: these settings do not work
+                study.tell(trial, state=TrialState.FAIL)
+                self.tell(f"trial {trial.number} failed: {error}")
+                return None
+            stop(study, trial.number)
+            return error
+        if value is None:
+            stop(study, trial.number)
+            return RequestError("train.validate_every: a search needs a validation in each run")
+        trial.set_user_attr("run", str(result.folder))
+        study.tell(trial, value)
+        best = study.best_trial
+        self.tell(
+            f"trial {trial.number}: objective {value:.5f}; "
+            f"best {best.value:.5f} (trial {best.number})"
+        )
+        return None
+
+    def conclude(self) -> None:
+        """Write ``optimization_results.yaml`` into the search's folder, and tell the best trial.
+
+        Raises:
+            FlipperctlError: every trial failed.
+        """
+        study = self.study
+        if not any(trial.value is not None for trial in finished(study)):
+            raise FlipperctlError("every trial of the search failed; see the messages above")
+        best = study.best_trial
+        results = {
+            "name": "optuna",
+            "best_params": best.params,
+            "best_value": best.value,
+            "best_run": best.user_attrs["run"],
+        }
+        OmegaConf.save(OmegaConf.create(results), self.jobs.folder / "optimization_results.yaml")
+        settings = " ".join(f"{key}={value}" for key, value in best.params.items())
+        self.tell(
+            f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
+            f"Evaluate: {command('eval', '--checkpoint', Path(best.user_attrs['run']))}"
+        )

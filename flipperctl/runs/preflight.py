@@ -1,0 +1,63 @@
+"""Check a training before anything is made: its device, terrain, network and memory.
+
+In: a configuration. Out: nothing, or the error that refuses it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from flipperctl.config import TrainConfig
+
+
+def check(config: TrainConfig) -> None:
+    """Refuse a training that cannot begin.
+
+    Raises:
+        RequestError: the terrain, device, teacher or network cannot be used.
+    """
+    check_device(config)
+    _check_terrain(config)
+    _check_network(config, _recorded_decisions(config))
+
+
+def check_device(config: TrainConfig) -> None:
+    """Refuse a device that torch cannot use.
+
+    Raises:
+        ConfigError: it cannot be used.
+    """
+    import torch
+
+    from flipperctl.errors import ConfigError
+
+    try:
+        torch.empty(0, device=config.device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
+
+
+def _check_terrain(config: TrainConfig) -> None:
+    from flipperctl.env.flipper_env import FlipperEnv
+
+    FlipperEnv(config=config.environment()).reset(seed=0)
+
+
+def _recorded_decisions(config: TrainConfig) -> int:
+    from flipperctl.training.recorded import read_teacher
+
+    recording = read_teacher(config)
+    return 0 if recording is None else recording.decisions
+
+
+def _check_network(config: TrainConfig, recorded: int) -> None:
+    from flipperctl.agent.demand import check_demand
+    from flipperctl.api import ACTIONS
+
+    check_demand(
+        *(config.network, config.perception, len(ACTIONS), config.agent),
+        config.train.decisions + recorded,
+        labelled=config.teacher.teaches,
+    )

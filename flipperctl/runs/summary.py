@@ -1,0 +1,61 @@
+"""Summarise a run from its files: validations, number of episodes, and how it ended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flipperctl.errors import RequestError
+from flipperctl.runs.folder import METRICS, SUMMARY
+from flipperctl.training.events import read_rows
+
+_SHOWN = (
+    "decision",
+    "success_rate",
+    "pitch_variation_100hz",
+    "pitch_variation",
+    "t_cost",
+    "return",
+)
+
+
+@dataclass(frozen=True)
+class RunRows:
+    """The rows of a run's ``metrics.csv``."""
+
+    episodes: list[dict[str, str]]
+    validations: list[dict[str, str]]
+
+    @classmethod
+    def read(cls, run: Path) -> RunRows:
+        """Read the rows of a run directory.
+
+        Raises:
+            RequestError: it holds no ``metrics.csv``.
+        """
+        metrics = run / METRICS
+        if not metrics.is_file():
+            raise RequestError(f"{run} holds no {METRICS}; is it a run directory?")
+        rows = read_rows(metrics)
+        kinds = ("episode", "validation")
+        return cls(*([row for row in rows if row["kind"] == kind] for kind in kinds))
+
+
+def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
+    """Return ``summary.json`` (None if there is none), the validations and more, as plain data."""
+    file = run / SUMMARY
+    return {
+        "run": str(run),
+        "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
+        "episodes": len(rows.episodes),
+        "validations": [{key: _number(row, key) for key in _SHOWN} for row in rows.validations],
+    }
+
+
+def _number(row: Mapping[str, str], key: str) -> float | None:
+    """Return the number in a cell; None if it is empty, or its column is of a later version."""
+    cell = row.get(key)
+    return float(cell) if cell else None

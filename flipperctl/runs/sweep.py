@@ -1,0 +1,140 @@
+"""The jobs of a sweep or a search in its folder: launched, stopped together and compared.
+
+In: jobs, each a list of overrides, and what launches them. Out: a run directory for each job,
+``sweep.csv`` in the sweep's folder, and what came of each job.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flipperctl.errors import InterruptedRunError
+from flipperctl.files import make_folder
+from flipperctl.runs.comparison import SweepRun, sweep_run, unreturned_run, write_comparison
+from flipperctl.runs.lock import hold
+from flipperctl.runs.sweep_folder import folder_name
+from flipperctl.runs.sweep_stop import stopping
+
+Job = Sequence[str]
+"""The overrides of one training."""
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """What came of one job."""
+
+    folder: Path
+    """The run's directory."""
+    value: float | None
+    """The objective of a search; None without a validation, or after an error."""
+    error: Exception | None
+
+
+Launch = Callable[[Sequence[Job], Sequence[str], int], Sequence[JobResult]]
+"""Trains jobs in folders of the given names (none: the launcher's own), numbered from the last
+argument on."""
+
+
+class Sweep:
+    """The jobs of a sweep; it keeps their results."""
+
+    def __init__(
+        self,
+        folder: Path,
+        launch: Launch,
+        show: Callable[[Path, Sequence[SweepRun]], None],
+        *,
+        named: bool,
+        serial: bool,
+    ) -> None:
+        """``folder`` is that of the sweep; ``show`` is given the runs at its end.
+
+        ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
+        launched one by one, so that none begins after Ctrl-C.
+        """
+        self.folder = folder
+        self._launcher, self._show, self._named, self._serial = launch, show, named, serial
+        self.stop: Callable[[], bool] = lambda: False
+        """Called before each launch; once it returns True, no further job begins."""
+        self.jobs = 0
+        """Number of jobs that were asked for."""
+        self.swept: list[str] = []
+        """Keys that the sweep varies."""
+        self.runs: list[SweepRun] = []
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the sweep's folder; Ctrl-C sets ``stop``; compare the runs at the end.
+
+        Raises:
+            RunHeldError: another process works in the folder.
+        """
+        with hold(make_folder(self.folder), "sweep"):
+            try:
+                with stopping(self.folder) as self.stop:
+                    yield
+            finally:
+                self._show(self.folder, write_comparison(self.folder, self.runs))
+
+    def launch(self, jobs: Sequence[Job], first: int) -> list[JobResult]:
+        """Train each job, ``first`` being the number of the first; fewer after an interrupt."""
+        size = 1 if self._serial else len(jobs)
+        results: list[JobResult] = []
+        self.jobs += len(jobs)
+        for start in range(0, len(jobs), size):
+            number = first + start
+            stopped = self.runs and isinstance(self.runs[-1].error, InterruptedRunError)
+            if stopped or self.stop():
+                error = InterruptedRunError("interrupted")
+                self._leave_out(jobs[start:], self._names(jobs[start:], number), number, error)
+                break
+            results += self._launch(jobs[start : start + size], number)
+        return results
+
+    def raise_errors(self) -> None:
+        """Raise the first error of a job, or that the sweep was stopped."""
+        errors = [run.error for run in self.runs if run.error is not None]
+        if self.stop() or any(isinstance(e, InterruptedRunError) for e in errors):
+            raise InterruptedRunError("interrupted")
+        if errors:
+            raise errors[0]
+
+    def _launch(self, jobs: Sequence[Job], first: int) -> Sequence[JobResult]:
+        names = self._names(jobs, first)
+        try:
+            results = self._launcher(jobs, names, first)
+        except BaseException as error:  # a second Ctrl-C, or a worker process that was killed
+            stopped = self.stop() or isinstance(error, KeyboardInterrupt)
+            cause = InterruptedRunError("interrupted") if stopped else error
+            self._leave_out(jobs, names, first, cause)
+            if stopped and isinstance(error, Exception):
+                raise cause from error
+            raise
+        self.runs += [
+            sweep_run(first + i, self._values(job), found.folder, found.error)
+            for i, (job, found) in enumerate(zip(jobs, results, strict=True))
+        ]
+        return results
+
+    def _leave_out(
+        self, jobs: Sequence[Job], names: Sequence[str], first: int, error: BaseException
+    ) -> None:
+        """Add the runs of jobs that did not return, if their folders have known names."""
+        self.runs += [
+            unreturned_run(first + i, self._values(job), self.folder.absolute() / name, error)
+            for i, (job, name) in enumerate(zip(jobs, names, strict=False))
+        ]
+
+    def _names(self, jobs: Sequence[Job], first: int) -> list[str]:
+        """Return the folder name of each job; none if the launcher names them."""
+        if not (self._named and self.swept):
+            return []
+        return [folder_name(first + i, self._values(job)) for i, job in enumerate(jobs)]
+
+    def _values(self, job: Job) -> dict[str, str]:
+        """Return the value of each swept key."""
+        values = dict(override.partition("=")[::2] for override in job)
+        return {key.lstrip("+~"): values[key] for key in self.swept if key in values}

@@ -1,0 +1,32 @@
+"""What ``flipperctl export`` prints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from flipperctl.api import Robot
+from flipperctl.messages import unit
+
+
+def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
+    """Print how far the file ``target`` agrees with torch, and for which other robot it is."""
+    print(
+        f"{target}: {found['bytes']} bytes, from {source}\n"
+        f"compared with torch on {found['observations']} observations of rollouts: "
+        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
+        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
+        f"the chosen action agrees on {found['action_agreement']:.2%}"
+    )
+    if changes := found["robot_changes"]:
+        print(f"for another robot than that of the training: {_describe(changes)}")
+
+
+def _describe(changes: dict[str, dict[str, float]]) -> str:
+    parts = []
+    for name, values in changes.items():
+        setting = name in Robot.model_fields
+        label = f"robot.{name}" if setting else name.replace("_", " ")
+        of = unit(Robot, name) if setting else "s"
+        parts.append(f"{label} {values['file']:.6g} {of} (training {values['training']:.6g})")
+    return ", ".join(parts)

@@ -1,0 +1,49 @@
+"""What ``flipperctl inspect run`` prints: the validations of a run, and whether it is finished."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from flipperctl import checkpoint
+from flipperctl.errors import CheckpointError
+from flipperctl.runs import follow_up
+from flipperctl.terminal.console import console
+from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
+from flipperctl.terminal.tables import Table
+
+
+def print_run(found: dict[str, Any]) -> None:
+    """Print a row for each validation of a run (``runs.summary.summarise``)."""
+    summary = found["summary"]
+    state = "still running or interrupted" if not summary else "finished"
+    if summary and not summary["finished"]:
+        state = f"interrupted; resume with: {_resume_command(Path(found['run']))}"
+    headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
+    table = Table(headings, f"{found['run']}: {state}", right=headings)
+    for row in found["validations"]:
+        swing = row["pitch_variation_100hz"]
+        table.add(
+            f"{row['decision']:.0f}",
+            f"{row['success_rate']:.1%}",
+            "–" if swing is None else f"{swing:.3f}",
+            f"{row['pitch_variation']:.3f}",
+            f"{row['t_cost']:.1f}",
+            f"{row['return']:.2f}",
+        )
+    table.print(console())
+
+
+def _resume_command(run: Path) -> str:
+    """Return the command, with the names of plugin files that it lacks.
+
+    A run knows the names of its plugins' files, not where they lie.
+    """
+    command = follow_up.command("train", "--resume", run)
+    files: list[str] = []
+    if not follow_up.plugin_paths():
+        with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
+            named = checkpoint.read(run / checkpoint.LAST).document.plugins
+            files = list(dict.fromkeys(p.origin for p in named if p.origin))
+    return f"{command} (and --plugins for {', '.join(files)})" if files else command
