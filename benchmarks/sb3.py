@@ -14,7 +14,7 @@ import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 
@@ -122,7 +122,7 @@ def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
         device="cpu",
         **s,
     )
-    made.set_logger(configure(None, []))
+    made.set_logger(Logger(None, []))
     return made
 
 

@@ -58,7 +58,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "sim": ("Engines", "sim"),
     "perception": ("Sensors", "perception"),
     "measure": ("Measures", "measure"),
-    "logger": ("Loggers", "logger.<name>"),
+    "logger": ("Loggers", "logger.<logger>"),
 }
 """Kind of plugin → heading, key of its settings."""
 

@@ -21,7 +21,7 @@ from flipperctl.api import registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.training import start
 from flipperctl.config import TrainConfig, with_overrides
-from flipperctl.config.randomise import SECTION_OF
+from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import RequestError
 from tests.drawn_settings import (
     GROUPS,
@@ -48,6 +48,8 @@ FIXED = {
 }
 """What makes the base short; all but the first two are drawn as well."""
 Overrides = dict[str, Any]
+PATHS = tuple(f"{section}." for section in PATH_SECTIONS)
+"""Sections whose settings are sampled by path."""
 
 
 @st.composite
@@ -85,6 +87,10 @@ def overrides(draw: st.DrawFn) -> Overrides:
             if (info := model.model_fields.get(name)) is not None:
                 values = Setting(f"{section}.{name}", info).values()
                 found[f"randomise.{name}"] = sorted(draw(st.tuples(values, values)))
+    paths = [s for s in pool if s.path.startswith(PATHS) and s.info.annotation in (int, float)]
+    for setting in draw(st.lists(st.sampled_from(paths), max_size=1)):
+        values = setting.values()
+        found[f"randomise.{setting.path}"] = sorted(draw(st.tuples(values, values)))
     if draw(st.integers(0, 9)) == 9:
         wrong = draw(st.sampled_from([s for s in pool if s.path not in NOT_DRAWN]))
         found[wrong.path] = draw(st.sampled_from(wrong.wrong()))

@@ -91,6 +91,7 @@ def test_every_setting_that_is_named_exists() -> None:
         if page == UPGRADE or not named or named[1].partition(".")[0] not in sections:
             continue
         path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
+        path = re.sub(r"^logger\.\w+\.", "logger.<logger>.", path)
         path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
         if path.startswith(("randomise.sim.", "randomise.robot.", "randomise.perception.")):
             path = path.removeprefix("randomise.")  # a setting by its path

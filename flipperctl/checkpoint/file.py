@@ -53,13 +53,13 @@ class Checkpoint:
         """Return the training configuration, as far as the policy needs it.
 
         Terrain and reward terms whose plugins are not there are stand-ins (see ``config.absent``),
-        and a teacher whose plugin is not there is left out.
+        and a teacher and loggers whose plugins are not there are left out.
 
         Raises:
             CheckpointError: another plugin is not there, such as the network's, or the
                 configuration is not valid in this version.
         """
-        self._require_plugins(apart=("terrain", "reward", "controller"))
+        self._require_plugins(apart=("terrain", "reward", "controller", "logger"))
         files = {(p.kind, p.name): p.origin for p in self.document.plugins if p.origin}
         settings = self.document.config.model_dump(mode="json")
         return self._parse(with_stand_ins(settings, files))
@@ -86,8 +86,12 @@ class Checkpoint:
 
     @property
     def content(self) -> str:
-        """SHA-256 of configuration, results, state and tensors, without versions and plugins."""
+        """SHA-256 of configuration, results, state and tensors.
+
+        Versions, plugins and loggers, which do not change a training, are left out.
+        """
         plain = self.document.plain()
+        plain["config"] = {k: v for k, v in plain["config"].items() if k != "logger"}
         kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
         return sealed.digest(json.dumps(kept, sort_keys=True), self.tensors)
 

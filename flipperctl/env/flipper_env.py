@@ -31,7 +31,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
-from flipperctl.env.metrics import EpisodeMetrics, Pitches, measures
+from flipperctl.env.metrics import EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, fresh
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
@@ -148,7 +148,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._drawn_values = {**starts, **drawn}
         self._last_move, self._outcome = None, None
-        self._pitches = Pitches(self.state.pitch)
+        self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
@@ -226,8 +226,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
+        self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, poses = self._pitches.append(after.pitch), self.drive.poses
+        pitches, poses = np.array(self._pitches), self.drive.poses
         self.transition = Transition(
             before,
             after,

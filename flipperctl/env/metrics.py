@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 
 import numpy as np
@@ -70,11 +71,15 @@ class EpisodeMetrics:
     def __init__(self, measures: Mapping[str, Measure]) -> None:
         self._measures = measures
         self._episode: list[Transition] = []
+        self._pitches = _Pitches()
         self._parts: dict[str, float] = {}
 
     def add(self, t: Transition, parts: Mapping[str, float]) -> None:
         """Add one decision with the weighted values of its reward terms."""
-        self._episode.append(t)
+        if not self._episode:
+            self._pitches.append(t.before.pitch)
+        pitches = self._pitches.append(t.after.pitch)
+        self._episode.append(replace(t, pitches=pitches))
         for name, value in parts.items():
             self._parts[name] = self._parts.get(name, 0.0) + value
 
@@ -92,12 +97,15 @@ class EpisodeMetrics:
         }
 
 
-class Pitches:
-    """The pitches of an episode so far; each view of them costs no copy."""
+class _Pitches:
+    """The pitches of an episode so far, which its transitions share.
 
-    def __init__(self, first: float) -> None:
-        self._values = np.full(128, first)
-        self._count = 1
+    A copy in each would take memory with the square of the episode's length, 2 GB on 1 km.
+    """
+
+    def __init__(self) -> None:
+        self._values = np.empty(128)
+        self._count = 0
 
     def append(self, pitch: float) -> FloatArray:
         """Add a pitch; return all so far, read-only, (T,) [rad]."""

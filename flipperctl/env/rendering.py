@@ -8,7 +8,7 @@ point ``side`` of the group ``flipperctl.renderers``, since the task knows no fi
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,9 @@ def installed() -> Renderer:
     Raises:
         ConfigError: none is installed.
     """
-    found = tuple(entry_points(group=GROUP, name="side"))
+    # Of every copy of the metadata: a stale one in the working directory would hide the installed.
+    copies = [points for d in distributions(name="flipperctl") for points in d.entry_points]
+    found = [point for point in copies if point.group == GROUP]
     if not found:
         raise ConfigError(
             f"render_mode: no entry point 'side' in the group {GROUP!r}; "

@@ -98,8 +98,8 @@ class Tracker:
 
     def _work(self) -> None:
         try:
+            self._save()  # before the run begins there, so that no killed training loses its id
             tracked = self._begin(self._id)
-            self._save()
             while (row := self._rows.get()) is not None:
                 kind, decision, values = row
                 if decision > self._logged[kind]:  # a resumed run repeats the rest exactly

@@ -2,11 +2,14 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from pydantic import Field
 
 from flipperctl import plugins
+from flipperctl.api import Measure, Transition, measure
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
@@ -73,3 +76,27 @@ def test_a_measure_that_fails_is_named(
     with pytest.raises(error, match=words) as caught:
         play(FlipperEnv("flat"), level, 0)
     assert "odd.py" in str(caught.value)
+
+
+def test_a_measure_gets_the_whole_episode_as_it_was(registry: dict) -> None:
+    @measure("kept")
+    class Kept(Measure):
+        """The number of transitions whose pitches end with their own [-]."""
+
+        def __call__(self, episode: Sequence[Transition]) -> float:
+            ends = [len(t.pitches) == k + 2 for k, t in enumerate(episode)]
+            own = [t.pitches[-2:].tolist() == [t.before.pitch, t.after.pitch] for t in episode]
+            return sum(ends) + sum(own)
+
+    row = play(FlipperEnv("flat"), resolver.create("controller", "level", "controller").build(), 0)
+    assert row["kept"] == 2 * row["decisions"]
+
+
+def test_a_measure_takes_no_settings() -> None:
+    class Tuned(Measure):
+        """A measure with a setting."""
+
+        above: float = Field(1.0, ge=0, le=2, description="height [m]")
+
+    with pytest.raises(TypeError, match="has the settings above; every measure is taken"):
+        measure("tuned")(Tuned)
