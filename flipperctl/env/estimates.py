@@ -19,54 +19,61 @@ _NUMBERS = "fiu"
 """Kinds of numpy's types that are real numbers."""
 
 
-def checked(
-    found: Any, sensor: Sensor, method: str, owner: type
-) -> tuple[SensedGround, SensedAngles]:
-    """Return what ``method`` of the class ``owner`` returned, if it is ground and angles.
+class EstimateCheck:
+    """Checks what one method returns as ground and angles."""
 
-    Raises:
-        PluginFailedError: it is something else.
-        NonFiniteError: a point, a height or an angle is not finite.
-    """
+    def __init__(self, sensor: Sensor, method: str, owner: type) -> None:
+        """``owner`` is the class that has the ``method``."""
+        self._sensor, self._method, self._owner = sensor, method, owner
+        self._heights = (sensor.layout.bins,)
 
-    def refuse(
-        found: str, allowed: str, raised: type[FlipperctlError] = PluginFailedError
+    def __call__(self, found: Any) -> tuple[SensedGround, SensedAngles]:
+        """Return ground and angles, if they are what the method returned.
+
+        Raises:
+            PluginFailedError: it is something else.
+            NonFiniteError: a point, a height or an angle is not finite.
+        """
+        if type(found) is tuple and len(found) == 2:
+            ground, angles = found
+        else:
+            with naming(self._sensor, self._method):  # a generator runs the plugin's code
+                ground, angles = found
+        self._check_ground(ground)
+        self._check_angles(angles)
+        return ground, angles
+
+    def _check_ground(self, ground: object) -> None:
+        if not isinstance(ground, SensedGround):
+            raise self._refusal(short_repr(ground), "a SensedGround")
+        points, heights, filled = ground.points, ground.heights, ground.filled
+        if not (_is_array(points, _NUMBERS) and points.ndim == 2 and points.shape[1] == 2):
+            raise self._refusal(f"points {_text(points)}", "numbers of the shape (P, 2)")
+        if not (_is_array(heights, _NUMBERS) and heights.shape == self._heights):
+            allowed = f"numbers of the shape {self._heights}"
+            raise self._refusal(f"heights {_text(heights)}", allowed)
+        if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
+            allowed = f"None, or booleans of the shape {(len(points),)}"
+            raise self._refusal(f"filled {_text(filled)}", allowed)
+        for name, numbers in (("points", points), ("heights", heights)):
+            if not np.isfinite(numbers).all():
+                raise self._refusal(f"{name} that are not finite", "finite numbers", NonFiniteError)
+
+    def _check_angles(self, angles: object) -> None:
+        if not isinstance(angles, SensedAngles):
+            raise self._refusal(short_repr(angles), "SensedAngles")
+        try:
+            finite = all(map(math.isfinite, (angles.front, angles.rear, angles.pitch)))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise self._refusal(short_repr(angles), "three numbers") from error
+        if not finite:
+            raise self._refusal(short_repr(angles), "three finite numbers", NonFiniteError)
+
+    def _refusal(
+        self, found: str, allowed: str, raised: type[FlipperctlError] = PluginFailedError
     ) -> FlipperctlError:
         text = f"returned {found}; allowed: {allowed}"
-        return refusal(sensor, method, text, raised, owner=owner)
-
-    with naming(sensor, method):  # a generator runs the plugin's code
-        ground, angles = found
-    _check_ground(ground, sensor.layout.bins, refuse)
-    _check_angles(angles, refuse)
-    return ground, angles
-
-
-def _check_ground(ground: object, bins: int, refuse: Any) -> None:
-    if not isinstance(ground, SensedGround):
-        raise refuse(short_repr(ground), "a SensedGround")
-    points, heights, filled = ground.points, ground.heights, ground.filled
-    if not (_is_array(points, _NUMBERS) and points.ndim == 2 and points.shape[1] == 2):
-        raise refuse(f"points {_text(points)}", "numbers of the shape (P, 2)")
-    if not (_is_array(heights, _NUMBERS) and heights.shape == (bins,)):
-        raise refuse(f"heights {_text(heights)}", f"numbers of the shape {(bins,)}")
-    if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
-        allowed = f"None, or booleans of the shape {(len(points),)}"
-        raise refuse(f"filled {_text(filled)}", allowed)
-    for name, numbers in (("points", points), ("heights", heights)):
-        if not np.isfinite(numbers).all():
-            raise refuse(f"{name} that are not finite", "finite numbers", NonFiniteError)
-
-
-def _check_angles(angles: object, refuse: Any) -> None:
-    if not isinstance(angles, SensedAngles):
-        raise refuse(short_repr(angles), "SensedAngles")
-    try:
-        finite = all(map(math.isfinite, (angles.front, angles.rear, angles.pitch)))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise refuse(short_repr(angles), "three numbers") from error
-    if not finite:
-        raise refuse(short_repr(angles), "three finite numbers", NonFiniteError)
+        return refusal(self._sensor, self._method, text, raised, owner=self._owner)
 
 
 def _is_array(value: Any, kinds: str) -> bool:

@@ -26,7 +26,7 @@ from flipperctl.api import (
     SensedGround,
     Sensor,
 )
-from flipperctl.env.estimates import checked
+from flipperctl.env.estimates import EstimateCheck
 from flipperctl.guard import naming, refusal, short_repr
 
 T = TypeVar("T")
@@ -126,6 +126,7 @@ class GuardedEstimator:
         if missing:
             text = f"returned {short_repr(self._estimator)}, which has no {', '.join(missing)}"
             raise refusal(sensor, "estimator", f"{text}; a flipperctl.api.Estimator is allowed")
+        self._check = EstimateCheck(sensor, "estimate", type(self._estimator))
 
     def update(self, measured: Measured) -> None:
         """Receive a measurement."""
@@ -138,8 +139,7 @@ class GuardedEstimator:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: a point, a height or an angle is not finite.
         """
-        found = _call(self._sensor, "estimate", self._estimator.estimate, time)
-        return checked(found, self._sensor, "estimate", type(self._estimator))
+        return self._check(_call(self._sensor, "estimate", self._estimator.estimate, time))
 
     def save(self) -> Any:
         """Return a snapshot of the memory."""
@@ -176,6 +176,7 @@ class GuardedSensor:
             raise refusal(sensor, "over", text)
         in_use: object = self._in_use
         self._memory = in_use if isinstance(in_use, RememberingSensor) else None
+        self._check = EstimateCheck(sensor, "sense", type(in_use))
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Sensed:
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``.
@@ -184,8 +185,7 @@ class GuardedSensor:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: a point, a height or an angle is not finite.
         """
-        found = _call(self._sensor, "sense", self._in_use.sense, state, rng)
-        return Sensed(*checked(found, self._sensor, "sense", type(self._in_use)))
+        return Sensed(*self._check(_call(self._sensor, "sense", self._in_use.sense, state, rng)))
 
     def save(self) -> Any:
         """Return a snapshot of the memory, if there is one."""
