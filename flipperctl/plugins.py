@@ -125,7 +125,8 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
         sys.modules.pop(name, None)
         raise PluginError(
             f"plugin {label} registers nothing; "
-            "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor or @logger"
+            "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor or "
+            "@logger"
         )
     _loaded.add(name)
 
