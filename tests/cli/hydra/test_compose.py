@@ -76,10 +76,10 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     # Paths need no +, whether or not the training has one in that section.
     paths = ["randomise.sim.friction=[0.8,0.9]", "randomise.robot.track_speed=0.2"]
     changed = ["terrain=paper_stair", "conditions=trained", *paths]
-    ((other, _),) = compose.compose_eval(changed, primary)
+    ((other, _),) = compose_eval(changed, primary)
     assert other.randomise.names == ["delay", "sim.friction", "sim.gravity", "robot.track_speed"]
     with pytest.raises(ConfigError, match=r"^sim\.friction=0\.7: it has no effect"):
-        compose.compose_eval([*changed, "sim.friction=0.7"], primary)
+        compose_eval([*changed, "sim.friction=0.7"], primary)
     changed = ["terrain=paper_stair", "conditions=trained", "sim.friction=0.9"]
     ((other, _),) = compose_eval(changed, primary)
     assert other.terrain.plugin_name == "paper_stair"
@@ -106,9 +106,9 @@ def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
         "+logger@logger.second=wandb": ["tensorboard", "second"],
     }
     for override, names in chosen.items():
-        (config,) = compose.compose_train([override] if override else [])
+        (config,) = compose_train([override] if override else [])
         assert list(config.logger) == names
-    (config,) = compose.compose_train(["logger=wandb", "logger.wandb.project=stairs"])
+    (config,) = compose_train(["logger=wandb", "logger.wandb.project=stairs"])
     assert container(config)["logger"]["wandb"]["project"] == "stairs"
 
 
