@@ -125,13 +125,8 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
         sys.modules.pop(name, None)
         raise PluginError(
             f"plugin {label} registers nothing; "
-<<<<<<< HEAD
             "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor, "
             "@measure or @logger"
-=======
-            "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor or "
-            "@logger"
->>>>>>> p24F
         )
     _loaded.add(name)
 
