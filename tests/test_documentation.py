@@ -16,6 +16,7 @@ from flipperctl.api import ACTIONS
 from flipperctl.cli.bench import MEASURES
 from flipperctl.env import flipper_env
 from flipperctl.lookahead import best_known
+from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, RUN, call
@@ -35,8 +36,10 @@ _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
 """They run in the tests of the launchers."""
-QUICK = [f"{key}={value}" for key, value in EXACT.items()]
-WORKERS = [f"{key}={value}" for key, value in RUN.items()]
+FEWER = {"train.decisions": 150, "train.validation_episodes": 1}
+"""Of them, 50 learn (``agent.learning_starts``)."""
+QUICK = [f"{key}={value}" for key, value in {**EXACT, **FEWER}.items()]
+WORKERS = [f"{key}={value}" for key, value in {**RUN, **FEWER}.items()]
 SEARCH = {
     "planner": ["controller.budget=2000"],
     "mpc": ["controller.beam=4", "controller.horizon=4"],
@@ -84,8 +87,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with contextlib.chdir(folder):
         exec(example("mound.npy"), {})
     learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
-    one = [word for word in WORKERS if not word.startswith("train.workers=")]
-    done = call("train", *learn, *one, "train.workers=1", cwd=folder)
+    done = call("train", *learn, *WORKERS, cwd=folder)
     assert done.code == 0, done.err
     return folder
 
@@ -127,7 +129,7 @@ def with_budget(command: list[str]) -> list[str]:
         own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
-        quick = ["train.decisions=310"] if resumed else WORKERS if asked or default else QUICK
+        quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *trials, *own]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
@@ -143,15 +145,20 @@ def with_budget(command: list[str]) -> list[str]:
 
 
 @pytest.fixture
-def small_planner(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a planner that takes no overrides, as with ``--passable``, search little as well."""
-    build = Planner.build
-    small = {"width": 4, "budget": 2000}
-    monkeypatch.setattr(Planner, "build", lambda self: build(self.model_copy(update=small)))
+def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let searches that take no overrides, as with ``--passable``, be small as well."""
+    for search, small in (
+        (Planner, {"width": 4, "budget": 2000}),
+        (Mpc, {"beam": 4, "horizon": 4}),
+    ):
+        build = search.build
+        monkeypatch.setattr(
+            search, "build", lambda self, b=build, s=small: b(self.model_copy(update=s))
+        )
     monkeypatch.setattr(best_known, "_STARTS", ("level",))  # not a whole drive of mpc
 
 
-@pytest.mark.usefixtures("small_planner")
+@pytest.mark.usefixtures("small_searches")
 @pytest.mark.parametrize("command", [c for c in commands() if c not in LAUNCHED], ids=" ".join)
 def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> None:
     done = call(*smaller(command[1:]), cwd=folder)

@@ -125,7 +125,7 @@ def test_a_student_learns_what_a_recorded_rule_does(file: Path, tmp_path: Path) 
 def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
     file: Path, tmp_path: Path, mode: str
 ) -> None:
-    settings = {"train.record": True, "train.mode": mode, "train.decisions": 400, **MPC}
+    settings = {"train.record": True, "train.mode": mode, "train.decisions": 300, **MPC}
     if mode == "fast":  # whose workers label beside the file
         settings |= {"teacher.episodes": str(file), "train.workers": 2}
     stacking = {"network": {"name": "stacked", "window": 2}, "agent.n_step": 2}

@@ -119,7 +119,7 @@ def test_without_a_teacher_there_are_no_labels(short_run: Path) -> None:
 
 @pytest.mark.parametrize("mode", ["exact", "fast"])
 def test_a_taught_run_resumes_bit_for_bit_with_its_labels(tmp_path: Path, mode: str) -> None:
-    settings = {"train.mode": mode, "train.workers": 2, "train.decisions": 400}
+    settings = {"train.mode": mode, "train.workers": 2, "train.decisions": 300}
     config = short_config(**settings, **LOOKAHEAD)
     trainer(config, tmp_path / "whole").run()
     whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
