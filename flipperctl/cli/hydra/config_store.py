@@ -39,7 +39,8 @@ def register_defaults() -> None:
     """Put every registered plugin's and every section's defaults into the ConfigStore."""
     store = ConfigStore.instance()
     for group, name, node in entries():
-        package = f"{group}.{name}" if group in LISTS else None  # several may be chosen
+        # Several entries of a list may be chosen; one without settings adds nothing.
+        package = f"{group}.{name}" if group in LISTS and node else None
         store.store(group=group, name=name, node=node, package=package)
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
