@@ -5,6 +5,7 @@ import pytest
 
 from flipperctl.core import observation
 from flipperctl.core.bins import mean_heights
+from flipperctl.sim.planar.bins import sum_heights
 
 
 def looped(points: np.ndarray, bins: int, width: float) -> list[float]:
@@ -20,6 +21,7 @@ def test_heights_equal_a_plain_loop_bit_for_bit() -> None:
     for _ in range(20):
         points = np.column_stack([np.linspace(-1.125, 1.125, 113), rng.normal(0.0, 0.3, 113)])
         assert mean_heights(points, 15, 0.15).tolist() == looped(points, 15, 0.15)
+        assert mean_heights(points, 15, 0.15, sum_heights).tolist() == looped(points, 15, 0.15)
 
 
 def test_an_empty_bin_takes_its_height_from_its_neighbours() -> None:

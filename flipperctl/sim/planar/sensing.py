@@ -94,6 +94,9 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
+        from flipperctl.sim.planar.bins import sum_heights  # numba takes a third of a second
+
+        self._sum_heights = sum_heights
         self._seen_ground: SeenGround | None = None
         if settings.occlusion:
             mount = settings.mount_x, settings.mount_z
@@ -163,4 +166,5 @@ class TerrainSensor:
 
     def heights(self, points: FloatArray) -> FloatArray:
         """Return the mean height of the points of each bin, (N,) in frame L [m]."""
-        return mean_heights(points, self.settings.bins, self.settings.bin_width)
+        s = self.settings
+        return mean_heights(points, s.bins, s.bin_width, self._sum_heights)
