@@ -1,6 +1,6 @@
 """Mean heights of the ground in bins along the robot (paper Eq. 1).
 
-In: points of the ground in frame L. Out: one height for each bin, also where no point lies.
+In: points of the ground in frame L. Out: one height for each bin, including empty bins.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from flipperctl.core.arrays import FloatArray
 def mean_heights(points: FloatArray, bins: int, bin_width: float) -> FloatArray:
     """Return the mean height of the points of each bin, (N,) in frame L, rear to front [m].
 
-    ``points``: (P, 2) in frame L within ``observation.reach`` [m], in any order. The height of a
-    bin without points is interpolated linearly between its neighbours, past the last bin with
-    points it is that bin's; without any points, every height is 0.
+    ``points``: (P, 2) in frame L within ``observation.reach`` [m], in any order. The height of an
+    empty bin is interpolated linearly between its neighbours; beyond the outermost bins with
+    points it equals theirs. Without any points, every height is 0.
     """
     behind = observation.reach(bins, bin_width)
     index = np.minimum(((points[:, 0] + behind) / bin_width).astype(np.int64), bins - 1)

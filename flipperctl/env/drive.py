@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
-from flipperctl.env.ends import Ends
+from flipperctl.env.termination import Termination
 from flipperctl.env.world import place
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
@@ -39,7 +39,7 @@ class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
 
 
 class Drive:
-    """Holds the world, the flippers' targets and the ends of one episode."""
+    """Holds the world, the flippers' targets and the termination of one episode."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Drive:
         """
         engine, self.robot, perception = sections
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
-        self.ends = Ends(profile, self.robot, episode, start.x, period)
+        self.termination = Termination(profile, self.robot, episode, start.x, period)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived state, which is ``perception.delay`` older."""
         self.poses = self._pose()
@@ -100,19 +100,19 @@ class Drive:
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
             self.delayed_state = self.state
-        return outcome or self.ends.decision(float(self.state.position[0]))
+        return outcome or self.termination.after_decision(float(self.state.position[0]))
 
     def _run(self) -> Outcome | None:
-        world, ends = self.world, self.ends
+        world, termination = self.world, self.termination
         done = 0
         self.poses = self._pose()
         for sample, event in self._due_events():
             while done < sample:
-                poses = world.advance(sample - done, ends.limits)
+                poses = world.advance(sample - done, termination.limits)
                 self.poses = np.concatenate([self.poses, poses])
                 done += len(poses)
                 self._moved(poses)
-                if (outcome := world.ended() or ends.instant(world)) is not None:
+                if (outcome := world.ended() or termination.after_sample(world)) is not None:
                     self._take_samples()
                     return outcome
             if event == _TURN:
@@ -153,12 +153,12 @@ class Drive:
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
         moving = self.state, self.delayed_state, self.targets
-        return self.world.save(), self.ends.save(), moving, (self._samples, self._samplings)
+        return self.world.save(), self.termination.save(), moving, (self._samples, self._samplings)
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Return to a snapshot."""
-        world, ends, moving, sampling = saved
+        world, termination, moving, sampling = saved
         self.state, self.delayed_state, self.targets = moving
         self._samples, self._samplings = sampling
         self.world.load(world)
-        self.ends.load(ends)
+        self.termination.load(termination)

@@ -267,7 +267,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             self.config.terrain.plugin_name,
             self.profile.points,
             self.profile.start - self.config.episode.run_up,
-            self.drive.ends.finish,
+            self.drive.termination.finish,
             self.robot.track_speed,
             self.perception.robot,
             self.state,

@@ -58,7 +58,7 @@ class SceneSimulator:
     @property
     def finish(self) -> float:
         """World x that the chassis centre must pass [m]."""
-        return self._drive.ends.finish
+        return self._drive.termination.finish
 
     @property
     def profile(self) -> Profile:
