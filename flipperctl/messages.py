@@ -111,10 +111,8 @@ def explain(
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
     message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
-    whole = first["type"] == "value_error" and isinstance(
-        first["input"], Mapping
-    )  # an error of the whole model
-    value = "" if whole else f"; the value is {_short(first['input'])}"
+    of_model = first["type"] == "value_error" and isinstance(first["input"], Mapping)
+    value = "" if of_model else f"; the value is {_short(first['input'])}"
     return f"{location}: {message}{allowed}{value}{rest}"
 
 

@@ -1,7 +1,7 @@
 """The physical part of an episode: one robot on one profile, from decision to decision.
 
-In: a profile, the drawn settings and the start. Out: states and the outcome. This part knows
-neither observations nor rewards.
+In: a profile, the sampled settings and the start. Out: states and the outcome. It computes neither
+observations nor rewards.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 
 
 class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
-    """What a drive holds: a world that can be asked for its own end, and for rays."""
+    """A world that may terminate by itself and that casts rays."""
 
 
 class Drive:
@@ -50,7 +50,7 @@ class Drive:
         period: float,
         rng: np.random.Generator,
     ) -> None:
-        """Place the robot; decisions take ``period`` [s], and the engine draws from ``rng``.
+        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``.
 
         Raises:
             PluginFailedError: the engine's code failed.
@@ -59,9 +59,9 @@ class Drive:
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
         self.termination = Termination(profile, self.robot, episode, start.x, period)
         self.state = self.delayed_state = self.world.state()
-        """The current state, and the perceived state, which is ``perception.delay`` older."""
+        """The current state, and the perceived one, which is ``perception.delay`` older."""
         self.poses = self._pose()
-        """Poses of the last decision at 100 Hz, from the pose before it on, (S + 1, 5): x [m],
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
@@ -79,15 +79,15 @@ class Drive:
     def sample_every(self, every: int, call: Callable[[World], None]) -> None:
         """Call ``call`` with the world now and after every ``every`` samples of the episode.
 
-        Snapshots hold who is called, too.
+        Snapshots include these calls.
         """
         self._samplings = (*self._samplings, (every, call))
         call(self.world)
 
     def report_poses(self, call: Callable[[float, FloatArray], None]) -> None:
-        """Call ``call`` with the current pose and with those of each run of samples, (S, 5).
+        """Call ``call`` with the current pose and with the poses of later samples, (S, 5).
 
-        Its first argument is the time of the first of them [s].
+        Its first argument is the time of the first pose [s].
         """
         self._movements.append(call)
         call(self._samples * SAMPLE_PERIOD, self._pose())

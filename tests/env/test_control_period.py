@@ -6,8 +6,8 @@ import pytest
 
 from flipperctl.api import Outcome, Profile, Robot, action_index
 from flipperctl.config import Episode
-from flipperctl.env.termination import Termination
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.termination import Termination
 
 
 @pytest.mark.parametrize(("period", "turned"), [(0.3, 7.5), (1.2, 15.0)])

@@ -240,7 +240,7 @@ def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, regis
 
 def test_a_terrain_that_starts_in_the_robot_is_named() -> None:
     # The front flippers reach 0.28 + 0.336 + 0.1 = 0.716 m ahead of the chassis centre.
-    with pytest.raises(TerrainError, match="'step' starts in the robot"):
+    with pytest.raises(TerrainError, match="'step' overlaps the robot at the start"):
         FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.65}).reset(seed=0)
     FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.72}).reset(seed=0)
 
