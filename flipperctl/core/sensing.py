@@ -64,4 +64,4 @@ class Estimator(Protocol):
         """Return a snapshot of the state, which later updates do not change."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""

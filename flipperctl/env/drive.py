@@ -67,11 +67,11 @@ class Drive:
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
-        whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
-        act = min(whole, round(self.robot.actuator_delay / SAMPLE_PERIOD))
-        perceive = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
-        self._events = sorted([(act, _TURN), (perceive, _PERCEIVE), (whole, _END)])
-        self._undelayed = perceive == whole
+        samples = math.ceil(period / SAMPLE_PERIOD - 1e-9)  # in a decision
+        turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
+        perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
+        self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
+        self._undelayed = perceive == samples
         self._samples = 0
         self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
         self._movements: list[Callable[[float, FloatArray], None]] = []
@@ -127,8 +127,8 @@ class Drive:
         """Return the events of the next decision, those of ``sample_every`` included."""
         if not self._samplings:
             return self._events
-        whole, _ = self._events[-1]
-        due = [n for n in range(1, whole + 1) if self._is_due(self._samples + n)]
+        samples, _ = self._events[-1]
+        due = [n for n in range(1, samples + 1) if self._is_due(self._samples + n)]
         return sorted([*self._events, *((n, _SAMPLE) for n in due)])
 
     def _is_due(self, sample: int) -> bool:
@@ -156,7 +156,7 @@ class Drive:
         return self.world.save(), self.termination.save(), moving, (self._samples, self._samplings)
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         world, termination, moving, sampling = saved
         self.state, self.delayed_state, self.targets = moving
         self._samples, self._samplings = sampling

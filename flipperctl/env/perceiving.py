@@ -139,7 +139,7 @@ class Perceiver:
         return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         parts, random, estimator, pending, recent = saved
         for part, (memory, state) in zip(self._parts, parts, strict=True):
             part.instrument.load(memory)

@@ -61,7 +61,7 @@ class MountedInstrument(Protocol):
         """Return a snapshot of the memory."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
 
 
 def mounted_parts(
@@ -106,7 +106,7 @@ class GuardedInstrument:
         return _call(self._sensor, "save", self._instrument.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         _call(self._sensor, "load", self._instrument.load, saved)
 
 
@@ -146,7 +146,7 @@ class GuardedEstimator:
         return _call(self._sensor, "save", self._estimator.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         _call(self._sensor, "load", self._estimator.load, saved)
 
 
@@ -192,7 +192,7 @@ class GuardedSensor:
         return None if self._memory is None else _call(self._sensor, "save", self._memory.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         if self._memory is not None:
             _call(self._sensor, "load", self._memory.load, saved)
 
@@ -218,7 +218,7 @@ class LatestMeasurement:
         return self._latest
 
     def load(self, saved: Sensed | None) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         self._latest = saved
 
 

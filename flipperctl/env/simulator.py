@@ -91,7 +91,7 @@ class SceneSimulator:
         return self._drive.save(), _saved(self._perceiver), _saved(self._exact)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         drive, perceiver, exact = saved
         self._drive.load(drive)
         self._perceiver, self._exact = _loaded(perceiver), _loaded(exact)

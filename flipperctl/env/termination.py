@@ -69,6 +69,6 @@ class Termination:
         return tuple(self._trail), self._decisions
 
     def load(self, saved: tuple[tuple[float, ...], int]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         trail, self._decisions = saved
         self._trail = deque(trail, maxlen=self._trail.maxlen)

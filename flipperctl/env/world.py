@@ -165,7 +165,7 @@ class GuardedWorld:
         return self._call("save")
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         self._call("load", saved)
 
     def _call(self, method: str, *given: Any) -> Any:

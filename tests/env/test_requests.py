@@ -273,6 +273,6 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_robot_too_slow_for_a_finite_time_is_refused() -> None:
     env = FlipperEnv("flat", **{"robot.track_speed": 5e-324, "episode.stuck_progress": 0})
     with pytest.raises(
-        ConfigError, match=r"robot\.track_speed: at 4\.94066e-324 m/s the way of \d"
+        ConfigError, match=r"robot\.track_speed: at 4\.94066e-324 m/s the distance of \d"
     ):
         env.reset(seed=0)

@@ -38,7 +38,7 @@ _CONTACT = {"solref": [0.02, 1.5], "solimp": [0.8, 0.9, 0.001, 0.5, 2.0]}
 MuJoCo's friction is convex: a contact that slips at v is pushed apart by about μ·v times the time
 constant, and hops once that is more than the depth at which it rests. A robot that is stopped by a
 wall, and slips at 0.2 m/s, then vibrates and climbs too slowly. Of twelve values, these soft and
-overdamped ones hop least at the default substep; statics are not concerned.
+overdamped ones hop least at the default substep; statics are not affected.
 """
 _SLIP = 10.0
 """Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
@@ -68,7 +68,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = _SLIP
-    # The ground stays level across and gravity leans, which is the same, and keeps boxes upright.
+    # Gravity is tilted instead of the ground, which is equivalent and keeps boxes upright.
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
