@@ -78,8 +78,8 @@ def _files_at(path: Path) -> list[Path]:
         if files:
             return files
         raise PluginError(f"plugins: {path} holds no .py file")
-    what = "is no .py file" if path.exists() else "does not exist"
-    raise PluginError(f"plugins: {path} {what}; a .py file or a folder of them is allowed")
+    fault = "is not a .py file" if path.exists() else "does not exist"
+    raise PluginError(f"plugins: {path} {fault}; a .py file or a folder of them is allowed")
 
 
 def _load_file(file: Path) -> None:

@@ -202,7 +202,7 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
             raise TypeError(
                 f"@engine({name!r}): {cls.__name__}.place({', '.join(place.parameters)}) cannot be "
                 "called as place(profile, robot, start, rng); add the parameter rng, the generator "
-                "for what varies between episodes"
+                "of values that vary between episodes"
             ) from None
         return register(Engine, name)(cls)
 

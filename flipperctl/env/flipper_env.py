@@ -133,7 +133,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         x = self.profile.start - episode.run_up + shift
         front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
-        self._start = Start(x, front, rear)
+        self._start = Start(x, front=front, rear=rear)
         self._sections = sections
         self.drive = self._drive()
         if (depth := self.drive.world.penetration()) > _DEEPEST_START:

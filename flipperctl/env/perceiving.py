@@ -103,7 +103,7 @@ class Perceiver:
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
-            NonFiniteError: what it returned is not finite.
+            NonFiniteError: a returned number is not finite.
         """
         self._measure(None, state)
         newest = state.time + SAMPLE_PERIOD / 2

@@ -45,7 +45,7 @@ class Pictures:
     """Draws the pictures of one environment."""
 
     def __init__(self, renderer: Renderer | None) -> None:
-        """``renderer``: draws scenes; None: the installed one, loaded at the first picture."""
+        """Draw scenes with ``renderer``; None: the installed one, loaded at the first picture."""
         self._renderer = renderer
 
     def draw(self, world: World, scene: Callable[[], Scene]) -> Picture:

@@ -32,7 +32,9 @@ class Termination:
         self.finish = profile.end + episode.run_out
         # Past the profile the ground is level, so one height decides whether the robot is close.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
-        self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
+        self.limits = Limits(
+            angle=episode.overturn, x=self.finish, top=top, half=robot.hinge_offset
+        )
         nominal = float(self.finish - start) / robot.track_speed  # [s]
         longest = episode.slack * nominal / period
         if not math.isfinite(longest):

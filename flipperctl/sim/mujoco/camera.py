@@ -25,7 +25,7 @@ _DISTANCE, _AZIMUTH, _ELEVATION = 2.6, 125.0, -18.0  # of the camera from the ro
 
 
 class Camera:
-    """Follows the robot from behind at one side."""
+    """A camera that follows the robot from behind, at one side."""
 
     def __init__(self, model: Any, width: int, height: int) -> None:
         """Prepare pictures of ``width`` × ``height`` pixels.

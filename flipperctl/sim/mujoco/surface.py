@@ -107,7 +107,7 @@ def _check(
         side = "left" if y[j] > 0 else "right"
         raise TerrainError(
             f"sim=mujoco: the ground is unknown {x[i]:.2f} m along the line and {abs(y[j]):.2f} m "
-            f"to its {side}, in a hole or outside of what is recorded; the robot needs "
+            f"to its {side}, in a hole or outside the recording; the robot needs "
             f"{within:.2f} m to each side: move the line, or raise the terrain's largest_gap"
         )
 

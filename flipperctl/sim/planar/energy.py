@@ -49,7 +49,12 @@ class Budget(NamedTuple):
         servos = 2 * robot.flipper_torque * robot.flipper_speed  # [W]
         weight = (robot.chassis_mass + 2 * robot.flipper_mass) * gravity  # [N]
         belts = _TRACTION * weight * robot.track_speed  # [W]
-        return cls(gravity, servos * SAMPLE_PERIOD, belts * SAMPLE_PERIOD, TOLERANCE)
+        return cls(
+            gravity=gravity,
+            servos=servos * SAMPLE_PERIOD,
+            belts=belts * SAMPLE_PERIOD,
+            tolerance=TOLERANCE,
+        )
 
 
 def kinetic_energy(states: FloatArray, inertia: FloatArray) -> float:

@@ -85,7 +85,7 @@ class SeenGround:
         return found
 
     def save(self) -> NDArray[np.bool_]:
-        """Return a snapshot of what was seen."""
+        """Return a snapshot of the seen points."""
         return self._seen.copy()
 
     def load(self, saved: NDArray[np.bool_]) -> None:
