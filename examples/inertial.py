@@ -52,7 +52,7 @@ class Gyro(api.Instrument):
 
 @dataclass(frozen=True)
 class Seen:
-    """What is measured once for each decision."""
+    """A measurement of the ground and the flippers, once for each decision."""
 
     points: NDArray[np.float64]  # (N, 2) in frame L [m]
     front: float  # [rad]
@@ -73,7 +73,7 @@ class View(api.Instrument):
 
 
 class PitchIntegrator:
-    """The estimator, which runs on a robot too; an episode begins with a level chassis."""
+    """The estimator, which runs on a robot too; the chassis is level when an episode begins."""
 
     def __init__(self) -> None:
         self._time = self._rate = self._pitch = 0.0

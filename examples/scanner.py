@@ -15,12 +15,12 @@ from flipperctl import api
 from flipperctl.core.bins import mean_heights
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
-MOUNT = 0.25, 0.4  # place of the scanner in frame R: x, z [m]
+MOUNT = 0.25, 0.4  # position of the scanner in frame R: x, z [m]
 
 
 @api.sensor("scanner")
 class Scanner(api.Sensor):
-    """Scan the ground from a mast and remember it; odometry tells how far the robot has moved."""
+    """Scan the ground from a mast into a map; odometry measures how far the robot has moved."""
 
     beams: int = Field(120, ge=10, le=1000, description="rays of a scan, in a plane [-]")
     range: float = Field(5.0, ge=1, le=30, description="farthest ground that a ray reaches [m]")
@@ -48,7 +48,7 @@ class Odometry:
 
 
 class Odometer(api.Instrument):
-    """Measures movements; it remembers where the last one ended."""
+    """Measures movements; it stores the position of the last measurement."""
 
     period = 0.01
 
@@ -95,7 +95,7 @@ class Rays(api.Instrument):
 
 
 class Mapper:
-    """The estimator, which runs on a robot too: a map of heights in cells along the way."""
+    """The estimator, which runs on a robot too: a map of heights in cells along the path."""
 
     def __init__(self, bins: int, width: float, below: tuple[float, float]) -> None:
         """``below``: half the length of the ground below the robot, and its depth, at start [m]."""
@@ -138,6 +138,6 @@ class Mapper:
 
 
 def turned(points: NDArray[np.float64], pitch: float) -> NDArray[np.float64]:
-    """Return points (P, 2) that are turned by the pitch."""
+    """Rotate points (P, 2) by the pitch [rad]."""
     cos, sin = np.cos(pitch), np.sin(pitch)
     return points @ np.array([[cos, sin], [-sin, cos]])

@@ -1,7 +1,7 @@
-"""How every program of the package begins and ends: Ctrl-C, closed pipes, full disks, exit codes.
+"""Start and exit of every program of the package: Ctrl-C, closed pipes, full disks, exit codes.
 
-``stop_at_once`` stands at the head of a program, before its other imports; ``run`` calls its work
-and leaves with an exit code. To be there early, this module imports nothing that takes time.
+A program calls ``stop_at_once`` before its other imports, then ``run``, which exits with an exit
+code. This module imports nothing slow, since it is loaded first.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 
-TYPE_CHECKING = False  # typing's own costs 5 ms, in which Ctrl-C would show an exception
+TYPE_CHECKING = False  # importing typing takes 5 ms, during which Ctrl-C shows a traceback
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
@@ -24,34 +24,34 @@ DEBUG = "FLIPPERCTL_DEBUG"
 """Environment variable; with 1, errors are shown with their traceback."""
 _BROKEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _IMPORT = "<frozen importlib._bootstrap"
-_own_process = 0  # its number, once stop_at_once was called
+_process_id = 0  # of this process, set by stop_at_once
 
 
 def stop_at_once() -> None:
-    """Let Ctrl-C end the process without an exception, which would be shown with its traceback.
+    """Make Ctrl-C end the process without a traceback.
 
-    A handler that somebody else has set stays, such as that of ``nohup``.
+    A handler that was set before, such as that of ``nohup``, stays.
     """
-    global _own_process
+    global _process_id
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        _own_process = os.getpid()
+        _process_id = os.getpid()
         signal.signal(signal.SIGINT, _stop)
 
 
 def run(program: Callable[[], int]) -> NoReturn:
-    """Run a program and leave with the exit code that it returns.
+    """Run a program and exit with the code that it returns.
 
-    An error is one line on stderr and its own exit code. Ctrl-C leaves with 130, a reader that
-    closed the pipe (``| head``) with 1.
+    An error prints one line on stderr and has its own exit code. Ctrl-C exits with 130, a pipe
+    closed by its reader (``| head``) with 1.
     """
-    own_process = signal.getsignal(signal.SIGINT) is _stop
-    if own_process:
+    own_handler = signal.getsignal(signal.SIGINT) is _stop
+    if own_handler:
         signal.signal(signal.SIGINT, _interrupt)
     try:
         try:
             code = _code_of(program)
         finally:
-            if own_process:
+            if own_handler:
                 signal.signal(signal.SIGINT, _stop)
     except KeyboardInterrupt:
         print_error("interrupted")
@@ -65,7 +65,7 @@ def run(program: Callable[[], int]) -> NoReturn:
 
 
 def print_error(text: str) -> None:
-    """Print ``error:`` and the text on stderr, if it can be written."""
+    """Print ``error:`` and the text on stderr, if stderr can be written."""
     with contextlib.suppress(OSError):
         print(f"error: {text}", file=sys.stderr)
 
@@ -84,7 +84,7 @@ def _code_of(program: Callable[[], int]) -> int:
     except BrokenPipeError:
         return FlipperctlError.exit_code  # the reader closed the pipe
     except (KeyboardInterrupt, SystemExit):
-        raise  # Hydra's own options exit so; a plugin's exit is already a PluginError
+        raise  # Hydra's options exit this way; a plugin's exit is already a PluginError
     except BaseException as error:
         if isinstance(error, Exception) and (reason := _failure_reason(error)):
             return _report_output_failure(reason)
@@ -99,7 +99,7 @@ def _code_of(program: Callable[[], int]) -> int:
 
 
 def _after_interrupt(error: BaseException | None) -> bool:
-    """Return whether the error is what a library made of Ctrl-C."""
+    """Return whether Ctrl-C caused the error, which a library may have replaced."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -112,11 +112,11 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise an exception, but end the process while a module is being imported.
+    """Raise KeyboardInterrupt, or end the process if a module is being imported.
 
-    Libraries report an exception within their import as their own failure.
+    Libraries report an exception during their import as their own failure.
     """
-    if os.getpid() == _own_process and _importing(frame):
+    if os.getpid() == _process_id and _importing(frame):
         _stop(number, frame)
     raise KeyboardInterrupt
 

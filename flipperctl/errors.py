@@ -20,7 +20,7 @@ class FlipperctlError(Exception):
 
 
 class RequestError(FlipperctlError):
-    """The request cannot be carried out as it was given."""
+    """The request cannot be carried out as given."""
 
     exit_code = 2
 
@@ -66,7 +66,7 @@ class NonFiniteError(FlipperctlError):
 
 
 class ConformanceError(FlipperctlError, AssertionError):
-    """A plugin violates the contract; also an AssertionError, for the tests of its author."""
+    """A plugin violates the contract; an AssertionError too, so that its author's tests fail."""
 
 
 class ExportError(FlipperctlError):

@@ -1,4 +1,4 @@
-"""Writes files whole or not at all."""
+"""Writes files atomically."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replace the content of ``path`` by ``data``, whole or not at all.
+    """Replace the content of ``path`` by ``data`` atomically.
 
-    Of several processes that write at once, one that ends last wins. A process that is killed may
-    leave its partial file, whose name no other process uses; see ``remove_partial``.
+    If several processes write at once, the last to finish wins. A process that is killed may leave
+    its partial file, whose name no other process uses; see ``remove_partial``.
 
     Raises:
         OutputError: the path cannot be written.
@@ -45,7 +45,7 @@ def remove_partial(path: Path) -> None:
     """Remove the partial files of killed processes; no other process may be writing ``path``."""
     for part in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
         part.unlink(missing_ok=True)
-    path.with_name(f".{path.name}{_PART}").unlink(missing_ok=True)  # of an earlier version
+    path.with_name(f".{path.name}{_PART}").unlink(missing_ok=True)  # of earlier versions
 
 
 def write_json(path: Path, document: Any) -> None:
@@ -58,7 +58,7 @@ def write_csv(
 ) -> None:
     """Replace the content of ``path`` by a header and rows; see ``write_bytes``.
 
-    ``columns`` are those to write, in their order; None writes all that a row has.
+    ``columns``: columns to write, in this order; None: every column that occurs in a row.
     """
     names = columns or list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
@@ -100,7 +100,7 @@ def check_writable(path: Path) -> None:
 def failure(path: Path, error: OSError, *, keeps_old: bool = False) -> FlipperctlError:
     """Return the exception to raise for an error of the operating system at ``path``.
 
-    ``keeps_old``: an earlier file is there, and is as it was.
+    ``keeps_old``: an earlier file exists and is unchanged.
     """
     reason = os.strerror(error.errno) if error.errno else str(error)
     if error.errno in _RAN_OUT:

@@ -2,7 +2,7 @@
 
 In: an exception raised while the core called a plugin. Out: one of the package's own exceptions,
 with one line of text. The methods of a plugin itself are guarded once, where the plugin is made
-(``config.guarded``). What a plugin returns, such as a world, is called within a context:
+(``config.guarded``). Objects that a plugin returns, such as a world, are called within a context:
 
     with naming(engine, "advance"):
         poses = world.advance(samples, limits)
@@ -31,9 +31,9 @@ _NO_CALLERS = ("flipperctl.api", "flipperctl.testing")
 
 
 class naming:  # noqa: N801  # used like a function, as contextlib's own contexts are
-    """A context that raises every error again as one that names a plugin and its method.
+    """A context that re-raises every error as one that names a plugin and its method.
 
-    A class, since a generator of ``contextlib`` would take six times as long to enter and leave.
+    A class, since a generator of ``contextlib`` takes six times as long to enter and exit.
     """
 
     __slots__ = ("_method", "_plugin", "_raised", "_while")
@@ -46,7 +46,7 @@ class naming:  # noqa: N801  # used like a function, as contextlib's own context
         *,
         while_: str = "",
     ) -> None:
-        """``while_`` says what the method is called for."""
+        """Name ``plugin`` and ``method``; ``while_``: purpose of the call, for the text."""
         self._plugin, self._method, self._raised, self._while = plugin, method, raised, while_
 
     def __enter__(self) -> None:
@@ -58,7 +58,7 @@ class naming:  # noqa: N801  # used like a function, as contextlib's own context
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Name the plugin in ``error``, if there is one; see ``raise_named``."""
+        """Re-raise ``error``, if there is one; see ``raise_named``."""
         if error is not None:
             raise_named(error, self._plugin, self._method, self._raised, while_=self._while)
 
@@ -74,10 +74,10 @@ def raise_named(
 ) -> NoReturn:
     """Raise an error that names the plugin whose ``method`` raised ``error``.
 
-    If the error was raised in another plugin that this one called, the text names that other
-    plugin. ``plain`` leaves out the exception's type, for methods that raise it to refuse a
-    request. Where no plugin is at fault, ``error`` itself is raised: an interrupt, or an error of
-    the core that passed through the plugin.
+    If another plugin that this one called raised the error, the text names that other plugin.
+    ``plain`` leaves out the exception's type, for methods that raise it to refuse a request. If no
+    plugin is at fault, ``error`` itself is raised: an interrupt, or an error of the core that
+    passed through the plugin.
     """
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     if isinstance(error, KeyboardInterrupt):
@@ -94,8 +94,8 @@ def raise_named(
 def is_called_by_core(error: BaseException) -> bool:
     """Return whether the core called the function that catches ``error``.
 
-    The contract's base classes and the conformance suite do not count: what they call is as if
-    another plugin, or its author's own test, called it.
+    The contract's base classes and the conformance suite do not count: their calls are treated as
+    those of another plugin or of its author's test.
     """
     trace = error.__traceback__
     caller = trace.tb_frame.f_back if trace is not None else None
@@ -105,7 +105,7 @@ def is_called_by_core(error: BaseException) -> bool:
 
 
 def with_path(error: FlipperctlError, plugin: Plugin, path: str) -> FlipperctlError:
-    """Return the error with the plugin's path in the configuration beside the plugin's name."""
+    """Return the error with the plugin's configuration path added to the plugin's name."""
     label = plugin_label(plugin)
     return type(error)(str(error).replace(f"{label}:", f"{label} ({path}):", 1))
 
@@ -118,9 +118,9 @@ def refusal(
     *,
     owner: type | None = None,
 ) -> FlipperctlError:
-    """Return the exception to raise for a value that a plugin's method must not return.
+    """Return the exception to raise for an invalid value that a plugin's method returned.
 
-    ``owner`` is the class that has the method, where an object that the plugin built has it.
+    ``owner``: the class of the method, if it belongs to an object that the plugin built.
     """
     where = definition(owner or plugin, method)
     return raised(f"{plugin_label(plugin)}: {method} {text} ({where})")
@@ -135,16 +135,16 @@ def plugin_label(plugin: Plugin | type[Plugin]) -> str:
 def error_line(error: BaseException) -> str:
     """Return an exception as one line: its type and its text."""
     text = _text(error)
-    return f"{_flat(type(error).__name__, 60)}{': ' if text else ''}{text}"
+    return f"{_one_line(type(error).__name__, 60)}{': ' if text else ''}{text}"
 
 
 def short_repr(value: object) -> str:
     """Return the ``repr`` of a value as one short line, even if ``repr`` fails."""
-    return _flat(_careful(repr, value), 60)
+    return _one_line(_call_safely(repr, value), 60)
 
 
 def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
-    """Return file and line of the plugin's code that led to the error, else of the method."""
+    """Return file and line of the plugin's code that raised the error, else of the method."""
     steps = list(traceback.walk_tb(error.__traceback__))
     package = _package(_class(plugin).__module__)
     own = [s for s in steps if not _is_core(s[0]) and _package(_module(s[0])) == package]
@@ -152,7 +152,7 @@ def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str
 
 
 def import_place(error: BaseException, file: Path | None) -> str:
-    """Return file and line in a plugin's ``file``, else outside the core, that led to the error."""
+    """Return the file and line, in a plugin's ``file`` or else outside the core, of an error."""
     steps = list(traceback.walk_tb(error.__traceback__))
     own = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
     outside = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
@@ -161,13 +161,13 @@ def import_place(error: BaseException, file: Path | None) -> str:
 
 
 def definition(plugin: Plugin | type, method: str = "") -> str:
-    """Return file and line where a method is defined, else those of its plugin, else its module."""
+    """Return file and line of a method's definition, else of its plugin's, else the module."""
     cls: type = plugin if isinstance(plugin, type) else type(plugin)
     found = inspect.getattr_static(cls, method, None) if method else None
     function = getattr(found, "fget", found)
     code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
     if code is not None:
-        return f"{_flat(code.co_filename, 400)}:{code.co_firstlineno}"
+        return f"{_one_line(code.co_filename, 400)}:{code.co_firstlineno}"
     try:
         return f"{inspect.getsourcefile(cls)}:{inspect.getsourcelines(cls)[1]}"
     except (OSError, TypeError):
@@ -177,19 +177,19 @@ def definition(plugin: Plugin | type, method: str = "") -> str:
 def _culprit(
     frames: list[FrameType], plugin: Plugin | type[Plugin], method: str
 ) -> tuple[Plugin | type[Plugin], str]:
-    """Return the innermost plugin that was running, and which of its methods was called."""
+    """Return the innermost plugin that was running, and its method that was called."""
     seen: object = None
     for frame in frames:
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)
             cls = owner if isinstance(owner, type) else type(owner)
-            if issubclass(cls, Plugin) and _is_of(frame, cls) and owner is not seen:
+            if issubclass(cls, Plugin) and _is_own_code(frame, cls) and owner is not seen:
                 seen, plugin, method = owner, owner, frame.f_code.co_name
     return plugin, method
 
 
 def _text(error: BaseException) -> str:
-    return _flat(_careful(str, error), _LONGEST)
+    return _one_line(_call_safely(str, error), _LONGEST)
 
 
 def _class(plugin: Plugin | type[Plugin]) -> type[Plugin]:
@@ -197,7 +197,7 @@ def _class(plugin: Plugin | type[Plugin]) -> type[Plugin]:
 
 
 def _last(steps: list[tuple[FrameType, int]]) -> str:
-    return f"{_flat(steps[-1][0].f_code.co_filename, 400)}:{steps[-1][1]}" if steps else ""
+    return f"{_one_line(steps[-1][0].f_code.co_filename, 400)}:{steps[-1][1]}" if steps else ""
 
 
 def _package(module: str) -> str:
@@ -212,8 +212,8 @@ def _is_core(frame: FrameType) -> bool:
     return _package(_module(frame)) == _CORE
 
 
-def _is_of(frame: FrameType, cls: type[Plugin]) -> bool:
-    """Return whether the code is the plugin's own, and not that of a library that it uses."""
+def _is_own_code(frame: FrameType, cls: type[Plugin]) -> bool:
+    """Return whether the code is the plugin's own rather than that of a library."""
     same = _package(_module(frame)) == _package(cls.__module__)
     return _is_foreign(frame) or (same and not _is_core(frame))
 
@@ -224,7 +224,7 @@ def _is_foreign(frame: FrameType) -> bool:
     return not (_is_core(frame) or file.startswith(("<", *_LIBRARIES)))
 
 
-def _careful(how: Callable[[Any], str], value: object) -> str:
+def _call_safely(how: Callable[[Any], str], value: object) -> str:
     try:
         return how(value)
     except KeyboardInterrupt:
@@ -233,10 +233,10 @@ def _careful(how: Callable[[Any], str], value: object) -> str:
         return f"<{type(value).__name__}>"
 
 
-def _flat(text: str, longest: int) -> str:
+def _one_line(text: str, longest: int) -> str:
     line = " ".join(text[: 20 * longest].split())
     line = "".join(c if c.isprintable() else "?" for c in line)
     if len(line) <= longest:
         return line
-    half = (longest - 3) // 2  # the cause often stands at the end, after a long path
+    half = (longest - 3) // 2  # the cause is often at the end, after a long path
     return f"{line[:half]}...{line[-half:]}"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs onl
 
 _LONGEST = 600  # characters of a validator's message
 _ALIKE = 0.7
-"""Smallest likeness of a misspelling: planner for none has 0.55, stair for stiar 0.8."""
+"""Smallest similarity of a misspelling: planner and none have 0.55, stair and stiar 0.8."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
@@ -39,10 +39,10 @@ def _begins(first: str, second: str) -> bool:
 
 
 def reinstall_hint(kind: str) -> str:
-    """Return what to do about an engine or sensor that is written but not found; else nothing.
+    """Return a hint for an engine or sensor that exists but is not found; empty for other kinds.
 
-    They alone are found by an entry point each, even those of this package, and entry points are
-    read from what is installed.
+    Each engine and sensor has an entry point of its own, even in this package, and entry points
+    are read from the installed metadata.
     """
     if kind not in ("sim", "perception"):
         return ""
@@ -50,7 +50,7 @@ def reinstall_hint(kind: str) -> str:
 
 
 def missing_plugin(kind: str, name: str, file: str | None) -> str:
-    """Return that a plugin is missing and what to do; ``file`` is the file that it came from."""
+    """Return the error text for a missing plugin; ``file`` is the file that it came from."""
     advice = "install it or name its file with --plugins"
     if file is not None:
         advice = f"it came from {file}: add --plugins {shlex.quote(file)}"
@@ -111,8 +111,8 @@ def explain(
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
     message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
-    whole = first["type"] == "value_error" and isinstance(first["input"], Mapping)  # of a model
-    value = "" if whole else f"; the value is {_short(first['input'])}"
+    of_model = first["type"] == "value_error" and isinstance(first["input"], Mapping)
+    value = "" if of_model else f"; the value is {_short(first['input'])}"
     return f"{location}: {message}{allowed}{value}{rest}"
 
 

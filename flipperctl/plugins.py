@@ -25,11 +25,11 @@ GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
 _MODULE = "flipperctl_user_"
-"""Begin of the name of a module that was loaded from a path."""
+"""Prefix of the names of modules that were loaded from a path."""
 
 _loaded: set[str] = set()
 _files: dict[type[Plugin], str] = {}
-"""Class → name of the file from which it was loaded, for those that are not installed."""
+"""Class → name of the file from which it was loaded, for plugins that are not installed."""
 
 
 def load(paths: Iterable[str | Path] = ()) -> None:
@@ -60,15 +60,12 @@ def configured_paths() -> list[str]:
 
 
 def file_name(cls: type[Plugin]) -> str | None:
-    """Return the name of the file, without its folder, that a path of plugins led to.
-
-    It is None for an installed plugin.
-    """
+    """Return the name of the file that a plugin was loaded from; None for an installed plugin."""
     return _files.get(cls)
 
 
 def module_file_name(module: str) -> str | None:
-    """Return the name of the file from which a path's module was loaded, None for any other."""
+    """Return the name of the file that a module was loaded from by path; None for any other."""
     found = re.fullmatch(rf"{_MODULE}(.+)_[0-9a-f]{{8}}", module)
     return f"{found[1]}.py" if found else None
 
@@ -81,8 +78,8 @@ def _files_at(path: Path) -> list[Path]:
         if files:
             return files
         raise PluginError(f"plugins: {path} holds no .py file")
-    what = "is no .py file" if path.exists() else "does not exist"
-    raise PluginError(f"plugins: {path} {what}; a .py file or a folder of them is allowed")
+    fault = "is not a .py file" if path.exists() else "does not exist"
+    raise PluginError(f"plugins: {path} {fault}; a .py file or a folder of them is allowed")
 
 
 def _load_file(file: Path) -> None:

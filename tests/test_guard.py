@@ -144,7 +144,7 @@ def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
     config = EnvConfig(terrain={"name": "mirror", "terrain": {"name": "mix", "parts": ["odd"]}})
     line = 1 + next(i for i, t in enumerate(file.read_text().splitlines()) if "seven" in t)
     with pytest.raises(PluginFailedError) as error:
-        ground.draw_profile(config.terrain, np.random.default_rng(0), 1.0)
+        ground.generate_profile(config.terrain, np.random.default_rng(0), 1.0)
     assert str(error.value) == f"terrain 'odd': generate raised IndexError: seven ({file}:{line})"
 
 
@@ -171,10 +171,12 @@ def test_only_a_call_of_the_core_gets_the_plugin_s_error_renamed(registry: dict)
             Moody().generate(rng)
         moody = EnvConfig(terrain="moody").terrain
         with pytest.raises(PluginFailedError, match=r"terrain 'moody': generate raised KeyError"):
-            ground.draw_profile(moody, rng, 1.0)
+            ground.generate_profile(moody, rng, 1.0)
     assert moody == Moody()
     assert pickle.loads(pickle.dumps(resolver.create("terrain", "stair", "")))
-    assert ground.draw_profile(EnvConfig(terrain="patient").terrain, rng, 1.0).label == "patient"
+    assert (
+        ground.generate_profile(EnvConfig(terrain="patient").terrain, rng, 1.0).label == "patient"
+    )
 
 
 def test_methods_of_every_form_are_guarded(registry: dict) -> None:

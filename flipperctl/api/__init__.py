@@ -1,7 +1,6 @@
 """The whole contract for plugin authors: the values, the plugin families and their decorators.
 
-Of the rest of flipperctl, this package imports ``flipperctl.core`` alone; it holds everything that
-a plugin may import from it.
+Plugins import this package and ``flipperctl.core``, which is all that this package imports itself.
 SI units and radians throughout. Frames: world (x forward, z up, the profile's own
 coordinates), L (origin at the chassis centre, level), R (origin at the chassis centre, x along
 the chassis). Signs: a flipper angle is positive when the flipper is above the chassis, front

@@ -52,29 +52,28 @@ class Simulator(Protocol):
         """Simulate one decision; return the outcome, or None while the episode runs."""
 
     def perceive(self) -> Perception:
-        """Return what a policy perceives now.
+        """Return the policy's current perception.
 
         Called once after ``restart`` and once after each ``step``, it returns the perceptions of
-        the episode itself, noise included, so that a policy which is played in the simulator takes
-        the same actions as in the episode.
+        the episode itself, noise included, so that a policy takes the same actions in the simulator
+        as in the episode.
         """
 
     def perceive_exactly(self) -> Perception:
-        """Return what a sensor without errors and delay would perceive now, and the drawn physics.
+        """Return the perception of a sensor without errors and delay, with the sampled physics.
 
-        Its ``robot`` and ``friction`` are those of the episode, as far as the engine has them.
-
-        Called like ``perceive``: once after ``restart`` and once after each ``step``.
+        Its ``robot`` and ``friction`` are those of the episode; ``friction`` is None if the engine
+        has none. Call it like ``perceive``: once after ``restart`` and once after each ``step``.
         """
 
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``.
 
-        It holds what the sensor remembers, its noise, and the recent observations.
+        It includes the sensor's state, its noise generators and the recent observations.
         """
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot.
+        """Restore a snapshot.
 
         The engine's contact impulses are not restored, so a trajectory through loaded snapshots
         differs slightly from the same actions without interruption.
@@ -87,11 +86,11 @@ class Simulator(Protocol):
         """Report the completed fraction of a long search, in [0, 1]."""
 
     def report_result(self, **values: float | str) -> None:
-        """Report numbers and words about the search, which stand in the result of the episode."""
+        """Report numbers and texts about the search, to be added to the episode's result."""
 
 
 class Policy(Protocol):
-    """Chooses the actions of an episode; it may remember what it perceived.
+    """Chooses the actions of an episode; it may keep state.
 
     Trained networks, exported files, rules, planners and human drivers are all policies.
     """
@@ -105,7 +104,7 @@ class Policy(Protocol):
 
 @runtime_checkable
 class CostPolicy(Policy, Protocol):
-    """A policy that also offers the cost of each action, so that it can teach by more than its own.
+    """A policy that also returns the cost of each action, for teaching more than its own choice.
 
     A decision is either one call of ``act``, or one call of ``costs`` followed by one of ``took``.
     """
@@ -113,8 +112,8 @@ class CostPolicy(Policy, Protocol):
     def costs(self, p: Perception, /) -> FloatArray:
         """Return the cost of each action of ``ACTIONS``, (9,) [s]; every cost is finite.
 
-        The cost is that of the cheapest behaviour which begins with the action. An action without
-        a known behaviour has a cost far above the others'.
+        The cost is that of the cheapest known behaviour that begins with the action. An action
+        without a known behaviour has a cost far above the others.
         """
 
     def took(self, action: int, /) -> None:
@@ -130,9 +129,9 @@ class Controller(Plugin):
 
     kind: ClassVar[str] = "controller"
     searches_first: ClassVar[bool] = False
-    """Whether ``reset`` of the policy searches the scene, which may take long."""
+    """Whether the policy's ``reset`` runs a search, which may take long."""
     baselines: ClassVar[tuple[str, ...]] = ()
-    """Names of the controllers that ``eval`` compares this one with unless others are named."""
+    """Names of the controllers that ``eval`` compares this one with by default."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -161,7 +160,7 @@ class Controller(Plugin):
 
 
 def _implements(cls: type[Controller], method: str) -> bool:
-    """Return whether the method is not the contract's own, which the core may have wrapped."""
+    """Return whether the class overrides the method, which the core may have wrapped."""
     return inspect.unwrap(getattr(cls, method)) is not getattr(Controller, method)
 
 

@@ -30,7 +30,7 @@ def is_over(
 ) -> bool:
     """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit.
 
-    The other arguments are the fields of ``Limits``. Plain numbers, so that it can be compiled.
+    The other arguments are the fields of ``Limits``, as plain numbers so that it can be compiled.
     """
     return abs(pitch) >= angle or (x >= finish and z + half * abs(math.sin(pitch)) <= top)
 
@@ -88,8 +88,8 @@ class World(Protocol):
         """Simulate up to ``samples`` sample periods; return the pose at the end of each.
 
         The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
-        stops after the sample at which the chassis reaches a limit, or the world its own end
-        (``EndingWorld``).
+        stops after the sample at which the chassis reaches a limit or an ``EndingWorld``
+        terminates.
         """
 
     def state(self) -> RobotState:
@@ -102,17 +102,17 @@ class World(Protocol):
         """Return a snapshot of the changing state for ``load``."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
 
 
 @runtime_checkable
 class EndingWorld(Protocol):
-    """A ``World`` that knows a further end, such as a robot that rolls over sideways."""
+    """A ``World`` with a termination of its own, such as when the robot rolls over sideways."""
 
     def ended(self) -> Outcome | None:
-        """Return the outcome if that end was reached, else None.
+        """Return the outcome if the world has terminated, else None.
 
-        ``advance`` stops after the sample at which it is reached.
+        ``advance`` stops after the sample at which it terminates.
         """
 
 
@@ -138,14 +138,14 @@ class RayWorld(Protocol):
 
 
 SharedSetting = Literal["friction", "gravity", "roll_limit"]
-"""A setting that means the same in every engine that has it: the friction between track and ground
-[-], the downward acceleration [m/s²], the absolute roll that ends as overturned [rad]."""
+"""A setting with the same meaning in every engine that has it: friction between track and ground
+[-], downward acceleration [m/s²], absolute roll from which the robot is overturned [rad]."""
 
 
 class Engine(Plugin, ABC):
-    """Simulates the robot; equal arguments, ``rng`` included, give worlds equal bit for bit.
+    """Simulates the robot; equal arguments, ``rng`` included, give bit-identical worlds.
 
-    The names of ``SharedSetting`` are kept for settings with that meaning and unit. A setting
+    The names of ``SharedSetting`` are reserved for settings with that meaning and unit. A setting
     ``substep`` is a time step [s], of which ``SAMPLE_PERIOD`` is a whole multiple.
     """
 
@@ -159,15 +159,15 @@ class Engine(Plugin, ABC):
     ) -> World:
         """Return a world with the robot on the ground; its samples are ``SAMPLE_PERIOD`` apart.
 
-        Whatever else varies between episodes, such as a heading, is drawn from ``rng``. Each world
-        of an episode is placed with an equal generator.
+        Quantities of the engine that vary between episodes, such as a heading, are sampled from
+        ``rng``. All worlds of an episode are placed with equal generators.
         """
 
     def shared_setting(self, name: SharedSetting) -> float | None:
         """Return the value of a setting that engines share; None for an engine without it.
 
-        Privileged controllers are told the friction, and other engines are set up with equal
-        values. Override it if the engine knows the value without a setting of this name.
+        Privileged controllers are given the friction, and other engines are set up with equal
+        values. Override it if the engine has the value under another name.
         """
         return getattr(self, name, None)
 
@@ -202,7 +202,7 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
             raise TypeError(
                 f"@engine({name!r}): {cls.__name__}.place({', '.join(place.parameters)}) cannot be "
                 "called as place(profile, robot, start, rng); add the parameter rng, the generator "
-                "from which a world draws what varies between episodes"
+                "of values that vary between episodes"
             ) from None
         return register(Engine, name)(cls)
 

@@ -1,4 +1,4 @@
-"""Loggers, which record a training beside ``metrics.csv``."""
+"""Loggers, which record a training in addition to ``metrics.csv``."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any, ClassVar, Protocol, TypeVar
 from flipperctl.api.plugin import Plugin, register
 
 _COUNTS = ("decision", "episode", "seed")
-"""Columns that say which row it is, and measure nothing."""
+"""Columns that identify a row and measure nothing."""
 
 
 class Listener(Protocol):
-    """Receives every episode that ends, every validation and every note for the user.
+    """Receives every finished episode, every validation and every note for the user.
 
-    A row has the columns of ``metrics.csv`` by name; ``decision`` is the step to record it at.
+    A row maps the columns of ``metrics.csv`` to values; ``decision`` is the step to record it at.
     """
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """Record a training episode that ended."""
+        """Record a finished training episode."""
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Record a validation."""
@@ -30,7 +30,7 @@ class Listener(Protocol):
         """Record an event that the user should know, as a sentence."""
 
     def close(self) -> None:
-        """Release resources; called once, also when the run failed."""
+        """Release resources; called once, even if the run failed."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class RunInfo:
     directory: Path
     """The run directory."""
     folder: Path
-    """Folder within it for the logger's own files; the logger makes it."""
+    """Folder within it for the logger's own files; the logger creates it."""
     config: Mapping[str, Any]
     """The whole configuration as plain data, as in ``config.yaml``."""
     resume_at: int | None
-    """Decision from which the run goes on, after which earlier records are void; None if new."""
+    """Decision at which the run resumes; records of later decisions are void. None: a new run."""
 
 
 class Logger(Plugin, ABC):
-    """Records trainings. One that fails is dropped with a warning, and the training goes on."""
+    """Records trainings. A logger that fails is dropped with a warning; the training continues."""
 
     kind: ClassVar[str] = "logger"
     remote: ClassVar[bool] = False
@@ -56,13 +56,13 @@ class Logger(Plugin, ABC):
 
     @abstractmethod
     def open(self, run: RunInfo) -> Listener:
-        """Begin the record of a run, or go on with it.
+        """Begin or resume the record of a run.
 
-        The listener is called in the thread that learns, so that it should return at once.
+        The listener is called in the learning thread, so its methods should return quickly.
 
         Raises:
             ImportError: a package is not installed; the text says how to install it. The training
-                is refused before it begins.
+                then does not begin.
         """
 
 
@@ -75,7 +75,7 @@ def logger(name: str) -> Callable[[type[LoggerT]], type[LoggerT]]:
 
 
 def scalars(group: str, row: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers of a row by the names that loggers share, such as ``episode/return``.
+    """Return the numbers of a row by the names common to all loggers, such as ``episode/return``.
 
     ``group``: ``episode`` or ``validation``.
     """

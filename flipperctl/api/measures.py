@@ -1,4 +1,4 @@
-"""Measures: one number for each episode, in its rows, tables, files and comparisons."""
+"""Measures: one number for each episode, shown in rows, tables, files and comparisons."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flipperctl.api.values import Transition
 
 
 class Measure(Plugin, ABC):
-    """One number of one episode; every registered measure is taken of every episode.
+    """One number for each episode; every registered measure is computed for every episode.
 
     It appears in the rows of training and evaluation, in validations, and with its mean and
     interval in tables, JSON and paired comparisons. It has no settings.
@@ -23,9 +23,9 @@ class Measure(Plugin, ABC):
     digits: ClassVar[int] = 2
     """Number of decimals in tables."""
     reached_only: ClassVar[bool] = False
-    """Whether only episodes that reached the finish are compared by it, as for a duration."""
+    """Whether only episodes that reached the finish are compared, as for a duration."""
     better: ClassVar[Literal["lower", "higher"] | None] = None
-    """Which of two values is better, as tables of differences say; None if neither is."""
+    """Which values are better, as stated in tables of differences; None: neither."""
 
     @abstractmethod
     def __call__(self, episode: Sequence[Transition]) -> float:
@@ -48,7 +48,7 @@ def measure(name: str) -> Callable[[type[MeasureT]], type[MeasureT]]:
         if fields := list(getattr(cls, "model_fields", ())):
             raise TypeError(
                 f"@measure({name!r}): {cls.__name__} has the settings {', '.join(fields)}; every "
-                "measure is taken of every episode, so it takes no settings: use ClassVar"
+                "measure is computed for every episode, so it takes no settings: use ClassVar"
             )
         return registered(cls)
 

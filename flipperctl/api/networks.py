@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 class Network(Plugin, ABC):
     """Builds the Q-network.
 
-    The module may offer methods besides ``forward``, which change how it is trained:
+    The module may have methods besides ``forward`` that change how it is trained:
 
     - ``quantiles(observation)`` → (B, n_actions, K): K equally likely values of each action's
-      return, whose mean ``forward`` returns. They are learnt by quantile regression.
-    - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule draws new noise
+      return, whose mean ``forward`` returns. They are learned by quantile regression.
+    - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule samples new noise
       before each decision of training and before each update. The noise acts in ``train()`` mode
-      only, and a policy is evaluated and exported in ``eval()`` mode. Tensors of noise are buffers
-      that are not persistent.
+      only; a policy is evaluated and exported in ``eval()`` mode. Tensors of noise are
+      non-persistent buffers.
     """
 
     kind: ClassVar[str] = "network"
@@ -32,8 +32,8 @@ class Network(Plugin, ABC):
     def frames(self) -> int:
         """Number of the newest observations in one input row, at most ``MAX_HISTORY``.
 
-        A row holds the N + 3 numbers of each observation, oldest observation first. At the start
-        of an episode the first observation is repeated in place of those that do not exist yet.
+        A row contains the N + 3 numbers of each observation, the oldest observation first. At the
+        start of an episode the first observation is repeated to fill the row.
         """
         return 1
 

@@ -1,4 +1,4 @@
-"""The base class of all plugins, the registry of their names, and the choice by a name."""
+"""The base class of all plugins, the registry of their names, and selection by name."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ class Plugin(Settings):
     plugin_name: ClassVar[str]
 
     def files_read(self) -> tuple[Path, ...]:
-        """Return the files whose content decides what this plugin does, beside its settings.
+        """Return the files whose content affects the plugin's results; none by default.
 
-        The hash of an evaluation's conditions covers their content. By default there are none.
+        The hash of an evaluation's conditions covers their content.
         """
         return ()
 
     def notices(self) -> tuple[str, ...]:
-        """Return sentences about what the plugin read that may not be as the user meant it.
+        """Return sentences about input that may not be what the user meant; none by default.
 
-        Each command that uses the plugin prints them once, on stderr. By default there are none.
+        Each command that uses the plugin prints them once, on stderr.
 
         Raises:
-            ValueError: it cannot read its files, of which its use then says more.
+            ValueError: the files cannot be read; using the plugin raises a more detailed error.
         """
         return ()
 
@@ -101,7 +101,7 @@ def selected(kind: str, value: object) -> tuple[type[Plugin], dict[str, Any]]:
 def mapping(plugin: Plugin, *, brief: bool) -> dict[str, Any]:
     """Return the plain mapping with ``name`` and fields that selects an equal plugin.
 
-    ``brief``: a plugin inside it that has all its defaults is written as its name alone.
+    ``brief``: a nested plugin whose settings are all defaults is written as its name alone.
     """
     fields = plugin.model_dump(mode="json", context={"brief": brief})
     return {"name": plugin.plugin_name, **fields}

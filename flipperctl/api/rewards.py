@@ -18,7 +18,7 @@ class RewardTerm(Plugin, ABC):
 
     kind: ClassVar[str] = "reward"
     bounds: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
-    """Smallest and largest unweighted value; a term at its smallest value is saturated."""
+    """Smallest and largest unweighted value; a term at its smallest value counts as saturated."""
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The robot: geometry, masses, and the speeds and torques of its drives."""
+"""The robot: geometry, masses, and the speeds and torques of its actuators."""
 
 from __future__ import annotations
 

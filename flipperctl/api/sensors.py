@@ -1,9 +1,9 @@
 """Sensors, which perceive the ground and the posture of the robot.
 
 The true ground is a ``Profile``; the sensed ground is a ``SensedGround``. A sensor is a plugin: its
-fields are settings below ``perception``. One that senses once for each decision, from the true
+fields are settings below ``perception``. A sensor that senses once for each decision, from the true
 state, implements ``over``. Every other sensor has two parts: instruments, which measure in
-simulation, and an estimator, which knows their measurements alone and runs on a robot too.
+simulation, and an estimator, which uses only their measurements and runs on a robot too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from flipperctl.core.sensing import Estimator, SensedAngles, SensedGround
 
 
 class GroundSensor(Protocol):
-    """A sensor in use on the ground of one episode, which senses once for each decision."""
+    """A sensor on the ground of one episode, which senses once for each decision."""
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -33,54 +33,54 @@ class GroundSensor(Protocol):
 
 @runtime_checkable
 class RememberingSensor(Protocol):
-    """A ``GroundSensor`` with a memory, which snapshots of an episode then hold as well."""
+    """A ``GroundSensor`` with state, which snapshots of an episode include."""
 
     def save(self) -> Any:
-        """Return a snapshot of the memory, which later calls of ``sense`` leave unchanged."""
+        """Return a snapshot of the state, which later calls of ``sense`` do not change."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """What the instruments of one episode are mounted on."""
+    """The robot, ground and world on which the instruments of one episode are mounted."""
 
     robot: RobotGeometry
-    """The robot with the values that the episode drew."""
+    """The robot with the values sampled for the episode."""
     profile: Profile
     """True ground of the episode."""
     margin: float
     """Length of the level ground before and past the profile that may come into view [m]."""
     rays: RayWorld
-    """Casts rays in the engine's world; a ``ConfigError`` says so if the engine cannot."""
+    """Casts rays in the engine's world; raises ``ConfigError`` if the engine casts no rays."""
     rng: np.random.Generator
-    """Generator of what varies between episodes and is constant in each, such as a bias."""
+    """Generator of values that are constant within an episode, such as a bias."""
 
 
 class Instrument(ABC):
-    """Measures during one episode, as a part of the robot's hardware does."""
+    """Measures during one episode, like a device on the robot."""
 
     period: float | None = None
-    """Time between two measurements, a whole multiple of ``SAMPLE_PERIOD``, the first one at the
-    start; None: once for each decision, at the time that is perceived [s]."""
+    """Time between two measurements, a whole multiple of ``SAMPLE_PERIOD`` [s]; the first one is at
+    the start. None: once for each decision, at the perceived instant."""
 
     @abstractmethod
     def measure(self, state: RobotState, rng: np.random.Generator) -> object:
         """Return a measurement of the true state: a frozen dataclass of numbers and arrays.
 
-        Noise is drawn from ``rng``, the instrument's own generator. Snapshots hold that generator.
+        Noise is sampled from ``rng``, the instrument's own generator, which snapshots include.
         """
 
     def save(self) -> Any:
-        """Return a snapshot of the memory, which later measurements leave unchanged.
+        """Return a snapshot of the state, which later measurements do not change.
 
-        An instrument that remembers nothing needs neither ``save`` nor ``load``.
+        An instrument without state needs neither ``save`` nor ``load``.
         """
         return None
 
-    def load(self, saved: Any) -> None:  # noqa: B027  # an instrument may remember nothing
-        """Return to a snapshot."""
+    def load(self, saved: Any) -> None:  # noqa: B027  # an instrument may have no state
+        """Restore a snapshot."""
 
 
 class Sensor(ObservationLayout, Plugin):
@@ -94,7 +94,7 @@ class Sensor(ObservationLayout, Plugin):
     delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
     def over(self, profile: Profile, margin: float) -> GroundSensor:
-        """Return the sensor in use on the ground of one episode.
+        """Return a sensor for the ground of one episode.
 
         ``margin``: length of the level ground before and past the profile that may come into
         view [m].
@@ -108,14 +108,14 @@ class Sensor(ObservationLayout, Plugin):
     def estimator(self, robot: RobotGeometry) -> Estimator:
         """Return a new estimator for the measurements of ``instruments``.
 
-        It is given what a robot's computer has: these settings and the nominal ``robot``.
+        It may use what a robot's computer knows: these settings and the nominal ``robot``.
         """
         raise TypeError(f"sensor {type(self).__name__} has no estimator")
 
     def exact(self) -> Sensor:
-        """Return this sensor without errors, in the same layout; a privileged teacher perceives so.
+        """Return this sensor without errors, in the same layout, for privileged teachers.
 
-        Of a sensor whose defaults are not exact, this method must be overridden.
+        Override it in a sensor whose defaults are not exact.
         """
         return type(self)(**self.layout.model_dump())
 

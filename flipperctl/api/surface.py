@@ -1,4 +1,4 @@
-"""The ground to both sides of a profile, for engines in 3-D."""
+"""The ground on both sides of a profile, for engines in 3-D."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 class Surface(ABC):
     """Heights beside the line of a profile, which is the surface's cut at y = 0.
 
-    Frame: world, x forward along the line, y to its left, z up. Heights are read when an engine
-    asks for them; engines of the side plane never do.
+    Frame: world, x forward along the line, y to its left, z up. Heights are read on request;
+    engines of the side plane request none.
     """
 
     @property
     @abstractmethod
     def x(self) -> NDArray[np.float64]:
-        """Places along the line from the profile's first point to its last, ascending, (X,) [m]."""
+        """Ascending positions along the line, from the first point to the last, (X,) [m]."""
 
     @abstractmethod
     def heights(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -30,15 +30,15 @@ class Surface(ABC):
 
 
 class MirroredSurface(Surface):
-    """A surface that is crossed from its end to its start."""
+    """A surface that is driven from its end to its start."""
 
     def __init__(self, surface: Surface, end: tuple[float, float]) -> None:
-        """Turn about the line's last point, ``end`` (x, z) [m], which becomes (0, 0)."""
+        """Reverse ``surface`` about the line's last point, ``end`` (x, z) [m], the new origin."""
         self._surface, self._end = surface, end
 
     @property
     def x(self) -> NDArray[np.float64]:
-        """Places along the line, ascending, (X,) [m]."""
+        """Positions along the line, ascending, (X,) [m]."""
         return self._end[0] - self._surface.x[::-1]
 
     def heights(self, y: NDArray[np.float64]) -> NDArray[np.float64]:

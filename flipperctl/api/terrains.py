@@ -21,7 +21,7 @@ class Terrain(Plugin, ABC):
 
     @abstractmethod
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Return a profile; every random choice is drawn from ``rng``."""
+        """Return a profile; every random choice is sampled from ``rng``."""
 
     @property
     def first_difficulty(self) -> float:
@@ -29,7 +29,7 @@ class Terrain(Plugin, ABC):
         return 1.0
 
     def next_difficulty(self, difficulty: float, reached: bool) -> float:
-        """Return the difficulty, from 0 to 1, after an episode that did or did not succeed."""
+        """Return the next difficulty, from 0 to 1; ``reached``: whether the episode succeeded."""
         return difficulty
 
     def at(self, difficulty: float) -> Terrain:
@@ -37,7 +37,7 @@ class Terrain(Plugin, ABC):
         return self
 
     def labelled(self, rng: np.random.Generator) -> Profile:
-        """Return a generated profile; without a label of its own it gets the terrain's name.
+        """Return a generated profile; its label defaults to the terrain's name.
 
         Raises:
             ValueError: ``generate`` returned something other than a profile.
@@ -72,7 +72,7 @@ def _nested_terrain(value: object) -> object:
 
 
 def _nested_mapping(plugin: Plugin, info: SerializationInfo) -> Any:
-    """Return what ``_nested_terrain`` takes; if brief, the name alone where it says it all."""
+    """Return a mapping that ``_nested_terrain`` accepts; if brief and at its defaults, the name."""
     brief = bool((info.context or {}).get("brief"))
     if brief and plugin == type(plugin)():
         return plugin.plugin_name

@@ -101,9 +101,9 @@ class Profile:
     """The obstacle in the robot's side plane, from its first edge to its last.
 
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
-    The ground is level before the first point and past the last. ``label`` names the drawn terrain
-    in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground beside
-    the line, if it is known; else it is the same on both sides.
+    The ground is level before the first point and past the last. ``label`` names the generated
+    terrain in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground
+    beside the line, if it is known; without it, the profile is extruded to both sides.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
@@ -185,7 +185,7 @@ class Profile:
 
     def around(self, x: float, reach: float) -> FloatArray:
         """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""
-        along = self.cloud[:, 0].data  # whose numbers Python reads faster than numpy's
+        along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
         return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
 
 
@@ -254,15 +254,15 @@ class ObservationLayout(Settings):
 
 @dataclass(frozen=True)
 class Perception:
-    """What a policy may know when it decides: the sensed terrain points and angles.
+    """All that a policy may know when it decides: the sensed terrain points and angles.
 
-    Their accuracy is set by the configuration's ``perception``.
+    The configuration's ``perception`` sets their accuracy.
     """
 
     observation: NDArray[np.float32]
     """The observation in the order of ``layout``, (N + 3,) in SI units."""
     points: FloatArray
-    """Sensed terrain points in frame L, and those ``filled``, x never decreasing, (P, 2) [m]."""
+    """Sensed and ``filled`` terrain points in frame L, x never decreasing, (P, 2) [m]."""
     pitch: float
     """Sensed pitch of the chassis, nose up positive [rad]."""
     front: float
@@ -276,9 +276,9 @@ class Perception:
     recent: tuple[NDArray[np.float32], ...]
     """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
     filled: NDArray[np.bool_] | None = None
-    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
+    """(P,) whether a point fills unseen ground; None: every point was seen."""
     friction: float | None = None
-    """Friction between track and ground, which only exact perception tells; None: not known [-]."""
+    """Friction between track and ground, known in exact perception only; None: unknown [-]."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The action table: by how many steps each action turns each of the robot's joints.
+"""The action table: the steps by which each action turns each joint of the robot.
 
 In: an index. Out: steps per joint, or turns [rad].
 """
@@ -15,7 +15,7 @@ from flipperctl.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class ActionTable:
-    """The actions of a robot; files name the joints, so that their order is never guessed."""
+    """The actions of a robot; files store the joints by name, not by order."""
 
     joints: tuple[str, ...]
     """Names of the J joints that an action turns, in the order of a row."""
@@ -23,7 +23,7 @@ class ActionTable:
     """Turns by each action, (A, J) in multiples of the robot's ``angle_step``; +1 raises [-]."""
 
     def turns(self, step: float) -> FloatArray:
-        """Return the turns by each action at this ``step`` [rad], (A, J) [rad]."""
+        """Return the turn of each joint by each action, (A, J) [rad]; ``step``: one step [rad]."""
         return np.array([[count * step for count in row] for row in self.steps])
 
 

@@ -1,6 +1,6 @@
 """Mean heights of the ground in bins along the robot (paper Eq. 1).
 
-In: points of the ground in frame L. Out: one height for each bin, also where no point lies.
+In: points of the ground in frame L. Out: one height for each bin, including empty bins.
 ``sim.planar.bins`` compiles ``sum_heights``; it calls no other function, so that it can be compiled
 as it is.
 """
@@ -42,10 +42,9 @@ def mean_heights(
 ) -> FloatArray:
     """Return the mean height of the points of each bin, (N,) in frame L, rear to front [m].
 
-    ``points``: (P, 2) in frame L within ``observation.reach`` [m], in any order. The height of a
-    bin without points is interpolated linearly between its neighbours, past the last bin with
-    points it is that bin's; without any points, every height is 0. ``sum_heights`` may be
-    a compiled one.
+    ``points``: (P, 2) in frame L within ``observation.reach`` [m], in any order. The height of an
+    empty bin is interpolated linearly between its neighbours; beyond the outermost bins with
+    points it equals theirs. Without any points, every height is 0. ``sum_heights`` may be a compiled one.
     """
     total, count = np.zeros(bins), np.zeros(bins)
     seen = sum_heights(points, observation.reach(bins, bin_width), bin_width, total, count)

@@ -1,6 +1,6 @@
-"""Fills the ground that was never seen by straight lines between what was.
+"""Fills unseen ground with points on straight lines between the seen points.
 
-In: seen points in the order along the ground. Out: these and the filled ones.
+In: seen points in order along the ground. Out: seen and filled points.
 ``sim.planar.rays`` compiles this function.
 """
 
@@ -23,10 +23,11 @@ def fill_gaps(
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return the offered points with the gaps filled, (P', 2) [m], and which of them are filled.
 
-    ``points`` (P, 2) were seen, in order along the ground, and ``index`` (P,) are their numbers
-    along it; numbers are missing where the ground was never seen. There the result has points at
-    most ``spacing`` [m] apart on the straight line between both neighbours, level before the first
-    and past the last point, within ``limits`` of x [m].
+    ``points`` (P, 2) are the seen points in order along the ground; ``index`` (P,) are their
+    numbers along it, with gaps where the ground is unseen. A gap is filled with points at most
+    ``spacing`` [m] apart on the straight line between both neighbours, or at the height of the
+    first or last point beyond it, within the ``limits`` of x [m]. ``offered`` (P,): whether a seen
+    point is returned.
     """
     low, high = limits
     if len(points) == 0:

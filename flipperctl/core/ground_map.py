@@ -1,8 +1,8 @@
-"""The ground around the robot, put together from what it has perceived so far.
+"""A map of the ground around the robot, built from its latest scans.
 
-In: sensed points in frame L and a guess of how far the robot has moved. Out: how far it has moved,
-and a polyline of the ground in frame L. With exact points the latest scan is the ground; with noisy
-ones the scans of the last decisions are aligned and averaged.
+In: sensed points in frame L and the expected motion of the robot. Out: its estimated motion, and a
+polyline of the ground in frame L. Without noise the latest scan is the ground; with noise the scans
+of the last decisions are aligned and averaged.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from flipperctl.core.arrays import FloatArray
 _SEARCH = np.arange(-0.10, 0.101, 0.01)
 """Corrections of the guessed distance that the alignment tries [m]."""
 _OUTLIER = 0.05
-"""Residual of a point above which it counts no more in the alignment [m]."""
+"""Largest residual of a point that the alignment counts; larger ones are clipped to it [m]."""
 _PRIOR = 0.02
-"""Residual that a correction of the guess by one metre is worth, which decides on level ground."""
+"""Penalty on corrections of the guess, as residual per metre; it decides on level ground [-]."""
 _EXACT = 0.002
 """Noise below which the latest scan alone is the ground [m]."""
 _CELL = 0.03
@@ -31,16 +31,16 @@ _NARROW = 0.05
 """Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
 
 Thinning = Callable[[FloatArray, NDArray[np.bool_], float, float], NDArray[np.bool_]]
-"""A function like ``thinning.kept_points``."""
+"""A function with the signature of ``thinning.kept_points``."""
 
 
 class GroundMap:
-    """Remembers aligned scans; all of them are kept in the present frame L."""
+    """Stores aligned scans, all in the current frame L."""
 
     def __init__(self, memory: int, kept_points: Thinning = thinning.kept_points) -> None:
-        """Remember the last ``memory`` scans.
+        """Store the last ``memory`` scans.
 
-        ``kept_points``: the function that thins the ground, which may be a compiled one.
+        ``kept_points``: the function that thins the ground, such as a compiled one.
         """
         self._memory, self._kept_points = memory, kept_points
         self._scans: list[FloatArray] = []
@@ -50,7 +50,7 @@ class GroundMap:
     def add(self, points: FloatArray, guess: tuple[float, float]) -> tuple[float, float]:
         """Add a scan, (P, 2) in frame L [m]; return the motion (x, z) since the previous one [m].
 
-        ``guess`` is the expected motion, which is returned where the scans cannot be aligned.
+        ``guess`` is the expected motion, which is returned if the scans cannot be aligned.
         """
         if len(points) < 8:  # too few to align or to estimate the noise
             self._move(guess)
@@ -79,7 +79,7 @@ class GroundMap:
         self._scans = [scan - motion for scan in self._scans]
 
     def _align(self, points: FloatArray, guess: tuple[float, float]) -> tuple[float, float]:
-        """Return the motion that lays the scan onto the map best."""
+        """Return the motion that best aligns the scan with the map."""
         known = (
             self._scans[-1]
             if self.noise < _EXACT
@@ -89,29 +89,29 @@ class GroundMap:
         best = (np.inf, *guess)
         for correction in _SEARCH:
             dx = guess[0] + correction
-            at = x + dx  # where the map's frame has the points
+            at = x + dx  # x of the points in the map's frame [m]
             inside = (at >= known[0, 0]) & (at <= known[-1, 0])
             if np.count_nonzero(inside) < 8:
                 continue
             residual = np.interp(at[inside], known[:, 0], known[:, 1]) - z[inside]
             dz = float(np.median(residual))
-            off = np.minimum(np.abs(residual - dz), _OUTLIER).mean() + _PRIOR * abs(correction)
-            if off < best[0]:
-                best = (off, dx, dz)
+            cost = np.minimum(np.abs(residual - dz), _OUTLIER).mean() + _PRIOR * abs(correction)
+            if cost < best[0]:
+                best = (cost, dx, dz)
         return best[1], best[2]
 
 
 def _noise(points: FloatArray) -> float:
     """Return the standard deviation of the heights about a locally straight line [m].
 
-    It is taken from the median of the second differences, which edges do not affect.
+    It is estimated from the median of the second differences, which edges do not affect.
     """
     second = np.diff(points[:, 1], 2)
     return float(1.4826 * np.median(np.abs(second)) / np.sqrt(6))
 
 
 def _averaged(points: FloatArray, noise: float) -> FloatArray:
-    """Return the median of each cell; a cell that holds a face gets its lower and upper end."""
+    """Return the median of each cell, or the lower and upper end of a face within it."""
     order = np.argsort(points[:, 0], kind="stable")
     x, z = points[order].T
     cell = np.floor(x / _CELL).astype(np.int64)

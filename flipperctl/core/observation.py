@@ -53,7 +53,7 @@ def assemble(
 
 
 def to_level(points: FloatArray, pitch: float) -> FloatArray:
-    """Return points of frame R in frame L, (P, 2) [m], on a robot of this pitch [rad]."""
+    """Transform points (P, 2) [m] from frame R to frame L at this pitch [rad]."""
     cos, sin = math.cos(pitch), math.sin(pitch)
     x, z = points.T
     return np.column_stack([cos * x - sin * z, sin * x + cos * z])

@@ -1,4 +1,4 @@
-"""What is measured and what is estimated from it, in simulation and on a robot alike."""
+"""Measurements and the estimates made from them, in simulation and on a robot."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class SensedGround:
     """The sensed ground around the robot, in frame L."""
 
     points: FloatArray
-    """(P, 2) sensed points, and those ``filled``, x never decreasing [m]."""
+    """(P, 2) sensed and ``filled`` points, x never decreasing [m]."""
     heights: FloatArray
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
     filled: NDArray[np.bool_] | None = None
-    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
+    """(P,) whether a point fills unseen ground; None: every point was seen."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SensedAngles:
 
 @dataclass(frozen=True)
 class Measured:
-    """A measurement, by which instrument and when."""
+    """A measurement with its instrument and time."""
 
     instrument: str
     """Name of the instrument."""
@@ -50,18 +50,18 @@ class Measured:
 class Estimator(Protocol):
     """Estimates ground and posture from measurements alone.
 
-    It runs in simulation and on a robot, so that its code needs nothing but Python, numpy and
-    ``flipperctl.core``. It may remember what it received.
+    It runs in simulation and on a robot, so its code must need only Python, numpy and
+    ``flipperctl.core``. It may keep state.
     """
 
     def update(self, measured: Measured) -> None:
-        """Receive a measurement; those of an instrument arrive in the order of their time."""
+        """Receive a measurement; those of one instrument arrive in order of time."""
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
-        """Return the estimate for a ``time`` [s] that is not before the last measurement's."""
+        """Return the estimate for ``time`` [s], which is not before the last measurement."""
 
     def save(self) -> Any:
-        """Return a snapshot of the memory, which later updates leave unchanged."""
+        """Return a snapshot of the state, which later updates do not change."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""

@@ -1,7 +1,7 @@
-"""How an action turns the flippers: the rule for the targets of their servos.
+"""The rule by which an action sets the target angles of the flippers.
 
 In: the last targets, the measured angles and an action's turns. Out: the new targets. The
-environment and a robot that runs an exported policy use this one definition.
+environment and a robot that runs an exported policy share this definition.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ MEANING = (
 
 @dataclass(frozen=True)
 class TargetRule:
-    """Turns the flippers from their last targets, held near the measured angles.
+    """Computes new targets from the last ones, which it keeps near the measured angles.
 
-    A flipper that follows its target keeps an exact grid of angles, without the error of its
-    measured angle. The target of a blocked flipper stays within ``window`` of the measured angle,
-    and an action turns it from there; without that bound, the target would run away from the
-    flipper, which would catch up as soon as it is free.
+    While a flipper follows its targets, they stay on an exact grid of angles, free of measurement
+    error. The target of a blocked flipper stays within ``window`` of the measured angle, and an
+    action turns it from there; without that bound, the target would run ahead of the flipper,
+    which would jump to it once it is free.
     """
 
     window: float

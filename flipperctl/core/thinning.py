@@ -1,4 +1,4 @@
-"""Chooses the points of a fine polyline that a rolling track can feel.
+"""Selects the points of a fine polyline that a rolling track can feel.
 
 In: a polyline whose x never decreases, tolerances [m]. Out: which of its points to keep.
 ``sim.thinning`` compiles this function; it calls no other, so that it can be compiled as it is.

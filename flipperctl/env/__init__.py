@@ -1,4 +1,4 @@
-"""The task as a Gymnasium environment: observation, action, reward and ends.
+"""The task as a Gymnasium environment: observation, action, reward and termination.
 
 Importing this package registers ``flipperctl/Flipper-v0``. Gymnasium reads no entry points since
 1.0, so either import this package, or let Gymnasium import it:

@@ -1,7 +1,7 @@
 """The physical part of an episode: one robot on one profile, from decision to decision.
 
-In: a profile, the drawn settings and the start. Out: states and the outcome. This part knows
-neither observations nor rewards.
+In: a profile, the sampled settings and the start. Out: states and the outcome. It computes neither
+observations nor rewards.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
-from flipperctl.env.ends import Ends
+from flipperctl.env.termination import Termination
 from flipperctl.env.world import place
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
@@ -35,11 +35,11 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 
 
 class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
-    """What a drive holds: a world that can be asked for its own end, and for rays."""
+    """A world that may terminate by itself and that casts rays."""
 
 
 class Drive:
-    """Holds the world, the flippers' targets and the ends of one episode."""
+    """Holds the world, the flippers' targets and the termination of one episode."""
 
     def __init__(
         self,
@@ -50,28 +50,28 @@ class Drive:
         period: float,
         rng: np.random.Generator,
     ) -> None:
-        """Place the robot; decisions take ``period`` [s], and the engine draws from ``rng``.
+        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``.
 
         Raises:
             PluginFailedError: the engine's code failed.
         """
         engine, self.robot, perception = sections
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
-        self.ends = Ends(profile, self.robot, episode, start.x, period)
+        self.termination = Termination(profile, self.robot, episode, start.x, period)
         self.state = self.delayed_state = self.world.state()
-        """The current state, and the perceived state, which is ``perception.delay`` older."""
+        """The current state, and the perceived one, which is ``perception.delay`` older."""
         self.poses = self._pose()
-        """Poses of the last decision at 100 Hz, from the pose before it on, (S + 1, 5): x [m],
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
-        whole = math.ceil(period / SAMPLE_PERIOD - 1e-9)
-        act = min(whole, round(self.robot.actuator_delay / SAMPLE_PERIOD))
-        perceive = max(0, whole - round(perception.delay / SAMPLE_PERIOD))
-        self._events = sorted([(act, _TURN), (perceive, _PERCEIVE), (whole, _END)])
-        self._undelayed = perceive == whole
+        samples = math.ceil(period / SAMPLE_PERIOD - 1e-9)  # in a decision
+        turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
+        perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
+        self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
+        self._undelayed = perceive == samples
         self._samples = 0
         self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
         self._movements: list[Callable[[float, FloatArray], None]] = []
@@ -79,15 +79,15 @@ class Drive:
     def sample_every(self, every: int, call: Callable[[World], None]) -> None:
         """Call ``call`` with the world now and after every ``every`` samples of the episode.
 
-        Snapshots hold who is called, too.
+        Snapshots include these calls.
         """
         self._samplings = (*self._samplings, (every, call))
         call(self.world)
 
     def report_poses(self, call: Callable[[float, FloatArray], None]) -> None:
-        """Call ``call`` with the current pose and with those of each run of samples, (S, 5).
+        """Call ``call`` with the current pose and with the poses of later samples, (S, 5).
 
-        Its first argument is the time of the first of them [s].
+        Its first argument is the time of the first pose [s].
         """
         self._movements.append(call)
         call(self._samples * SAMPLE_PERIOD, self._pose())
@@ -100,19 +100,19 @@ class Drive:
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
             self.delayed_state = self.state
-        return outcome or self.ends.decision(float(self.state.position[0]))
+        return outcome or self.termination.after_decision(float(self.state.position[0]))
 
     def _run(self) -> Outcome | None:
-        world, ends = self.world, self.ends
+        world, termination = self.world, self.termination
         done = 0
         self.poses = self._pose()
         for sample, event in self._due_events():
             while done < sample:
-                poses = world.advance(sample - done, ends.limits)
+                poses = world.advance(sample - done, termination.limits)
                 self.poses = np.concatenate([self.poses, poses])
                 done += len(poses)
                 self._moved(poses)
-                if (outcome := world.ended() or ends.instant(world)) is not None:
+                if (outcome := world.ended() or termination.after_sample(world)) is not None:
                     self._take_samples()
                     return outcome
             if event == _TURN:
@@ -127,8 +127,8 @@ class Drive:
         """Return the events of the next decision, those of ``sample_every`` included."""
         if not self._samplings:
             return self._events
-        whole, _ = self._events[-1]
-        due = [n for n in range(1, whole + 1) if self._is_due(self._samples + n)]
+        samples, _ = self._events[-1]
+        due = [n for n in range(1, samples + 1) if self._is_due(self._samples + n)]
         return sorted([*self._events, *((n, _SAMPLE) for n in due)])
 
     def _is_due(self, sample: int) -> bool:
@@ -153,12 +153,12 @@ class Drive:
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
         moving = self.state, self.delayed_state, self.targets
-        return self.world.save(), self.ends.save(), moving, (self._samples, self._samplings)
+        return self.world.save(), self.termination.save(), moving, (self._samples, self._samplings)
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
-        world, ends, moving, sampling = saved
+        """Restore a snapshot."""
+        world, termination, moving, sampling = saved
         self.state, self.delayed_state, self.targets = moving
         self._samples, self._samplings = sampling
         self.world.load(world)
-        self.ends.load(ends)
+        self.termination.load(termination)

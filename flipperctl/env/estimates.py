@@ -1,7 +1,7 @@
-"""Checks of what a sensor's code returned as ground and posture.
+"""Checks the ground and the posture that a sensor's code returned.
 
-In: a returned value, and whose code it was. Out: the ground and the angles, or an error that names
-the sensor, the method, the file and the line.
+In: a returned value, and the sensor and method that returned it. Out: the ground and the angles,
+or an error that names the sensor, the method, the file and the line.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _is_array(value: Any, kinds: str) -> bool:
 
 
 def _text(value: Any) -> str:
-    """Return what an array is, or the value itself if it is none."""
+    """Return the type and the shape of an array, or the ``repr`` of another value."""
     if isinstance(value, np.ndarray):
         return f"of the type {value.dtype} and the shape {value.shape}"
     return short_repr(value)

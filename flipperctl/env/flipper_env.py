@@ -33,7 +33,7 @@ from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
-from flipperctl.env.perceiving import Perceiver, fresh
+from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
 from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Perceived, Scene
@@ -85,7 +85,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             config = with_overrides(EnvConfig(terrain=terrain), overrides)
         self.config = config
         self.robot = config.robot
-        """The robot with the values that the episode drew."""
+        """The robot with the values sampled for the episode."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward, self._measures = RewardSum(config.rewards), measures()
@@ -97,7 +97,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
         self._pictures = Pictures(renderer)
-        self._drawn: Profile | None = None
+        self._generated: Profile | None = None  # before thinning
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._running = False
@@ -105,7 +105,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Draw a terrain and place the robot before it; equal seeds give equal episodes.
+        """Generate a terrain and place the robot in front of it; equal seeds give equal episodes.
 
         ``options``: ``difficulty`` from 0 to 1 for terrains that use it; without it, it is 1.
 
@@ -119,34 +119,34 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
         self._running = False
         super().reset(seed=seed)
-        # Each has a generator of its own, so that sensing noise never changes the drawn terrain.
+        # Each has a generator of its own, so that sensing noise never changes the terrain.
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
-        # Spawned from the start's, so that it leaves those of this and of later episodes alone.
+        # Spawned from the start's, so that the others stay the same, here and in later episodes.
         (self._engine_rng,) = start_rng.spawn(1)
         config, episode = self.config, self.config.episode
-        drawn = config.sample(randomise_rng)
-        sections = config.with_drawn_values(drawn)
+        sampled = config.sample(randomise_rng)
+        sections = config.with_drawn_values(sampled)
         self.robot = sections[1]
-        self.profile = self._draw(terrain_rng, float(difficulty))
+        self.profile = self._generate(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
         )
         x = self.profile.start - episode.run_up + shift
         front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
-        self._start = Start(x, front, rear)
+        self._start = Start(x, front=front, rear=rear)
         self._sections = sections
         self.drive = self._drive()
         if (depth := self.drive.world.penetration()) > _DEEPEST_START:
             raise TerrainError(
-                f"terrain {config.terrain.plugin_name!r} starts in the robot: they overlap by "
-                f"{depth:.3f} m with the chassis centre {episode.run_up:g} m before the first edge"
+                f"terrain {config.terrain.plugin_name!r} overlaps the robot at the start by "
+                f"{depth:.3f} m, with the chassis centre {episode.run_up:g} m before the first edge"
             )
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)
         self._perceiver.attach(self.drive, *(o.measured for o in self.observers))
         starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
-        self._drawn_values = {**starts, **drawn}
+        self._sampled_values = {**starts, **sampled}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
@@ -157,7 +157,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def _drive(self) -> Drive:
         config = self.config
         period = config.robot.decision_period
-        rng = fresh(self._engine_rng)  # so that each world of the episode is the same
+        rng = initial_copy(self._engine_rng)  # so that all worlds of the episode are equal
         return Drive(self.profile, self._sections, config.episode, self._start, period, rng)
 
     def _new_perceiver(
@@ -170,7 +170,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
         (mounted,) = rngs[0].spawn(1)
         mounting = Mounting(robot, self.profile, margin + 2.0, drive.world, mounted)
-        if exact:  # it tells the drawn physics as well
+        if exact:  # includes the sampled physics
             friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)
         return Perceiver(sensor, mounting, self.config.robot, rngs)
@@ -178,16 +178,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None
     ) -> SceneSimulator:
-        """Return a copy of the episode's scene at its start; stepping it leaves the episode alone.
+        """Return a copy of the episode's scene at its start; using it does not affect the episode.
 
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
         first, second = self._rngs
 
         def perceiver(drive: Drive, exact: bool) -> Perceiver:
-            found = self._new_perceiver(drive, (fresh(first), fresh(second)), exact)
-            found.attach(drive)
-            return found
+            made = self._new_perceiver(drive, (initial_copy(first), initial_copy(second)), exact)
+            made.attach(drive)
+            return made
 
         return SceneSimulator(self._drive, perceiver, self.profile, report_progress)
 
@@ -196,18 +196,18 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """True state of the robot."""
         return self.drive.state
 
-    def _draw(self, rng: np.random.Generator, difficulty: float) -> Profile:
+    def _generate(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
-        drawn = ground.draw_profile(terrain, rng, difficulty)
-        if drawn is not self._drawn:  # recorded ground returns the same profile each time
-            self.profile = ground.prepare_profile(drawn, terrain, self.config.robot.track_radius)
-            self._drawn = drawn
+        profile = ground.generate_profile(terrain, rng, difficulty)
+        if profile is not self._generated:  # recorded ground returns the same profile each time
+            self.profile = ground.prepare_profile(profile, terrain, self.config.robot.track_radius)
+            self._generated = profile
         return self.profile
 
     @property
     def points_drawn(self) -> int:
         """Number of points in the generated profile, before thinning for the tracks [-]."""
-        return 0 if self._drawn is None else len(self._drawn.points)
+        return 0 if self._generated is None else len(self._generated.points)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and simulate one decision.
@@ -222,7 +222,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         if index is None:
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
         if not self._running:
-            raise ResetNeeded("no episode runs: call reset before the first step and after the end")
+            raise ResetNeeded("no episode is running: call reset before step")
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
@@ -230,15 +230,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
         pitches, poses = np.array(self._pitches), self.drive.poses
         self.transition = Transition(
-            before,
-            after,
-            pitches,
-            move,
-            self.profile,
-            self.robot,
-            outcome,
-            poses[:, :3],
-            previous,
+            before=before,
+            after=after,
+            pitches=pitches,
+            action=move,
+            profile=self.profile,
+            robot=self.robot,
+            outcome=outcome,
+            path=poses[:, :3],
+            previous_action=previous,
             flippers=poses[:, 3:],
             sample_period=SAMPLE_PERIOD,
         )
@@ -254,7 +254,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             info["metrics"] = {
                 "terrain": self.profile.label,
                 **self._metrics.summary(),
-                **self._drawn_values,
+                **self._sampled_values,
             }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
@@ -264,25 +264,25 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     def scene(self) -> Scene:
         """The current instant of the episode as plain data."""
         return Scene(
-            self.config.terrain.plugin_name,
-            self.profile.points,
-            self.profile.start - self.config.episode.run_up,
-            self.drive.ends.finish,
-            self.robot.track_speed,
-            self.perception.robot,
-            self.state,
-            Perceived.of(self.perception),
-            self._last_move,
-            self._outcome,
+            terrain=self.config.terrain.plugin_name,
+            ground=self.profile.points,
+            start=self.profile.start - self.config.episode.run_up,
+            finish=self.drive.termination.finish,
+            track_speed=self.robot.track_speed,
+            robot=self.perception.robot,
+            state=self.state,
+            perceived=Perceived.of(self.perception),
+            action=self._last_move,
+            outcome=self._outcome,
         )
 
     def render(self) -> Picture | None:
         """Return a picture, (HEIGHT, WIDTH, 3); None without ``render_mode="rgb_array"``.
 
-        It is the engine's own, if its world is a ``DrawingWorld``, else the scene from the side.
+        The engine draws it, if its world is a ``DrawingWorld``; else it is the scene from the side.
 
         Raises:
-            RequestError: the machine lacks what the engine draws with.
+            RequestError: the machine lacks a library that the engine needs for drawing.
             PluginFailedError: the code of the engine failed.
         """
         if self.render_mode is None:

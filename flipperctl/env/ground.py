@@ -23,8 +23,8 @@ FARTHEST = 1e7
 """Largest coordinate [m], beyond which floats are too coarse for the contacts' tolerance."""
 
 
-def draw_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
-    """Return the generated profile of an episode, checked.
+def generate_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
+    """Return the checked profile that a terrain generates for an episode.
 
     Raises:
         TerrainError: the terrain raised a ValueError because it has no ground, or the profile
@@ -63,7 +63,7 @@ def _check(profile: Profile, terrain: Terrain) -> None:
     height = float(np.abs(points[:, 1] - points[0, 1]).max())
     if height > HIGHEST:
         raise refuse(
-            f"returned a profile that leads {height:g} m above or below its first edge; at most "
+            f"returned a profile that is {height:g} m above or below its first edge; at most "
             f"{HIGHEST:g} m is allowed, as in the observation space"
         )
 

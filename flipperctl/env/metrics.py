@@ -1,7 +1,6 @@
 """The metrics of one episode: its measures, its return and the parts of each reward term.
 
-In: the transitions of an episode with their rewards. Out: numbers by name, as rows and files have
-them.
+In: the transitions of an episode with their rewards. Out: numbers by name, for rows and files.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _RESERVED = frozenset(
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
     )
 )
-"""Columns and keys that files have beside the measures."""
+"""Columns and keys of files besides the measures."""
 _PREFIXES = ("reward_", "search_", "not_reached_")
 
 
@@ -106,7 +105,7 @@ def _with_pitches(t: Transition, pitches: FloatArray) -> Transition:
 class _Pitches:
     """The pitches of an episode so far, which its transitions share.
 
-    A copy in each would take memory with the square of the episode's length, 2 GB on 1 km.
+    With a copy in each, memory would grow with the square of the episode's length: 2 GB on 1 km.
     """
 
     def __init__(self) -> None:

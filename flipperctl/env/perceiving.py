@@ -1,7 +1,6 @@
-"""What the policy of one episode perceives: estimates from a sensor's measurements.
+"""The perception of one episode: estimates from a sensor's measurements.
 
-In: true states, at samples and at decisions. Out: perceptions, which remember the observations
-before them.
+In: true states, at samples and at decisions. Out: perceptions, which include earlier observations.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.observation import assemble
 from flipperctl.env.drive import Drive
-from flipperctl.env.sensing import InUse, put_to_use
+from flipperctl.env.sensing import MountedInstrument, mounted_parts
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class _Part:
     """An instrument with its name and its own generator."""
 
     name: str
-    instrument: InUse
+    instrument: MountedInstrument
     rng: np.random.Generator
 
 
@@ -49,10 +48,10 @@ class Perceiver:
         rngs: tuple[np.random.Generator, np.random.Generator],
         friction: float | None = None,
     ) -> None:
-        """Use ``sensor`` on what it is mounted on.
+        """Set up ``sensor`` for one episode.
 
-        ``robot``: the robot that policies believe in; ``rngs``: the generators of the sensor's
-        noise and of random policies; ``friction``: what policies are told of it [-].
+        ``robot``: the robot that policies are given; ``rngs``: the generators of the sensor's
+        noise and of random policies; ``friction``: the friction that policies are given [-].
 
         Raises:
             PluginFailedError: the sensor's code failed.
@@ -62,20 +61,20 @@ class Perceiver:
         self._layout = sensor.layout
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
         self._recent = deque(maxlen=MAX_HISTORY)
-        instruments, self._estimator = put_to_use(sensor, mounting, robot)
+        instruments, self._estimator = mounted_parts(sensor, mounting, robot)
         generators = [noise, *noise.spawn(len(instruments) - 1)] if instruments else []
         self._parts = [
             _Part(name, instrument, rng)
             for (name, instrument), rng in zip(instruments.items(), generators, strict=True)
         ]
         self._pending: list[Measured] = []
-        """Measurements that the estimator has not received, since they are newer than the delay."""
+        """Measurements that the estimator has not received yet, because of the delay."""
         self._reports: tuple[Callable[[Measured], None], ...] = ()
 
     def attach(self, drive: Drive, *reports: Callable[[Measured], None]) -> None:
         """Measure at the samples of ``drive`` from now on; pass each measurement to ``reports``.
 
-        Without instruments that measure between decisions, nothing about the drive changes.
+        If no instrument measures between decisions, ``drive`` is not changed.
         """
         self._reports = reports
         for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
@@ -85,7 +84,7 @@ class Perceiver:
         return lambda world: self._measure(every, world.state())
 
     def measure(self, state: RobotState) -> None:
-        """Measure by every instrument that measures between decisions, whatever its period."""
+        """Measure with every instrument that has a period, whether or not it is due."""
         for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
             self._measure(every, state)
 
@@ -104,7 +103,7 @@ class Perceiver:
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
-            NonFiniteError: what it returned is not finite.
+            NonFiniteError: a returned number is not finite.
         """
         self._measure(None, state)
         newest = state.time + SAMPLE_PERIOD / 2
@@ -140,7 +139,7 @@ class Perceiver:
         return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         parts, random, estimator, pending, recent = saved
         for part, (memory, state) in zip(self._parts, parts, strict=True):
             part.instrument.load(memory)
@@ -151,11 +150,11 @@ class Perceiver:
         self._recent = deque(recent, maxlen=MAX_HISTORY)
 
 
-def fresh(rng: np.random.Generator) -> np.random.Generator:
-    """Return a generator that draws and spawns what this one has since it was made."""
+def initial_copy(rng: np.random.Generator) -> np.random.Generator:
+    """Return a copy of a generator in its initial state, with the same children to spawn."""
     bits = rng.bit_generator
     seed = bits.seed_seq
     assert isinstance(seed, np.random.SeedSequence)  # as of every generator that was spawned
-    # A copy, since a sequence counts what was spawned from it
+    # A copy, since a sequence counts its children
     again = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
     return np.random.Generator(type(bits)(again))

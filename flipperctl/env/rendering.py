@@ -1,8 +1,8 @@
 """Pictures of an episode for ``render_mode="rgb_array"``.
 
-In: a world and a scene. Out: an (HEIGHT, WIDTH, 3) picture. An engine that draws itself is asked
-first. Whatever else draws is a value that the environment receives; by default it is the entry
-point ``side`` of the group ``flipperctl.renderers``, since the task knows no figures.
+In: a world and a scene. Out: an (HEIGHT, WIDTH, 3) picture. It is drawn by the engine, if the
+engine draws pictures, else by a renderer of scenes. The default renderer is the entry point
+``side`` of the group ``flipperctl.renderers``, so that the environment imports no plotting code.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
 
 MODES = ("rgb_array",)
-"""Values of ``render_mode`` beside None."""
+"""Values of ``render_mode`` besides None."""
 GROUP = "flipperctl.renderers"
-"""Group of entry points in which a renderer's class is found; it is made without arguments."""
+"""Group of entry points of renderers; each is a class that is made without arguments."""
 
 Picture = NDArray[np.uint8]
 Renderer = Callable[[Scene], Picture]
@@ -45,14 +45,14 @@ class Pictures:
     """Draws the pictures of one environment."""
 
     def __init__(self, renderer: Renderer | None) -> None:
-        """``renderer``: draws scenes; None: the installed one, loaded at the first picture."""
+        """Draw scenes with ``renderer``; None: the installed one, loaded at the first picture."""
         self._renderer = renderer
 
     def draw(self, world: World, scene: Callable[[], Scene]) -> Picture:
         """Return the world's own picture, if it draws one, else that of the current ``scene``.
 
         Raises:
-            RequestError: the machine lacks what the engine draws with.
+            RequestError: the machine lacks a library that the engine needs for drawing.
             PluginFailedError: the code of the engine failed.
             ConfigError: no renderer is installed.
         """
@@ -69,7 +69,7 @@ def installed() -> Renderer:
     Raises:
         ConfigError: none is installed.
     """
-    # Of every copy of the metadata: a stale one in the working directory would hide the installed.
+    # In all copies of the metadata: a stale one in the working directory would hide the other.
     copies = [points for d in distributions(name="flipperctl") for points in d.entry_points]
     found = [point for point in copies if point.group == GROUP]
     if not found:

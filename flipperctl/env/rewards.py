@@ -82,7 +82,7 @@ def _prepare(name: str, term: RewardTerm) -> _Term:
         )
     low, high = map(float, bounds)
     room = _ROUNDING * max(1.0, *(abs(b) for b in (low, high) if math.isfinite(b)), 0.0)
-    return _Term(name, term, float(weight), low - room, high + room)
+    return _Term(name, term, float(weight), low=low - room, high=high + room)
 
 
 def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> float:

@@ -1,7 +1,7 @@
 """One instant of an episode as plain data: numbers, arrays and names.
 
-A scene holds all that a picture needs and nothing that changes later, so that it can be kept,
-pickled for another process, or sent as JSON.
+A scene holds everything that a picture needs and nothing that changes later, so that it can be
+stored, pickled for another process, or sent as JSON.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ WIDTH, HEIGHT = 960, 480
 
 @dataclass(frozen=True)
 class Perceived:
-    """What the policy perceives of ground and posture."""
+    """The ground and the posture that the policy perceives."""
 
     heights: FloatArray
     """Mean height of each bin in frame L, (N,) [m]."""
     bin_width: float
     """Width of a bin [m]."""
     points: FloatArray
-    """Sensed terrain points in frame L, and those ``filled``, (P, 2) [m]."""
+    """Sensed and ``filled`` terrain points in frame L, (P, 2) [m]."""
     filled: NDArray[np.bool_] | None
-    """(P,) whether a point stands where the ground was never seen; None: every point was seen."""
+    """(P,) whether a point fills unseen ground; None: every point was seen."""
     front: float
     """Sensed angle of the front flippers in frame R [rad]."""
     rear: float
@@ -54,7 +54,7 @@ class Scene:
     ground: FloatArray
     """Points of the profile in world, (V, 2) [m]; the ground is level before and past them."""
     start: float
-    """World x of the chassis centre at the start, without the drawn shift [m]."""
+    """World x of the chassis centre at the start, without the random shift [m]."""
     finish: float
     """World x that the chassis centre must pass [m]."""
     track_speed: float

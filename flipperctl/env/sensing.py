@@ -1,8 +1,8 @@
-"""The parts of a sensor in use, guarded: every call into what it returns goes through here.
+"""Guards around a sensor's instruments and estimator: every call into them goes through here.
 
-In: a sensor and what it is mounted on. Out: instruments by name and an estimator, whose failures
-and wrong values are errors that name the sensor, the method, the file and the line. A sensor that
-senses once for each decision becomes one instrument here, whose measurement is the estimate.
+In: a sensor and its mounting. Out: instruments by name and an estimator. A failure or a wrong value
+is an error that names the sensor, the method, the file and the line. A sensor that senses once for
+each decision becomes a single instrument, whose measurement is the estimate.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from flipperctl.guard import naming, refusal, short_repr
 T = TypeVar("T")
 
 LONGEST = 1000
-"""Most samples between two measurements of an instrument [-]."""
+"""Largest number of samples between two measurements of an instrument [-]."""
 
 
 def exact(sensor: Sensor) -> Sensor:
@@ -47,8 +47,8 @@ def exact(sensor: Sensor) -> Sensor:
     return found
 
 
-class InUse(Protocol):
-    """An instrument as the environment calls it."""
+class MountedInstrument(Protocol):
+    """An instrument of one episode, as the environment calls it."""
 
     every: int | None
     """Samples between two measurements; None: one for each decision [-]."""
@@ -60,12 +60,12 @@ class InUse(Protocol):
         """Return a snapshot of the memory."""
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
 
 
-def put_to_use(
+def mounted_parts(
     sensor: Sensor, mounting: Mounting, robot: RobotGeometry
-) -> tuple[Mapping[str, InUse], Estimator]:
+) -> tuple[Mapping[str, MountedInstrument], Estimator]:
     """Return the instruments of one episode by name, and the estimator for the nominal ``robot``.
 
     Raises:
@@ -73,7 +73,7 @@ def put_to_use(
     """
     found = sensor.instruments(mounting)
     if found is None:
-        return {"sensed": GuardedSensor(sensor, mounting)}, Newest()
+        return {"sensed": GuardedSensor(sensor, mounting)}, LatestMeasurement()
     if not (isinstance(found, Mapping) and all(isinstance(name, str) for name in found)):
         text = f"returned {short_repr(found)}; a mapping of names to instruments is allowed"
         raise refusal(sensor, "instruments", text)
@@ -85,10 +85,10 @@ class GuardedInstrument:
     """An instrument whose failures name the sensor."""
 
     def __init__(self, sensor: Sensor, name: str, instrument: object) -> None:
-        """Guard what ``sensor`` returned as the instrument ``name``.
+        """Guard the object that ``sensor`` returned as the instrument ``name``.
 
         Raises:
-            PluginFailedError: it is no instrument, or its period is not allowed.
+            PluginFailedError: it is not an instrument, or its period is not allowed.
         """
         if not isinstance(instrument, Instrument):
             text = f"returned {short_repr(instrument)} as {name!r}; an Instrument is allowed"
@@ -105,18 +105,18 @@ class GuardedInstrument:
         return _call(self._sensor, "save", self._instrument.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         _call(self._sensor, "load", self._instrument.load, saved)
 
 
 class GuardedEstimator:
-    """An ``Estimator`` that calls the one of a sensor and checks its estimates."""
+    """An ``Estimator`` that calls a sensor's estimator and checks its estimates."""
 
     def __init__(self, sensor: Sensor, robot: RobotGeometry) -> None:
         """Guard a new estimator.
 
         Raises:
-            PluginFailedError: the sensor's code failed, or returned nothing that estimates.
+            PluginFailedError: the sensor's code failed, or did not return an estimator.
         """
         self._sensor = sensor
         self._estimator: Estimator = sensor.estimator(robot)
@@ -145,38 +145,38 @@ class GuardedEstimator:
         return _call(self._sensor, "save", self._estimator.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         _call(self._sensor, "load", self._estimator.load, saved)
 
 
 @dataclass(frozen=True)
 class Sensed:
-    """What a sensor without instruments perceives at once."""
+    """A measurement of a sensor without instruments."""
 
     ground: SensedGround
     angles: SensedAngles
 
 
 class GuardedSensor:
-    """A ``flipperctl.api.GroundSensor`` as an instrument, which measures once for each decision."""
+    """A ``flipperctl.api.GroundSensor`` as an instrument that measures once for each decision."""
 
     every: int | None = None
 
     def __init__(self, sensor: Sensor, mounting: Mounting) -> None:
-        """Use ``sensor`` on the ground of an episode.
+        """Set up ``sensor`` for the ground of an episode.
 
         Raises:
-            PluginFailedError: the sensor's code failed, or returned nothing that senses.
+            PluginFailedError: the sensor's code failed, or did not return a ``GroundSensor``.
         """
-        self._sensor = sensor
-        self._in_use = sensor.over(mounting.profile, mounting.margin)
-        if not _has(self._in_use, "sense"):
-            text = f"returned {short_repr(self._in_use)}; a flipperctl.api.GroundSensor is allowed"
+        made = sensor.over(mounting.profile, mounting.margin)
+        if not _has(made, "sense"):
+            text = f"returned {short_repr(made)}; a flipperctl.api.GroundSensor is allowed"
             raise refusal(sensor, "over", text)
+        self._sensor, self._ground_sensor = sensor, made
         # Names alone: to ask whether a value fits a protocol takes as long as to sense.
-        remembers = _has(self._in_use, "save") and _has(self._in_use, "load")
-        self._memory: Any = self._in_use if remembers else None
-        self._check = EstimateCheck(sensor, "sense", type(self._in_use))
+        remembers = _has(made, "save") and _has(made, "load")
+        self._memory: Any = made if remembers else None
+        self._check = EstimateCheck(sensor, "sense", type(made))
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Sensed:
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``.
@@ -185,41 +185,42 @@ class GuardedSensor:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
             NonFiniteError: a point, a height or an angle is not finite.
         """
-        return Sensed(*self._check(_call(self._sensor, "sense", self._in_use.sense, state, rng)))
+        found = _call(self._sensor, "sense", self._ground_sensor.sense, state, rng)
+        return Sensed(*self._check(found))
 
     def save(self) -> Any:
         """Return a snapshot of the memory, if there is one."""
         return None if self._memory is None else _call(self._sensor, "save", self._memory.save)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         if self._memory is not None:
             _call(self._sensor, "load", self._memory.load, saved)
 
 
-class Newest:
-    """The ``Estimator`` of a sensor without instruments: its newest measurement."""
+class LatestMeasurement:
+    """The ``Estimator`` of a sensor without instruments, its latest measurement."""
 
     def __init__(self) -> None:
-        self._newest: Sensed | None = None
+        self._latest: Sensed | None = None
 
     def update(self, measured: Measured) -> None:
         """Remember the measurement."""
-        assert isinstance(measured.value, Sensed)  # of the only instrument that it is used with
-        self._newest = measured.value
+        assert isinstance(measured.value, Sensed)  # from the only instrument
+        self._latest = measured.value
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
-        """Return the newest measurement."""
-        assert self._newest is not None  # there is a measurement before each estimate
-        return self._newest.ground, self._newest.angles
+        """Return the latest measurement."""
+        assert self._latest is not None  # there is a measurement before each estimate
+        return self._latest.ground, self._latest.angles
 
     def save(self) -> Sensed | None:
         """Return a snapshot of the memory."""
-        return self._newest
+        return self._latest
 
     def load(self, saved: Sensed | None) -> None:
-        """Return to a snapshot."""
-        self._newest = saved
+        """Restore a snapshot."""
+        self._latest = saved
 
 
 def _samples(sensor: Sensor, instrument: Instrument) -> int | None:

@@ -1,4 +1,4 @@
-"""The scene of an episode in a simulator of its own, for policies that look ahead."""
+"""A simulator of an episode's scene, for policies that look ahead."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flipperctl.env.perceiving import Perceiver
 
 
 class SceneSimulator:
-    """Implements ``flipperctl.api.Simulator``; its world is built when it is first used."""
+    """Implements ``flipperctl.api.Simulator``; the world is built on first use."""
 
     def __init__(
         self,
@@ -21,10 +21,10 @@ class SceneSimulator:
         profile: Profile,
         report_progress: Callable[[float], None],
     ) -> None:
-        """Simulate the drive that ``make`` builds; pass reports on to ``report_progress``.
+        """Simulate the ``Drive`` that ``make`` builds; pass progress to ``report_progress``.
 
-        ``perceiver`` returns a new one that measures at the samples of a drive: with the noise of
-        the episode, or, if its second argument is true, without errors.
+        ``perceiver`` returns a new perceiver that measures at the samples of a ``Drive``: with the
+        noise of the episode, or, if its second argument is true, without errors.
         """
         self._make, self._make_perceiver = make, perceiver
         self._profile, self._report_progress = profile, report_progress
@@ -58,7 +58,7 @@ class SceneSimulator:
     @property
     def finish(self) -> float:
         """World x that the chassis centre must pass [m]."""
-        return self._drive.ends.finish
+        return self._drive.termination.finish
 
     @property
     def profile(self) -> Profile:
@@ -71,13 +71,13 @@ class SceneSimulator:
         return self._drive.poses
 
     def perceive(self) -> Perception:
-        """Return what a policy perceives now; see ``flipperctl.api.Simulator``."""
+        """Return the policy's current perception; see ``flipperctl.api.Simulator``."""
         if self._perceiver is None:
             self._perceiver = self._make_perceiver(self._drive, False)
         return self._perceiver.perceive(self._drive.delayed_state)
 
     def perceive_exactly(self) -> Perception:
-        """Return what a sensor without errors perceives; see ``flipperctl.api.Simulator``."""
+        """Return the perception of a sensor without errors; see ``flipperctl.api.Simulator``."""
         if self._exact is None:
             self._exact = self._make_perceiver(self._drive, True)
         return self._exact.perceive(self._drive.state)
@@ -91,7 +91,7 @@ class SceneSimulator:
         return self._drive.save(), _saved(self._perceiver), _saved(self._exact)
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         drive, perceiver, exact = saved
         self._drive.load(drive)
         self._perceiver, self._exact = _loaded(perceiver), _loaded(exact)
@@ -105,7 +105,7 @@ class SceneSimulator:
         self._report_progress(fraction)
 
     def report_result(self, **values: float | str) -> None:
-        """Report numbers and words about the search, which stand in the result of the episode."""
+        """Report numbers and texts about the search, to be added to the episode's result."""
         self.results.update(values)
 
     def tell(self, share: float) -> None:
@@ -124,7 +124,7 @@ def _saved(perceiver: Perceiver | None) -> tuple[Perceiver, Any] | None:
 
 
 def _loaded(saved: tuple[Perceiver, Any] | None) -> Perceiver | None:
-    """Return the perceiver, which has returned to its snapshot."""
+    """Return the perceiver after restoring its snapshot."""
     if saved is None:
         return None
     perceiver, memory = saved

@@ -1,7 +1,7 @@
-"""The world of an engine, guarded: every call into a plugin's simulation goes through here.
+"""A guard around an engine's world: every call into a plugin's simulation goes through here.
 
-In: an engine, a profile, a robot, a start and a generator. Out: a ``flipperctl.api.World`` whose
-failures and wrong values are errors that name the engine, the method, the file and the line.
+In: an engine, a profile, a robot, a start and a generator. Out: a ``flipperctl.api.World``. A
+failure or a wrong value is an error that names the engine, the method, the file and the line.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _STATE = "a RobotState of numbers, with two in each array"
 def place(
     engine: Engine, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
 ) -> GuardedWorld:
-    """Return the guarded world that ``engine`` places; it draws if the engine's world does.
+    """Return the guarded world that ``engine`` places, a ``DrawingWorld`` if the engine's is one.
 
     Raises:
-        PluginFailedError: the engine's code failed, or returned something else than a world.
+        PluginFailedError: the engine's code failed, or did not return a world.
     """
-    with naming(engine, "place"):  # what it returned may fail as well
+    with naming(engine, "place"):  # the returned object's code may fail too
         world = engine.place(profile, robot, start, rng)
         missing = [name for name in _METHODS if not hasattr(world, name)]
         draws = isinstance(world, DrawingWorld)
@@ -66,8 +66,8 @@ class GuardedWorld:
         self._engine = engine
         self.unguarded: Any = world
         """The engine's own world."""
-        # Asked once: to check a protocol takes longer than some of the work of a decision.
-        self._ends = isinstance(world, EndingWorld)
+        # Once, since the check of a protocol takes long compared with a decision.
+        self._terminates = isinstance(world, EndingWorld)
 
     @property
     def position(self) -> tuple[float, float]:
@@ -117,8 +117,8 @@ class GuardedWorld:
         if not isinstance(state, RobotState):
             raise self._refusal("state", short_repr(state), _STATE)
         if not finite:
-            ends = [f"{name}'s {axis}" for name in _VECTORS for axis in "xz"]
-            self._require_finite("state", numbers, (*_SCALARS, *ends))
+            components = [f"{name}'s {axis}" for name in _VECTORS for axis in "xz"]
+            self._require_finite("state", numbers, (*_SCALARS, *components))
         return state
 
     def penetration(self) -> float:
@@ -128,8 +128,8 @@ class GuardedWorld:
         return float(depth)
 
     def ended(self) -> Outcome | None:
-        """Return the outcome if the world reached an end of its own, else None."""
-        if not self._ends:
+        """Return the outcome if the world has terminated by itself, else None."""
+        if not self._terminates:
             return None
         outcome = self._call("ended")
         if outcome is not None and not isinstance(outcome, Outcome):
@@ -165,7 +165,7 @@ class GuardedWorld:
         return self._call("save")
 
     def load(self, saved: Any) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         self._call("load", saved)
 
     def _call(self, method: str, *given: Any) -> Any:

@@ -1,1 +1,1 @@
-"""Engines and sensors, which know no reward; each engine is a folder of its own."""
+"""Engines and sensors, which use no rewards; each engine has its own folder."""

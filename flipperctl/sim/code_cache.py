@@ -1,4 +1,4 @@
-"""The folder in which numba keeps machine code, one for each state of what was compiled.
+"""The folder in which numba caches machine code, one for each version of the compiled sources.
 
 Numba compiles a function again when the file that defines it changes. It does not notice a change
 in a function of another file that is compiled into it, in a constant of another file, or in a
@@ -38,10 +38,10 @@ _UNUSED = 86_400.0
 
 @cache
 def machine_code_folder() -> Path | None:
-    """Return the writable folder for the present digest, or None without one.
+    """Return the writable folder for the current digest, or None without one.
 
     It lies in the folder that ``NUMBA_CACHE_DIR`` names, or else beside the package's byte code, in
-    numba's folder of the user, or in the temporary folder. Of earlier digests a few are kept.
+    the user's numba folder, or in the temporary folder. A few folders of earlier digests are kept.
     """
     digest = code_digest((PACKAGE / name for name in SOURCES), _libraries())
     for base in _bases():
@@ -93,10 +93,10 @@ def _bases() -> Iterator[Path]:
 
 
 def _remove_unused(used: Path) -> None:
-    """Remove folders of other digests that no process has used for a day, but for the newest.
+    """Remove folders of other digests that no process has used for a day, except the newest.
 
-    A process that still uses one of them compiles again. A folder is renamed first, so that of two
-    processes only one removes it.
+    A process that still uses one of them compiles again. A folder is renamed first, so that only
+    one of several processes removes it.
     """
     oldest = time.time() - _UNUSED
     with contextlib.suppress(OSError):  # another process may remove them at the same time

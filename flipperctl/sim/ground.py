@@ -1,6 +1,6 @@
-"""Thins fine recordings to what the tracks can feel, and bounds the simulated ground.
+"""Thins finely sampled ground to what the tracks can feel, and bounds the size of the ground.
 
-In: a generated profile. Out: a profile that the tracks feel alike and that is cheap to simulate.
+In: a generated profile. Out: a profile that feels the same to the tracks and is cheap to simulate.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from flipperctl.api import FloatArray, Profile
 TOLERANCE = 1e-4
 """Largest distance by which thinning may move the ground that a track feels [m].
 
-The engine lets bodies in contact overlap as much (``collision_slop``), so less cannot be felt.
+The engine lets bodies in contact overlap by as much (``collision_slop``); less cannot be felt.
 """
 
 FINE = 0.01

@@ -1,6 +1,6 @@
-"""Numba's decorators with a cache on disk wherever a folder is writable.
+"""Numba's decorators with a cache on disk, if a folder is writable.
 
-In a container or a service no folder may be writable; every process then compiles anew.
+Containers and services may have no writable folder; every process then compiles again.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable
 
 @contextlib.contextmanager
 def _cache_in(folder: Path) -> Iterator[None]:
-    """Let numba keep the machine code of the functions that are decorated in this block there.
+    """Make numba cache the functions that are decorated in this block in ``folder``.
 
-    Functions that other packages decorate later stay where numba puts them.
+    Functions that other packages decorate later are cached in numba's default folder.
     """
     settings = vars(numba.config)
     before = settings["CACHE_DIR"]

@@ -14,7 +14,7 @@ def engine_versions(engine: Engine) -> dict[str, str]:
     Raises:
         PluginFailedError: the engine's code failed, or returned no mapping of text to text.
     """
-    with naming(engine, "versions"):  # what it returned may fail as well
+    with naming(engine, "versions"):  # the returned object's code may fail too
         found: object = engine.versions()
         versions = dict(found) if isinstance(found, Mapping) else {}
     texts = all(isinstance(text, str) for item in versions.items() for text in item)

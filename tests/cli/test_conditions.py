@@ -56,7 +56,7 @@ def test_the_generalists_training_is_wide_and_moves_neither_ground_nor_start() -
         drawn.reset(seed=seed)
         assert np.array_equal(exact.profile.points, drawn.profile.points)
         # The same place of the unit interval: ± 0.05 m, and ± 0.1 m.
-        shifts = (env._drawn_values["start_shift"] for env in (exact, drawn))
+        shifts = (env._sampled_values["start_shift"] for env in (exact, drawn))
         one, two = shifts
         assert two == pytest.approx(2 * one)
 

@@ -173,7 +173,7 @@ def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path
 
 def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
     arguments = ["--controller", "level", "terrain=step", "terrain.low=0.3", "episode.run_up=0.2"]
-    assert "starts in the robot" in refused("eval", *arguments, cwd=tmp_path)
+    assert "overlaps the robot at the start" in refused("eval", *arguments, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import pytest
 
 from flipperctl.api import Outcome, Profile, Robot, action_index
 from flipperctl.config import Episode
-from flipperctl.env.ends import Ends
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.termination import Termination
 
 
 @pytest.mark.parametrize(("period", "turned"), [(0.3, 7.5), (1.2, 15.0)])
@@ -35,6 +35,6 @@ def test_a_flipper_turns_at_its_own_speed_whatever_the_period(period: float, tur
 def test_a_robot_that_stands_is_stuck(
     settings: dict[str, float], period: float, decisions: int
 ) -> None:
-    ends = Ends(Profile([(1.0, 0.0)]), Robot(), Episode(**settings), 0.0, period)
-    found = [ends.decision(0.0) for _ in range(decisions)]
+    termination = Termination(Profile([(1.0, 0.0)]), Robot(), Episode(**settings), 0.0, period)
+    found = [termination.after_decision(0.0) for _ in range(decisions)]
     assert found == [None] * (decisions - 1) + [Outcome.STUCK]

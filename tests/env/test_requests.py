@@ -240,7 +240,7 @@ def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, regis
 
 def test_a_terrain_that_starts_in_the_robot_is_named() -> None:
     # The front flippers reach 0.28 + 0.336 + 0.1 = 0.716 m ahead of the chassis centre.
-    with pytest.raises(TerrainError, match="'step' starts in the robot"):
+    with pytest.raises(TerrainError, match="'step' overlaps the robot at the start"):
         FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.65}).reset(seed=0)
     FlipperEnv(step_of(0.4), episode={**EXACT, "run_up": 0.72}).reset(seed=0)
 
@@ -273,6 +273,6 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_robot_too_slow_for_a_finite_time_is_refused() -> None:
     env = FlipperEnv("flat", **{"robot.track_speed": 5e-324, "episode.stuck_progress": 0})
     with pytest.raises(
-        ConfigError, match=r"robot\.track_speed: at 4\.94066e-324 m/s the way of \d"
+        ConfigError, match=r"robot\.track_speed: at 4\.94066e-324 m/s the distance of \d"
     ):
         env.reset(seed=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.perceiving import fresh
+from flipperctl.env.perceiving import initial_copy
 
 
 def test_progress_is_reported_by_its_new_and_by_its_old_name() -> None:
@@ -78,6 +78,6 @@ def test_a_fresh_generator_draws_and_spawns_the_same_again() -> None:
     (rng,) = np.random.default_rng(1).spawn(1)
     drawn, spawned = rng.random(3), [child.random() for child in rng.spawn(2)]
     for _ in range(2):
-        again = fresh(rng)
+        again = initial_copy(rng)
         assert np.array_equal(again.random(3), drawn)
         assert [child.random() for child in again.spawn(2)] == spawned

@@ -98,5 +98,5 @@ def test_a_measure_takes_no_settings() -> None:
 
         above: float = Field(1.0, ge=0, le=2, description="height [m]")
 
-    with pytest.raises(TypeError, match="has the settings above; every measure is taken"):
+    with pytest.raises(TypeError, match="has the settings above; every measure is computed"):
         measure("tuned")(Tuned)

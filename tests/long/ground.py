@@ -52,7 +52,7 @@ def read(path: Path) -> str:
     more = {"resolution": 0.05} if path.suffix == ".npy" else {}
     settings = {"name": "profile_file", "path": str(path), **frame, **more}
     env = FlipperEnv(resolver.create("terrain", settings, "terrain"))
-    profile = env._draw(np.random.default_rng(0), 1.0)
+    profile = env._generate(np.random.default_rng(0), 1.0)
     assert np.isfinite(profile.points).all()
     if profile.surface is not None:
         profile.surface.heights(np.array([-0.3, 0.3]))

@@ -33,7 +33,7 @@ def test_ten_families_of_forty_episodes_sample_400_frictions() -> None:
         env = FlipperEnv(config=config.environment())
         for seed in EvaluationSeeds.of(0, config.terrain).first(40):
             env.reset(seed=seed)
-            frictions.add(env._drawn_values["friction"])
+            frictions.add(env._sampled_values["friction"])
     assert len(frictions) == 400
 
 
@@ -82,7 +82,7 @@ def test_a_seed_of_a_result_gives_its_episode_again() -> None:
     (result,) = play_episodes(config, level, episodes=[2], seed=9)
     env = FlipperEnv(config=config)
     env.reset(seed=result.seed)
-    assert env._drawn_values == dict(result.sampled)
+    assert env._sampled_values == dict(result.sampled)
     assert float(result.seed) == result.seed  # exact where numbers are floats
 
 

@@ -25,14 +25,14 @@ _DISTANCE, _AZIMUTH, _ELEVATION = 2.6, 125.0, -18.0  # of the camera from the ro
 
 
 class Camera:
-    """Follows the robot from behind at one side."""
+    """A camera that follows the robot from behind, at one side."""
 
     def __init__(self, model: Any, width: int, height: int) -> None:
         """Prepare pictures of ``width`` × ``height`` pixels.
 
         Raises:
             RequestError: the size is too large, or the machine has neither EGL nor OSMesa.
-            FlipperctlError: the library that there is cannot draw.
+            FlipperctlError: the installed library cannot draw.
         """
         largest = model.vis.global_.offwidth, model.vis.global_.offheight
         if not (0 < width <= largest[0] and 0 < height <= largest[1]):
@@ -53,7 +53,7 @@ class Camera:
 
     def draw(self, data: Any) -> NDArray[np.uint8]:
         """Return a picture of the current state, (H, W, 3)."""
-        mujoco.mj_kinematics(self._model, data)  # ``mj_step`` leaves the bodies' poses behind
+        mujoco.mj_kinematics(self._model, data)  # ``mj_step`` does not update the bodies' poses
         self._camera.lookat[:] = data.qpos[:3]
         mujoco.mjv_updateScene(
             self._model,
@@ -76,22 +76,22 @@ def _context(width: int, height: int) -> Any:
 
     Raises:
         RequestError: the machine has neither EGL nor OSMesa.
-        FlipperctlError: the library that there is cannot draw.
+        FlipperctlError: the installed library cannot draw.
     """
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
-    there = [name for name in names if ctypes.util.find_library(_LIBRARIES[name])]
-    if not there:
+    installed = [name for name in names if ctypes.util.find_library(_LIBRARIES[name])]
+    if not installed:
         libraries = " nor ".join(_LIBRARIES[name] for name in names)
         raise RequestError(
             f"pictures of sim=mujoco need a library that draws without a window; this machine has "
             f"{'neither ' if len(names) > 1 else 'no '}{libraries}: {_INSTALL}"
         )
     try:
-        return import_module(f"mujoco.{there[0]}").GLContext(width, height)
+        return import_module(f"mujoco.{installed[0]}").GLContext(width, height)
     except Exception as error:  # the drivers' errors have no common class
         raise FlipperctlError(
-            f"pictures of sim=mujoco: {_LIBRARIES[there[0]]} cannot draw on this machine "
+            f"pictures of sim=mujoco: {_LIBRARIES[installed[0]]} cannot draw on this machine "
             f"({' '.join(str(error).split())[:200]}); try the other library with "
-            f"MUJOCO_GL={'osmesa' if there[0] == 'egl' else 'egl'}, or: {_INSTALL}"
+            f"MUJOCO_GL={'osmesa' if installed[0] == 'egl' else 'egl'}, or: {_INSTALL}"
         ) from error

@@ -18,7 +18,7 @@ from flipperctl.sim.mujoco.settings import MujocoSettings
 class Mujoco(MujocoSettings, Engine):
     """Simulates the robot in 3-D with MuJoCo, on the profile extruded sideways.
 
-    Where the ground to both sides of the profile is recorded too, the robot drives over that.
+    If the profile has a surface, the robot drives over the surface instead.
     """
 
     def place(
@@ -26,11 +26,11 @@ class Mujoco(MujocoSettings, Engine):
     ) -> World:
         """Return a new world for the episode, so that replays are equal bit for bit.
 
-        Yaw, offset and roughness are drawn from ``rng``.
+        Yaw, offset and roughness are sampled from ``rng``.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
-            RequestError: the environment names an OpenGL library that is not there.
+            RequestError: the environment names an OpenGL library that is not installed.
             TerrainError: the ground needs too many pieces, or is unknown where the robot drives.
         """
         try:
@@ -50,7 +50,7 @@ class Mujoco(MujocoSettings, Engine):
         return MujocoWorld(profile, robot, self, start, rng)
 
     def versions(self) -> dict[str, str]:
-        """Return the version of MuJoCo, which decides the results."""
+        """Return the version of MuJoCo, which affects the results."""
         from importlib.metadata import version
 
         return {"mujoco": version("mujoco")}

@@ -1,7 +1,7 @@
 """The ground in 3-D: a profile extruded sideways, or strips of a surface, as boxes.
 
 In: a profile, the engine's settings and a generator. Out: boxes that fill the ground below the
-profile, or its surface, as far as tracks feel it. MuJoCo's boxes give every capsule on them two
+profile or its surface, as deep as tracks feel it. MuJoCo's boxes give every capsule on them two
 contacts in a line; with convex meshes, tracks stalled at ridges between facets; MuJoCo's height
 fields took 3 to 18 times as long and agreed less with the side plane.
 """
@@ -43,7 +43,7 @@ _SUNK = 0.02  # depth of a column below the lowest of its boards, so that no tra
 _PATCH = 0.25  # length of a patch of rough ground [m]
 _STRIP = 0.2  # width of a patch of rough ground [m]
 _ROUGH_HALF = 1.0  # rough ground to each side of the middle [m]
-_INCLINE = 1.0  # shortest ground on the right that replaces an obstacle which leads up or down [m]
+_INCLINE = 1.0  # shortest incline that replaces a step up or down on the right [m]
 _ROUGH_MARGIN = 0.2  # rough ground before the first and past the last edge [m]
 
 
@@ -59,7 +59,7 @@ class Box(NamedTuple):
 
 
 def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:
-    """Return the ground's boxes; ``rng`` draws the roughness.
+    """Return the ground's boxes; the roughness is sampled from ``rng``.
 
     Raises:
         TerrainError: there would be more than ``MOST``, or the ground is unknown where the robot
@@ -166,7 +166,7 @@ def _extruded(line: FloatArray, low: float, high: float, base: float) -> Iterato
 
 
 def _columns(line: FloatArray, low: float, high: float, base: float) -> Iterator[Box]:
-    """Yield boxes below the boards of a strip; seen from a lower strip, nothing is hollow."""
+    """Yield boxes below the boards of a strip, which close its sides towards lower strips."""
     begin = 0
     for end in range(1, len(line)):
         following = line[begin : end + 2]
@@ -191,7 +191,7 @@ def _without_repeats(line: FloatArray) -> FloatArray:
 
 
 def _thickness(line: FloatArray, index: int) -> float:
-    """Return how thick a board below segment ``index`` may be without leaving the ground [m]."""
+    """Return the largest thickness of a board below segment ``index`` within the ground [m]."""
     a, b = line[index], line[index + 1]
     x = line[:, 0]
     first = int(np.searchsorted(x, a[0] - _THICK, side="left"))

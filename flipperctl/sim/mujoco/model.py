@@ -1,7 +1,7 @@
 """MuJoCo's model of the scene: the ground's boxes and the robot with its tracks and flippers.
 
-In: boxes, the robot and the engine's settings. Out: a compiled model, and where the belts are in
-it. Frames: x forward, y to the left, z up.
+In: boxes, the robot and the engine's settings. Out: a compiled model, and the velocities and sides
+of its belts. Frames: x forward, y to the left, z up.
 
 A track is a box between two capsules that lie across it. Its belt is MuJoCo's ``surfacevel``: an
 angular velocity about each part's own centre, of which contacts use the tangential part. That is
@@ -38,7 +38,7 @@ _CONTACT = {"solref": [0.02, 1.5], "solimp": [0.8, 0.9, 0.001, 0.5, 2.0]}
 MuJoCo's friction is convex: a contact that slips at v is pushed apart by about μ·v times the time
 constant, and hops once that is more than the depth at which it rests. A robot that is stopped by a
 wall, and slips at 0.2 m/s, then vibrates and climbs too slowly. Of twelve values, these soft and
-overdamped ones hop least at the default substep; statics are not concerned.
+overdamped ones hop least at the default substep; statics are not affected.
 """
 _SLIP = 10.0
 """Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
@@ -68,7 +68,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = _SLIP
-    # The ground stays level across and gravity leans, which is the same, and keeps boxes upright.
+    # Gravity is tilted instead of the ground, which is equivalent and keeps boxes upright.
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
@@ -124,15 +124,16 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     chassis = spec.worldbody.add_body(name="chassis")
     chassis.add_freejoint(name="chassis")
     outer = sim.flipper_offset + width / 2
-    _set_inertia(chassis, robot.chassis_mass, robot.chassis_length, 2 * outer, 0.0, robot)
+    size = robot.chassis_length, 2 * outer, 2 * robot.track_radius
+    _set_inertia(chassis, mass=robot.chassis_mass, size=size, centre=0.0)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         inner = sim.main_track_offset - width / 2
         middle = sign * sim.main_track_offset
         _add_board(chassis, f"main_{side}", (-half, half), middle, robot, sim)
         for end, x in (("front", half), ("rear", -half)):
             # One drum for the ends of main track and flipper, which turn about the same axle.
-            drum = sign * (inner + outer) / 2, (outer - inner) / 2
-            _add_end(chassis, f"{end}_drum_{side}", x, *drum, robot, sim)
+            y, half_width = sign * (inner + outer) / 2, (outer - inner) / 2
+            _add_end(chassis, f"{end}_drum_{side}", (x, y), half_width, robot, sim)
     # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for end, ahead in (("front", 1.0), ("rear", -1.0)):
@@ -140,33 +141,45 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
                 name=f"{end}_{side}", pos=[ahead * half, sign * sim.flipper_offset, 0.0]
             )
             reach = ahead * robot.flipper_axle
-            mass = robot.flipper_mass / 2
-            _set_inertia(flipper, mass, robot.flipper_length, width, reach / 2, robot)
+            size = robot.flipper_length, width, 2 * robot.track_radius
+            _set_inertia(flipper, mass=robot.flipper_mass / 2, size=size, centre=reach / 2)
             _add_board(flipper, f"{end}_board_{side}", (0.0, reach), 0.0, robot, sim)
-            _add_end(flipper, f"{end}_tip_{side}", reach, 0.0, width / 2, robot, sim)
+            _add_end(flipper, f"{end}_tip_{side}", (reach, 0.0), width / 2, robot, sim)
             _add_hinge(spec, flipper, f"{end}_{side}", -ahead, robot, sim)
 
 
 def _set_inertia(
-    body: Any, mass: float, length: float, width: float, centre: float, robot: Robot
+    body: Any, *, mass: float, size: tuple[float, float, float], centre: float
 ) -> None:
-    """Set mass and inertia; those in the side plane are the planar engine's capsule."""
-    height = 2 * robot.track_radius
+    """Set the mass [kg] and the inertia of a box around x = ``centre`` [m].
+
+    ``size``: length, width and height [m]. In the side plane, the inertia is that of the planar
+    engine's capsule.
+    """
+    length, width, height = size
     body.mass, body.ipos, body.explicitinertial = mass, [centre, 0.0, 0.0], True
     squares = width**2 + height**2, length**2 + height**2, length**2 + width**2
     body.inertia = [mass * s / 12 for s in squares]
 
 
 def _add_end(
-    body: Any, name: str, x: float, y: float, half: float, robot: Robot, sim: MujocoSettings
+    body: Any,
+    name: str,
+    at: tuple[float, float],
+    half: float,
+    robot: Robot,
+    sim: MujocoSettings,
 ) -> None:
-    """Add a round end, a capsule whose straight part is as wide as the belt."""
+    """Add a round end at (x, y) [m], a capsule whose straight part is as wide as the belt.
+
+    ``half``: half the width of the belt [m].
+    """
     radius = robot.track_radius
     body.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         size=[radius, half, 0.0],
-        pos=[x, y, 0.0],
+        pos=[*at, 0.0],
         quat=_ACROSS,
         surfacevel=[0.0, 0.0, 0.0, 0.0, 0.0, robot.track_speed / radius],
         contype=1,

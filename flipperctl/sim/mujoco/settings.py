@@ -29,7 +29,7 @@ class MujocoSettings(Settings):
         0.2,
         ge=0.02,
         le=1,
-        description="width of the strips in which the robot drives over a recorded surface [m]",
+        description="width of the strips that a recorded surface consists of near the robot [m]",
     )
     main_track_offset: float = Field(
         0.086, ge=0.05, le=1, description="middle of each main track beside the chassis centre [m]"
@@ -62,7 +62,7 @@ class MujocoSettings(Settings):
         math.pi / 3,
         ge=0.1,
         le=math.pi / 2,
-        description="absolute roll that ends as overturned [rad]",
+        description="absolute roll from which the robot is overturned [rad]",
     )
     lateral_slope: float = Field(
         0.0, ge=-0.6, le=0.6, description="sideways slope of the ground, left up positive [rad]"
@@ -71,34 +71,34 @@ class MujocoSettings(Settings):
         0.0,
         ge=0,
         le=0.7,
-        description="the heading at the start is drawn uniformly from ± this angle [rad]",
+        description="initial heading, sampled uniformly from ± this angle [rad]",
     )
     offset: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="the start is shifted sideways, uniformly by up to ± this distance [m]",
+        description="initial sideways shift, sampled uniformly from ± this distance [m]",
     )
     roughness: float = Field(
         0.0,
         ge=0,
         le=0.1,
-        description="patches of the ground are raised or lowered by up to ± this height [m]",
+        description="change in height of each patch of ground, uniform within ± this height [m]",
     )
     one_sided: float = Field(
         0.0,
         ge=0,
         le=1,
-        description="fraction of the obstacle's height over the line between its ends that is "
-        "missing on the right side; the line is at least 1 m long, so that a single step is an "
+        description="fraction by which the right side of the obstacle is lowered to the line "
+        "between its ends; the line is at least 1 m long, so that a single step becomes an "
         "incline there [-]",
     )
     variation: int = Field(
         0,
         ge=0,
         le=2**31 - 1,
-        description="another number draws another yaw, offset and roughness in each episode of a "
-        "seed [-]",
+        description="selects the random yaw, offset and roughness: another number gives others "
+        "in the episodes of the same seed [-]",
     )
 
     @model_validator(mode="after")

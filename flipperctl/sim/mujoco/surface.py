@@ -1,10 +1,10 @@
 """Strips of a recorded surface along the line of its profile.
 
-In: a profile with its surface, and the borders between strips. Out: each strip's outline, which is
-that of the surface at the middle of the strip. Strips are narrow where the robot drives and wide
-beside, where nothing drives as long as the robot is steered. Tracks that touch many strips have as
-many contacts, which makes them stiffer: over ground that is the same on both sides, strips of 0.1 m
-change the time by up to 4 %, those of 0.2 m by less than 1 %.
+In: a profile with its surface, and the borders between strips. Out: each strip's outline, that of
+the surface at the middle of the strip. Strips are narrow where the robot drives and wide beside it,
+where a steered robot never drives. Tracks that touch many strips have as many contacts, which makes
+them stiffer: over ground that is the same on both sides, strips of 0.1 m change the time by up to
+4 %, those of 0.2 m by less than 1 %.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _WIDE = 0.5  # largest width of the strips farther away [m]
 
 
 class Strip(NamedTuple):
-    """A part of the ground along x that is the same all over its width."""
+    """A part of the ground along x that is constant over its width."""
 
     low: float
     """Its right border's y [m]."""
@@ -50,7 +50,7 @@ class Strip(NamedTuple):
 
 
 def reach(sim: MujocoSettings) -> float:
-    """Return how far to each side of the line the robot reaches when it starts [m]."""
+    """Return the largest distance of the robot's tracks from the line at the start [m]."""
     return sim.flipper_offset + sim.track_width / 2 + sim.offset
 
 
@@ -79,10 +79,10 @@ def surface_strips(
         heights = surface.heights(middles)
     except ValueError as error:
         raise TerrainError(f"sim=mujoco: {error}") from error
-    if heights.shape != (asked := (len(surface.x), len(middles))):
+    if heights.shape != (allowed := (len(surface.x), len(middles))):
         raise PluginFailedError(
             f"{type(surface).__name__}.heights returned an array of the shape {heights.shape}; "
-            f"{asked} is allowed"
+            f"{allowed} is allowed"
         )
     nearest = np.array([max(low, -high, 0.0) for low, high in pairwise(borders)])
     driven = nearest < reach(sim)
@@ -107,7 +107,7 @@ def _check(
         side = "left" if y[j] > 0 else "right"
         raise TerrainError(
             f"sim=mujoco: the ground is unknown {x[i]:.2f} m along the line and {abs(y[j]):.2f} m "
-            f"to its {side}, in a hole or outside of what is recorded; the robot needs "
+            f"to its {side}, in a hole or outside the recording; the robot needs "
             f"{within:.2f} m to each side: move the line, or raise the terrain's largest_gap"
         )
 

@@ -49,9 +49,9 @@ _BAD = (
 
 
 def _ignore(text: str) -> None:
-    """Drop MuJoCo's warnings, which it else writes to a file in the working directory.
+    """Drop MuJoCo's warnings, which it otherwise writes to a file in the working directory.
 
-    Divergence is read from the counts in its data.
+    Divergence is detected from the warning counts in MuJoCo's data.
     """
 
 
@@ -68,7 +68,7 @@ class MujocoWorld:
     ) -> None:
         """Place the robot level at ``start``, resting on the lower flippers or the chassis.
 
-        ``rng`` draws yaw, offset and roughness.
+        Yaw, offset and roughness are sampled from ``rng``.
 
         Raises:
             TerrainError: the ground needs too many boxes, or is unknown where the robot drives.
@@ -180,7 +180,7 @@ class MujocoWorld:
         return math.atan2(y, x)
 
     def _axis(self, index: int) -> tuple[float, float, float]:
-        """Return the chassis' x (0) or y (1) axis in world; ``mj_step`` leaves ``xmat`` behind."""
+        """Return the chassis' x (0) or y (1) axis in world; after ``mj_step``, ``xmat`` is old."""
         w, x, y, z = self.data.qpos[3:7].tolist()
         if index == 0:
             return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
@@ -218,7 +218,7 @@ class MujocoWorld:
 
         Raises:
             RequestError: the picture is too large, or the machine has neither EGL nor OSMesa.
-            FlipperctlError: the library that there is cannot draw.
+            FlipperctlError: the installed library cannot draw.
         """
         from flipperctl.sim.mujoco.camera import Camera
 
@@ -233,6 +233,6 @@ class MujocoWorld:
         return state, self._targets, self._samples
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         state, self._targets, self._samples = saved
         mujoco.mj_setState(self.model, self.data, state, _STATE)

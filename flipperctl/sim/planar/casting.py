@@ -1,6 +1,6 @@
-"""Rays that are cast at the ground of the side plane.
+"""Casts rays at the ground of the side plane.
 
-In: the line of the ground, a place and directions. Out: distances.
+In: the polyline of the ground, an origin and directions. Out: distances.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from flipperctl.api import FloatArray
 def distances(
     line: FloatArray, origin: FloatArray, directions: FloatArray, reach: float
 ) -> FloatArray:
-    """Return how far each ray from ``origin`` runs to the line, (R,), in lengths of its direction.
+    """Return the distance from ``origin`` to the line along each direction, (R,), in its lengths.
 
-    It is infinite for a ray that meets no line within ``reach``. ``line`` is (V, 2) [m], its x
-    never decreases; ``origin`` is (2,) [m] and ``directions`` are (R, 2), at most 1 long.
+    It is infinite for a ray that does not meet the line within ``reach``. ``line`` is (V, 2) [m],
+    its x never decreases; ``origin`` is (2,) [m] and ``directions`` are (R, 2), at most 1 long.
     """
     low = max(1, int(np.searchsorted(line[:, 0], origin[0] - reach)))
     high = int(np.searchsorted(line[:, 0], origin[0] + reach, side="right"))

@@ -1,6 +1,6 @@
 """The engine's inner loop as machine code, without Python between the decisions of a robot.
 
-Chipmunk is stepped through its C function, and a compiled callback sets the belt velocity of every
+It steps Chipmunk through its C function; a compiled callback sets the belt velocity of every
 contact. ``plain`` computes the same numbers through pymunk's public interface.
 """
 
@@ -31,10 +31,10 @@ from flipperctl.sim.planar.layout import (
     CONTACT,
     CONTACTS,
     COUNT,
-    DRIVE,
     NORMAL,
-    PRESS,
+    NORMAL_IMPULSE,
     SURFACE,
+    TANGENT_IMPULSE,
     address,
     check_layout,
 )
@@ -66,7 +66,7 @@ _pointer: Any = intrinsic(_to_pointer)
 
 @njit
 def _contacts(arbiter: Any) -> Any:
-    """Return the numbers of an arbiter's contacts, ``CONTACT`` each."""
+    """Return the numbers of an arbiter's contacts, ``CONTACT`` for each contact."""
     count = carray(arbiter, (COUNT + 1,), dtype=np.int32)[COUNT]
     place = carray(arbiter, (CONTACTS + 1,), dtype=np.uintp)[CONTACTS]
     return carray(_pointer(place), (count * CONTACT,), dtype=np.float64)
@@ -74,9 +74,9 @@ def _contacts(arbiter: Any) -> Any:
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _belt(arbiter: Any, space: Any, belt: Any) -> None:
-    """Set a contact's belt velocity and bound its remembered impulses, before it is solved.
+    """Set a contact's belt velocity and bound its cached impulses, before it is solved.
 
-    ``belt``: speed [m/s], largest remembered impulse [N s] and work of the sample [J].
+    ``belt``: speed [m/s], largest cached impulse [N s] and work of the sample [J].
     """
     numbers = carray(arbiter, (NORMAL + 2,), dtype=np.float64)
     speed, largest, _ = carray(belt, (3,), dtype=np.float64)
@@ -85,19 +85,19 @@ def _belt(arbiter: Any, space: Any, belt: Any) -> None:
     numbers[SURFACE + 1] = speed * numbers[NORMAL]
     contacts = _contacts(arbiter)
     for first in range(0, len(contacts), CONTACT):
-        press = contacts[first + PRESS]
-        if press > largest:
-            contacts[first + PRESS] = largest
-            contacts[first + DRIVE] *= largest / press
+        normal_impulse = contacts[first + NORMAL_IMPULSE]
+        if normal_impulse > largest:
+            contacts[first + NORMAL_IMPULSE] = largest
+            contacts[first + TANGENT_IMPULSE] *= largest / normal_impulse
 
 
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _work(arbiter: Any, space: Any, belt: Any) -> None:
-    """Add a contact's largest work of the belt, after it is solved; ``belt`` as for ``_belt``."""
+    """Add a contact's largest work of the belt, after it is solved; ``belt`` as in ``_belt``."""
     numbers = carray(belt, (3,), dtype=np.float64)
     contacts = _contacts(arbiter)
     for first in range(0, len(contacts), CONTACT):
-        numbers[2] += numbers[0] * abs(contacts[first + DRIVE])
+        numbers[2] += numbers[0] * abs(contacts[first + TANGENT_IMPULSE])
 
 
 _is_over = cached(njit)(is_over)
@@ -115,13 +115,13 @@ class _Access(NamedTuple):
     reading: int
     """pymunk's request to append the states of a body."""
     read: NDArray[np.int32]
-    """Count of the numbers in ``states`` that are filled, (1,)."""
+    """Number of values in ``states`` that are filled, (1,)."""
     states: FloatArray
     """States of chassis, front and rear flippers in their order, flat; see ``energy.STATE``."""
     writing: int
     """pymunk's request to take the velocities of a body."""
     written: NDArray[np.int32]
-    """Count of the numbers in ``velocities`` that are taken, (1,)."""
+    """Number of values in ``velocities`` that are taken, (1,)."""
     velocities: FloatArray
     """Velocity (x, z) [m/s] and angular velocity [rad/s] of the bodies, flat."""
 
@@ -172,8 +172,8 @@ def _run(
             _step(space, substep)
         _read_states(bodies)
         kinetic, potential = _kinetic(states, inertia), _potential(states, inertia, gravity)
-        given = servos + min(belt[2], belts) + tolerance
-        excess = kinetic + potential - (energy + given)
+        supplied = servos + min(belt[2], belts) + tolerance
+        excess = kinetic + potential - (energy + supplied)
         energy = kinetic + potential
         if excess > 0.0:
             _slow_down(bodies, _slowdown(kinetic, excess))
@@ -230,7 +230,7 @@ class CompiledLoop:
 
 
 class _Batch:
-    """Memory through which pymunk's batch functions read or write numbers of bodies."""
+    """Memory through which pymunk's batch functions read or write values of bodies."""
 
     def __init__(self, fields: int, size: int) -> None:
         # Larger than needed, so that pymunk never reallocates it.
@@ -250,5 +250,5 @@ def _steps(space: int, substep: float, count: int) -> None:
 
 
 def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
-    """Step a space ``count`` times and do nothing else, the upper bound of the speed of ``run``."""
+    """Step a space ``count`` times and do nothing else: an upper bound on the speed of ``run``."""
     _steps(address(space._space), substep, count)

@@ -1,11 +1,11 @@
-"""The energy of a robot, and what may add to it: servos, belts, and nothing else.
+"""The energy balance of a robot, to which only servos and belts may add energy.
 
-Chipmunk's solver iterates a fixed number of times. Where a wedged robot comes free, it may not
-have converged, and leaves bodies with velocities that no force gave them. Therefore each sample's
-gain of energy is compared with what the drives can give, and the rest is taken from the velocities
-again.
+Chipmunk's solver iterates a fixed number of times. When a wedged robot comes free, the solver may
+not have converged, and gives the bodies velocities that no force caused. Therefore the energy
+gained in each sample is compared with what servos and belts can supply, and the velocities are
+scaled down to remove the excess.
 
-Both loops use these functions on plain numbers, one of them compiled.
+Both loops use these functions on plain numbers; one of them compiles the functions.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import NamedTuple
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 
 TOLERANCE = 1.0
-"""Gain of energy in a sample beyond the drives' work that is left alone [J].
+"""Gain of energy in a sample that is allowed beyond the work of servos and belts [J].
 
 Contacts that are pushed apart lift the robot: by 2.3 mm with 1 J, at 45 kg.
 """
 
 _TRACTION = 3.0
-"""Largest force of all belts together whose work counts, in weights of the robot [-].
+"""Largest force of all belts together in the energy balance, in weights of the robot [-].
 
-The engine knows no limit of the belts' motors, and in a wedge it may report any force.
+The engine does not limit the belts' motors and may report any force in a wedge.
 """
 
 STATE = 6
@@ -41,7 +41,7 @@ class Budget(NamedTuple):
     belts: float
     """Largest work of all belts in a sample [J]."""
     tolerance: float
-    """Gain in a sample beyond that work that is left alone [J]."""
+    """Gain in a sample that is allowed beyond that work [J]."""
 
     @classmethod
     def of(cls, robot: Robot, gravity: float) -> Budget:
@@ -49,7 +49,12 @@ class Budget(NamedTuple):
         servos = 2 * robot.flipper_torque * robot.flipper_speed  # [W]
         weight = (robot.chassis_mass + 2 * robot.flipper_mass) * gravity  # [N]
         belts = _TRACTION * weight * robot.track_speed  # [W]
-        return cls(gravity, servos * SAMPLE_PERIOD, belts * SAMPLE_PERIOD, TOLERANCE)
+        return cls(
+            gravity=gravity,
+            servos=servos * SAMPLE_PERIOD,
+            belts=belts * SAMPLE_PERIOD,
+            tolerance=TOLERANCE,
+        )
 
 
 def kinetic_energy(states: FloatArray, inertia: FloatArray) -> float:

@@ -21,14 +21,14 @@ class Planar(PlanarSettings, Engine):
     ) -> World:
         """Return a new world for the episode, so that replays are equal bit for bit.
 
-        Nothing in it is random, so that ``rng`` is not used.
+        It is deterministic and does not use ``rng``.
         """
         from flipperctl.sim.planar.world import PlanarWorld
 
-        return PlanarWorld(profile, robot, self, *start)
+        return PlanarWorld(profile, robot, self, start=start.x, front=start.front, rear=start.rear)
 
     def versions(self) -> dict[str, str]:
-        """Return the version of pymunk, which decides the results."""
+        """Return the version of pymunk, which affects the results."""
         import pymunk
 
         return {"pymunk": pymunk.version}

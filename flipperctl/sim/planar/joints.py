@@ -2,11 +2,11 @@
 
 In: two bodies of a space, and the robot. Out: the servo, whose ``phase`` is the target angle.
 
-Chipmunk corrects an error of a joint by a real velocity and an overlap of bodies by a shift. Where
-a robot is wedged between two faces, the two contradict each other, and without bounds the impulses
-that the solver remembers grew to 9,000 N s, 200 times those of a hard landing. When one contact of
-the wedge opened, the others threw the robot away with up to 2,000 J. Bounds on the hinges and on
-the contacts (``largest_impulse``) keep that energy out; no ordinary motion reaches them.
+Chipmunk corrects an error of a joint by a real velocity and an overlap of bodies by a shift. When
+a robot is wedged between two faces, the two corrections conflict; without bounds the solver's
+cached impulses grew to 9,000 N s, 200 times those of a hard landing. When one contact of the wedge
+opened, the others threw the robot away with up to 2,000 J. Bounds on the hinges and on the contacts
+(``largest_impulse``) prevent this; no ordinary motion reaches them.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ import pymunk
 from flipperctl.api import Robot
 
 _IMPULSE_SPEED = 1.25
-"""Largest impulse of a hinge in a substep, and of what a contact remembers, per mass of
+"""Largest impulse of a hinge in a substep, and largest cached impulse of a contact, per mass of
 the robot [m/s]: 56 N s for 45 kg, or 11 kN over a substep of 5 ms.
 
-Rules reach 20 N s at the hinges and 40 N s at contacts, in landings.
+Rule-based controllers reach 20 N s at the hinges and 40 N s at contacts, in landings.
 """
 _CLOSING_SPEED = 0.5
-"""Largest speed at which a hinge corrects its error [m/s]; rules reach 0.4 m/s."""
+"""Largest speed at which a hinge corrects its error [m/s]; rule-based controllers need 0.4 m/s."""
 _STOP_PLAY = 1e-3
 """Distance of the end stops past the largest target [rad], so that servos hold it undisturbed."""
 _STOP_RETURN = 0.1
 """Speed at which a stop pushes a flipper back, as a fraction of the servo's [-].
 
-A flipper passes its stop for one substep before Chipmunk stops it. Pushed back slowly, it regains
-little energy of the load that pushed it there.
+A flipper passes its stop for one substep before Chipmunk stops it. A slow return gives back little
+of the energy that pushed it there.
 """
 
 
 def largest_impulse(robot: Robot) -> float:
-    """Return the largest impulse of a hinge, and of what a contact remembers [N s]."""
+    """Return the largest impulse of a hinge, and the largest cached impulse of a contact [N s]."""
     return _IMPULSE_SPEED * (robot.chassis_mass + 2 * robot.flipper_mass)
 
 

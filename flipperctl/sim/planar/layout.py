@@ -1,7 +1,7 @@
-"""Where Chipmunk's structs hold the numbers that compiled code reads and writes by their offsets.
+"""Offsets of the numbers in Chipmunk's structs that compiled code reads and writes.
 
-In: the structs as pymunk's interface declares them. Out: offsets, and a check that pymunk itself
-finds the same numbers there.
+In: the structs as pymunk's interface declares them. Out: offsets, and a check that they give the
+same numbers as pymunk itself.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ NORMAL = _double("cpArbiter", "n", "x")
 SURFACE = _double("cpArbiter", "surface_vr", "x")
 CONTACTS = _double("cpArbiter", "contacts")
 COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
-PRESS = _double("struct cpContact", "jnAcc")
-DRIVE = _double("struct cpContact", "jtAcc")
+NORMAL_IMPULSE = _double("struct cpContact", "jnAcc")
+TANGENT_IMPULSE = _double("struct cpContact", "jtAcc")
 CONTACT = int(ffi.sizeof("struct cpContact")) // _DOUBLE
 
 
 def address(pointer: Any) -> int:
-    """Return where a C pointer points."""
+    """Return the address that a C pointer holds."""
     return int(ffi.cast("uintptr_t", pointer))
 
 
 @cache
 def check_layout() -> None:
-    """Compare numbers of a contact, read by their offsets, with pymunk's own; once a process.
+    """Compare numbers of a contact, read by their offsets, with pymunk's own; once per process.
 
     Raises:
         ConfigError: they differ, so that compiled code would write to foreign memory.
@@ -82,13 +82,17 @@ def _through_offsets(answers: dict[str, Any]) -> dict[str, Any]:
         impulse = arbiter.total_impulse
         size = found["contacts"] * CONTACT * _DOUBLE
         if found != answers or not size:
-            return  # the address is not to be trusted
+            return  # the address may be wrong
         contacts = np.frombuffer(ffi.buffer(ffi.cast("char *", found["address"]), size))
-        press, drive = (contacts[at::CONTACT].sum() for at in (PRESS, DRIVE))
+        normal_part, tangent_part = (
+            contacts[at::CONTACT].sum() for at in (NORMAL_IMPULSE, TANGENT_IMPULSE)
+        )
         normal = np.array(answers["normal"])
-        across = np.array([-normal[1], normal[0]])
-        # Pymunk gives that on the other body.
-        found["impulse"] = tuple(np.round(press * normal + drive * across, 9).tolist())
+        tangent = np.array([-normal[1], normal[0]])
+        # Pymunk returns the impulse on the other body.
+        found["impulse"] = tuple(
+            np.round(normal_part * normal + tangent_part * tangent, 9).tolist()
+        )
         answers["impulse"] = tuple(np.round(-np.array(impulse), 9).tolist())
 
     space = pymunk.Space()

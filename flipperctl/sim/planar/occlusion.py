@@ -1,7 +1,6 @@
-"""What a sensor on a mast has seen of the ground since the episode began.
+"""The ground that a sensor on a mast has seen since the episode began.
 
-In: the ground, and the robot's state at each scan. Out: the points that were seen, whose number
-grows while the robot drives.
+In: the ground, and the robot's state at each scan. Out: the points that have been seen so far.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ _BEHIND = 10.0
 
 
 class Mast(NamedTuple):
-    """Where the ranging sensor stands on the chassis, and how far it looks."""
+    """Mount and range of the ranging sensor."""
 
     mount: tuple[float, float]
-    """Place (x, z) of the sensor in frame R [m]."""
+    """Position (x, z) of the sensor in frame R [m]."""
     body_length: float
     """Length of the chassis, which hides the ground below it [m]."""
     horizon: float
@@ -32,7 +31,7 @@ class SeenGround:
     """Remembers which points of the sampled outline a line of sight has reached."""
 
     def __init__(self, profile: Profile, mast: Mast, density: float, margin: float) -> None:
-        """Remember nothing yet of ``profile`` with ``margin`` [m] of level ground on both sides.
+        """Begin with nothing seen of ``profile`` and ``margin`` [m] of level ground on both sides.
 
         ``density``: points per metre of its outline [1/m].
         """
@@ -41,7 +40,7 @@ class SeenGround:
         self._rays, self._mast = rays, mast
         self._spacing = 1 / density
         cloud = profile.sample(self._spacing, margin)
-        # Edges between two sampled points hide the ground too, so the vertices stand among them.
+        # Edges between two sampled points hide the ground too, so the vertices are added.
         vertices = profile.extended(margin, margin)
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
         at = np.concatenate([np.arange(len(cloud)) * self._spacing, along])  # (M,) [m]
@@ -86,9 +85,9 @@ class SeenGround:
         return found
 
     def save(self) -> NDArray[np.bool_]:
-        """Return a snapshot of what was seen."""
+        """Return a snapshot of the seen points."""
         return self._seen.copy()
 
     def load(self, saved: NDArray[np.bool_]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         self._seen[:] = saved

@@ -25,12 +25,12 @@ Bodies = tuple[pymunk.Body, pymunk.Body, pymunk.Body]
 
 
 class Belt(NamedTuple):
-    """What the callback sets at each contact of a track with the ground."""
+    """Values that the callback sets at each contact of a track with the ground."""
 
     speed: float
     """Speed of the belt's surface along the outline [m/s]."""
     largest: float
-    """Largest impulse that a contact remembers from one substep to the next [N s]."""
+    """Largest impulse that a contact caches from one substep for the next [N s]."""
 
 
 class PlainLoop:
@@ -54,7 +54,7 @@ class PlainLoop:
         self.drive(belt)
 
     def drive(self, belt: Belt) -> None:
-        """Let every contact between a track and the ground move as the belt."""
+        """Give every contact between a track and the ground the velocity of the belt."""
         speed, largest = belt
 
         # Chipmunk recomputes the surface velocity of an arbiter in each substep, after the
@@ -105,11 +105,14 @@ class PlainLoop:
         return kinetic, potential_energy(states, self._inertia, self._budget.gravity)
 
     def _balance(self, before: float) -> float:
-        """Take from the velocities what no drive gave since ``before`` [J]; return the energy."""
+        """Scale the velocities to remove excess energy; return the energy [J].
+
+        ``before``: energy after the sample before [J].
+        """
         kinetic, potential = self._energies()
         _, servos, belts, tolerance = self._budget
-        given = servos + min(self.work, belts) + tolerance
-        excess = kinetic + potential - (before + given)
+        supplied = servos + min(self.work, belts) + tolerance
+        excess = kinetic + potential - (before + supplied)
         if excess <= 0.0:
             return kinetic + potential
         factor = slowdown(kinetic, excess)
@@ -121,6 +124,6 @@ class PlainLoop:
 
 
 def _contacts(arbiter: pymunk.Arbiter) -> Any:
-    """Return the contacts of an arbiter, whose remembered impulses pymunk does not show."""
+    """Return the contacts of an arbiter, with the cached impulses that pymunk does not expose."""
     found = arbiter._arbiter
     return found.contacts[0 : found.count]

@@ -1,7 +1,7 @@
-"""Lines of sight from the sensor's mount to the ground, and the ground between what was seen.
+"""Lines of sight from the sensor's mount to the ground, and the filling of unseen ground.
 
 In: points along the outline of the ground, poses and settings. Out: which points are seen, and the
-points that a map with gaps offers. All of it is machine code.
+points of the ground with its gaps filled. All functions are compiled.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from flipperctl.core import filling
 from flipperctl.sim.jit import cached
 
 _GRAZING = 1e-9
-"""Difference of two slopes up to which a line of sight along the ground is free [-]."""
+"""Largest difference of two slopes at which a line of sight along the ground is free [-]."""
 
 fill_gaps = cached(njit)(filling.fill_gaps)
 """``core.filling.fill_gaps``, compiled."""
@@ -71,9 +71,9 @@ def mark_seen(
 
 @cached(njit)
 def known_points(seen: NDArray[np.bool_], low: int, high: int) -> NDArray[np.int64]:
-    """Return the numbers of the ``seen`` (P,) points from ``low`` to before ``high``, (K,).
+    """Return the numbers of the ``seen`` (P,) points in [``low``, ``high``), (K,).
 
-    The nearest seen point on either side, beyond these numbers, is returned as well.
+    The nearest seen point on either side of this range is included.
     """
     while low > 0:
         low -= 1

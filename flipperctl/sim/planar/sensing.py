@@ -1,8 +1,8 @@
 """``perception=planar``: terrain points in the side plane, with noise and a horizon.
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
-Without ``occlusion``, points hidden by an edge or inside a trench are sensed from everywhere within
-the horizon; with it, ``occlusion.SeenGround`` says which points a sensor on a mast has seen.
+Without ``occlusion``, all points within the horizon are sensed, even those hidden by an edge or in
+a trench; with it, ``occlusion.SeenGround`` determines which points a sensor on a mast has seen.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PlanarSensor(Sensor):
         0.0, ge=-0.2, le=0.2, description="error of all points' height, constant [m]"
     )
     horizon: float = Field(
-        10.0, gt=0, le=10, description="points farther ahead are not seen yet [m]"
+        10.0, gt=0, le=10, description="range ahead; points beyond it are not seen yet [m]"
     )
     angle_noise: float = Field(
         0.0, ge=0, le=0.2, description="standard deviation of each measured angle [rad]"
@@ -55,15 +55,15 @@ class PlanarSensor(Sensor):
 
     occlusion: bool = Field(
         False,
-        description="points hidden from the mount are missing until they are seen; what was never "
-        "seen is filled linearly between its neighbours, and level past the last one [-]",
+        description="points hidden from the mount are missing until they are seen; unseen ground "
+        "is filled linearly between its neighbours, and level past the last one [-]",
     )
     mount_x: float = Field(
         0.25,
         ge=-2,
         le=2,
-        description="place of the ranging sensor ahead of the chassis centre, along the chassis: "
-        "just behind the front flippers' hinge; not given in the paper [m]",
+        description="distance of the ranging sensor ahead of the chassis centre, along the "
+        "chassis: just behind the front flippers' hinge; not given in the paper [m]",
     )
     mount_z: float = Field(
         0.4,
@@ -117,14 +117,14 @@ class TerrainSensor:
             noise = rng.normal(0.0, s.angle_noise, 3)
             front, rear, pitch = front + noise[0], rear + noise[1], pitch + noise[2]
         ground = SensedGround(points, self.heights(points), filled)
-        return ground, SensedAngles(float(front), float(rear), float(pitch))
+        return ground, SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
 
     def save(self) -> NDArray[np.bool_] | None:
-        """Return a snapshot of what was seen; None without occlusion."""
+        """Return a snapshot of the seen points; None without occlusion."""
         return None if self._seen_ground is None else self._seen_ground.save()
 
     def load(self, saved: NDArray[np.bool_] | None) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         if self._seen_ground is not None and saved is not None:
             self._seen_ground.load(saved)
 

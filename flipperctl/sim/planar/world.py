@@ -203,7 +203,7 @@ class PlanarWorld:
         return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
 
     def load(self, saved: tuple[Any, ...]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
         for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
             body.position, body.angle, body.velocity, body.angular_velocity = pose

@@ -11,7 +11,7 @@ from flipperctl.api import ObservationLayout
 
 
 class NearFarModule(nn.Module):
-    """Encode near and far terrain bins separately, then fuse both with the robot's angles."""
+    """Encodes near and far terrain bins separately, then fuses both with the robot's angles."""
 
     scale: torch.Tensor
 
@@ -31,7 +31,7 @@ class NearFarModule(nn.Module):
         self.register_buffer("scale", torch.tensor(layout.scale, dtype=torch.float32))
         self.views = [list(view) for view in (near, far) if view]
         sizes = [width for view, width in zip((near, far), widths, strict=False) if view]
-        self.eyes = nn.ModuleList(
+        self.encoders = nn.ModuleList(
             nn.Sequential(nn.Linear(len(view), size), nn.LeakyReLU())
             for view, size in zip(self.views, sizes, strict=True)
         )
@@ -43,6 +43,9 @@ class NearFarModule(nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
         scaled = observation / self.scale
-        features = [eye(scaled[:, view]) for eye, view in zip(self.eyes, self.views, strict=True)]
+        features = [
+            encoder(scaled[:, view])
+            for encoder, view in zip(self.encoders, self.views, strict=True)
+        ]
         q: torch.Tensor = self.head(torch.cat([*features, scaled[:, self.bins :]], dim=1))
         return q

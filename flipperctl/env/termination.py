@@ -13,11 +13,11 @@ from flipperctl.config import Episode
 from flipperctl.errors import ConfigError
 
 
-class Ends:
-    """The ends of one episode.
+class Termination:
+    """The termination of one episode.
 
-    The world stops at the first sample that reaches ``limits``, and ``instant`` then returns the
-    outcome. ``decision`` is called after each decision without an outcome.
+    The world stops at the first sample that reaches ``limits``; ``after_sample`` then returns the
+    outcome. ``after_decision`` is called after each decision without an outcome.
     """
 
     def __init__(
@@ -26,25 +26,27 @@ class Ends:
         """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s].
 
         Raises:
-            ConfigError: the robot is so slow that the time of the drive is not a finite number.
+            ConfigError: the robot is so slow that the time limit is not a finite number.
         """
         self._episode = episode
         self.finish = profile.end + episode.run_out
         # Past the profile the ground is level, so one height decides whether the robot is close.
         top = profile.height(self.finish) + robot.track_radius + episode.clearance
-        self.limits = Limits(episode.overturn, self.finish, top, robot.hinge_offset)
+        self.limits = Limits(
+            angle=episode.overturn, x=self.finish, top=top, half=robot.hinge_offset
+        )
         nominal = float(self.finish - start) / robot.track_speed  # [s]
         longest = episode.slack * nominal / period
         if not math.isfinite(longest):
             raise ConfigError(
-                f"robot.track_speed: at {robot.track_speed:g} m/s the way of "
-                f"{self.finish - start:g} m takes no finite number of decisions"
+                f"robot.track_speed: at {robot.track_speed:g} m/s the distance of "
+                f"{self.finish - start:g} m does not take a finite number of decisions"
             )
         self.t_max = math.ceil(longest)
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_decisions(period) + 1)
         self._decisions = 0
 
-    def instant(self, world: World) -> Outcome | None:
+    def after_sample(self, world: World) -> Outcome | None:
         """Return OVERTURNED, or REACHED past the finish with both ends close to the ground."""
         x, z = world.position
         if not self.limits.reached(x, z, world.pitch):
@@ -52,8 +54,11 @@ class Ends:
         over = abs(world.pitch) >= self.limits.angle
         return Outcome.OVERTURNED if over else Outcome.REACHED
 
-    def decision(self, x: float) -> Outcome | None:
-        """Return STUCK after too little progress, or TIMEOUT after the last allowed decision."""
+    def after_decision(self, x: float) -> Outcome | None:
+        """Return STUCK after too little progress, or TIMEOUT after the last allowed decision.
+
+        ``x``: world x of the chassis centre [m].
+        """
         self._decisions += 1
         self._trail.append(x)
         full = len(self._trail) == self._trail.maxlen
@@ -66,6 +71,6 @@ class Ends:
         return tuple(self._trail), self._decisions
 
     def load(self, saved: tuple[tuple[float, ...], int]) -> None:
-        """Return to a snapshot."""
+        """Restore a snapshot."""
         trail, self._decisions = saved
         self._trail = deque(trail, maxlen=self._trail.maxlen)
