@@ -90,7 +90,7 @@ class Replay:
             ) from error
         self.added = 0
         self.kept = 0
-        """Number of oldest transitions that are never overwritten."""
+        """Number of first transitions, which are never overwritten."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
         self._n_step = n_step
