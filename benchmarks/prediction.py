@@ -65,7 +65,7 @@ def _errors(env: FlipperEnv, model: Model, decision: Decision) -> dict[str, floa
     return {
         "position": math.dist(branch.places[0], t.after.position),
         "pitch": abs(float(branch.states[0, 2]) - t.after.pitch),
-        "swing": abs(float(branch.swing[0] - swing)),
+        "swing": abs(float(branch.pitch_variation[0] - swing)),
     }
 
 

@@ -18,13 +18,14 @@ _CPU = torch.device("cpu")
 def greedy(
     module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
 ) -> int:
-    """Return the action of the largest Q-value of a network on ``device``; of equals the first.
+    """Return the action with the largest Q-value, the first one of equals.
 
-    ``observation``: the input row of the network, (frames · (N + 3),) in SI units.
+    ``module`` is on ``device``. ``observation``: input row of the network, (frames · (N + 3),) in
+    SI units.
 
     Raises:
         NonFiniteError: a Q-value is not a finite number.
-        PluginFailedError: the network's code failed, or gave another number of Q-values.
+        PluginFailedError: the network's code failed, or returned a wrong number of Q-values.
     """
     with naming_network(module, "forward"):
         with torch.inference_mode():
@@ -32,10 +33,12 @@ def greedy(
         (values,) = output.tolist()
         best, total = int(values.index(max(values))), float(sum(values))
     if len(values) != len(ACTIONS):
-        text = f"gave {len(values)} Q-values for an observation; {len(ACTIONS)} are allowed"
+        text = f"returned {len(values)} Q-values for an observation; {len(ACTIONS)} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
     if not math.isfinite(total):
         raise NonFiniteError(
-            describe_fault(module, "forward", f"gave Q-values that are not finite, such as {total}")
+            describe_fault(
+                module, "forward", f"returned Q-values that are not finite: their sum is {total}"
+            )
         )
     return best

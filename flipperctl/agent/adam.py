@@ -11,7 +11,7 @@ import math
 import torch
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
-"""The paper's decay rates of the moments, and its term against division by zero [-]."""
+"""The paper's decay rates of the moments, and its term against a division by zero [-]."""
 
 
 class Adam:
@@ -29,6 +29,6 @@ class Adam:
         first, second = self.moments["first"], self.moments["second"]
         first.lerp_(gradient, 1 - BETA_1)
         second.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
-        scale = math.sqrt(1 - BETA_2**self.steps)  # both corrections for the start at zero
+        scale = math.sqrt(1 - BETA_2**self.steps)  # this and the next line: bias corrections
         size = rate * scale / (1 - BETA_1**self.steps)
         self.parameters.addcdiv_(first, second.sqrt().add_(EPSILON * scale), value=-size)

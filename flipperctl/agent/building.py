@@ -1,6 +1,6 @@
 """Builds a Q-network from its plugin, and checks its outputs and its size in memory.
 
-In: a network plugin and the observations' layout. Out: a torch module that was tried on a batch
+In: a network plugin and the observation layout. Out: a torch module that was tested on a batch
 and on one observation, in ``train()`` and in ``eval()`` mode.
 """
 
@@ -21,7 +21,7 @@ from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
 
 TRAINING_COPIES = 6
-"""Copies of the parameters in a training: online and target network, two moments, two gradients."""
+"""Copies of the parameters in training: online and target network, two moments, two gradients."""
 
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 
@@ -29,7 +29,7 @@ _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 def build_network(
     network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
 ) -> torch.nn.Module:
-    """Return the network after checks; ``copies`` of its parameters must fit into memory.
+    """Build a network and check it; ``copies`` of its parameters must fit into memory.
 
     Raises:
         ConfigError: the network does not map (B, frames · (N + 3)) to (B, n_actions) finite
@@ -55,13 +55,13 @@ def record_plugin(module: torch.nn.Module, network: Network) -> None:
 
 
 def naming_network(module: torch.nn.Module, method: str) -> naming | nullcontext[None]:
-    """Return a context for calls of a module's ``method``, whose errors name its plugin."""
+    """Return a context for a call of a module's ``method``, in which errors name its plugin."""
     network = _plugins.get(module)
     return nullcontext() if network is None else naming(network, method)
 
 
 def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
-    """Return an error text on a module's output, with the name and place of its plugin."""
+    """Return an error text about a module's output, with the name and place of its plugin."""
     network = _plugins.get(module)
     if network is None:
         return f"a {type(module).__name__}: {method} {text}"
@@ -72,7 +72,7 @@ def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: 
     counted: dict[int, int] = {}
 
     def count(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter | None) -> None:
-        """Count a parameter whose memory is reserved but not filled yet."""
+        """Count a parameter, whose memory is reserved but not yet used."""
         if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
             counted[id(parameter)] = parameter.numel() * parameter.element_size()
             free = memory.available()
@@ -93,27 +93,27 @@ def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: 
 
 
 class _TooLargeError(FlipperctlError):
-    """The parameters counted so far do not fit into memory; it passes through the plugin."""
+    """The parameters counted so far do not fit into memory; raised through the plugin's code."""
 
 
 def _too_large(
     network: Network, layout: ObservationLayout, n_actions: int, copies: int, least: int
 ) -> FlipperctlError:
     try:
-        with torch.device("meta"):  # on which tensors have a shape and no memory
+        with torch.device("meta"):  # its tensors have a shape but no memory
             module = network.build(layout, n_actions)
         sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
-    except Exception:  # noqa: BLE001  # plugin code that needs real numbers
+    except Exception:  # noqa: BLE001  # plugin code that needs values
         sizes = []
     count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
     parameters = f"{count:,} parameters" if count else "parameters"
     each = f" ({copies} times {memory.gigabytes(size)})" if copies > 1 else ""
     free = memory.available()
-    left = "more than there is" if free is None else f"but {memory.gigabytes(free)} are free"
+    left = "more than is available" if free is None else f"but {memory.gigabytes(free)} are free"
     return refusal(
         network,
         "build",
-        f"makes a network whose {parameters} take {'' if sizes else 'at least '}"
+        f"builds a network whose {parameters} take {'' if sizes else 'at least '}"
         f"{memory.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
         ConfigError,
     )
@@ -125,7 +125,7 @@ def _is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
-    """Raise ConfigError unless the module returns Q-values in each use that it will have."""
+    """Raise ConfigError unless the module returns Q-values in every mode that is used later."""
     shape = tuple(probe.shape)
     output = _call(network, module, probe, f" fails on observations of shape {shape}")
     found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
@@ -145,9 +145,9 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
             text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
             raise _unfit(network, text)
     uses = (
-        ("train", 1, "in train() mode, in which a training acts"),
-        ("eval", 1, "in eval() mode, in which a policy is evaluated and exported"),
-        ("eval", 2, "in eval() mode, in which a policy is compared with what is exported"),
+        ("train", 1, "in train() mode, which training episodes use"),
+        ("eval", 1, "in eval() mode, which evaluation and export use"),
+        ("eval", 2, "in eval() mode, which the check of an export uses"),
     )
     for mode, rows, use in uses:
         module.train(mode == "train")
@@ -173,7 +173,7 @@ def _call(
 
 @contextmanager
 def _restored_afterwards(module: torch.nn.Module) -> Iterator[None]:
-    """Restore what a trial changes: the modes, and buffers such as running statistics."""
+    """Restore the modes and the buffers, such as running statistics, after a trial."""
     modes = {part: part.training for part in module.modules()}
     lazy = torch.nn.parameter.is_lazy
     buffers = {name: b.clone() for name, b in module.named_buffers() if not lazy(b)}

@@ -1,4 +1,4 @@
-"""The double dueling DQN, which learns from batches and knows no environment."""
+"""The double dueling DQN: it learns from batches, whatever the environment."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
 
 
 def _persistent_buffers(module: torch.nn.Module) -> list[str]:
-    """Return the names of the buffers that a checkpoint holds: statistics, but no noise."""
+    """Return the names of the buffers that checkpoints hold: statistics, but no noise."""
     saved = module.state_dict().keys()
     return [name for name, _ in module.named_buffers() if name in saved]
 
 
 def _flatten_parameters(module: torch.nn.Module) -> torch.Tensor:
-    """Move the parameters of a module into one vector, (P,), of which they become views."""
+    """Move a module's parameters into one vector, (P,); they become views of it."""
     parameters = list(module.parameters())
     vector = torch.cat([p.detach().reshape(-1) for p in parameters])
     parts = torch.split(vector, [p.numel() for p in parameters])
@@ -72,19 +72,21 @@ class D3qn:
         device: str = "cpu",
         teacher: Teacher | None = None,
     ) -> None:
-        """``teacher``: how its labels, which every batch then has, count; None without labels."""
+        """``teacher``: settings of the imitation of the batches' labels; None without labels."""
         self.settings, self._teacher = settings, teacher
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
         if not any(p.requires_grad for p in built.parameters()):
-            raise refusal(network, "build", "made a network with nothing to learn", ConfigError)
+            raise refusal(
+                network, "build", "built a network without trainable parameters", ConfigError
+            )
         with naming(network, "build", ConfigError):
             self.online = built.to(self.device)
             self.target = copy.deepcopy(self.online).requires_grad_(False)
             # Each network's parameters lie in one vector, so that the optimiser, the clipping and
-            # the soft update are one operation each instead of one a layer.
+            # the soft update are one operation each instead of one per layer.
             self._online = _flatten_parameters(self.online)
             self._target = _flatten_parameters(self.target)
             self._buffers = _persistent_buffers(self.online)
@@ -99,12 +101,12 @@ class D3qn:
 
     @property
     def policy(self) -> torch.nn.Module:
-        """The network that acts, and is validated and exported."""
+        """The network that is validated and exported."""
         return self.target if self.settings.act_with == "target" else self.online
 
     @contextmanager
     def evaluation_mode(self) -> Iterator[torch.nn.Module]:
-        """Hold the policy in ``eval()`` mode, without its noise, until the context is left."""
+        """Keep the policy in ``eval()`` mode, without noise, within the context."""
         try:
             yield self.policy.eval()
         finally:
@@ -113,15 +115,15 @@ class D3qn:
     def update(self, batch: Batch, fraction: float) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
-        ``batch`` holds the transitions of one or more steps, whose targets are all computed before
-        the first step. ``fraction`` of the run is complete, which sets the learning rate and the
-        weight of the labels.
+        ``batch`` holds the transitions of one or more steps; their targets are all computed before
+        the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
+        rate and the weight of the labels.
 
         Raises:
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
-        with naming_network(self.online, "forward"):  # nothing but its own code can fail here
+        with naming_network(self.online, "forward"):  # only its own code can fail here
             return self._update(batch, fraction)
 
     def _update(self, batch: Batch, fraction: float) -> float:
@@ -132,9 +134,11 @@ class D3qn:
         self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
-            imitates = self._teacher is not None and not self._teacher.td_weight
+            only_imitates = self._teacher is not None and not self._teacher.td_weight
             targets = (
-                reward if imitates else self._head.targets(reward, batch, self.online, self.target)
+                reward
+                if only_imitates
+                else self._head.targets(reward, batch, self.online, self.target)
             )
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
@@ -148,7 +152,7 @@ class D3qn:
         return value
 
     def _loss(self, batch: Batch, target: torch.Tensor, fraction: float) -> torch.Tensor:
-        """Return the temporal-difference loss, joined with the teacher's if there are labels."""
+        """Return the temporal-difference loss, plus the imitation loss if there is a teacher."""
         s = self._teacher
         if s is None:
             return self._head.loss(self.online, batch.observation, batch.action, target)

@@ -23,38 +23,37 @@ def check_demand(
     *,
     labelled: bool = False,
 ) -> None:
-    """Refuse a training whose network, replay or batches would not fit into memory.
+    """Check that the network, the replay and the batches of a training fit into memory.
 
-    ``decisions``: the run's budget, which also limits the transitions in the replay, each of which
-    has a label if the run is ``labelled``.
+    ``decisions``: the run's budget, which also limits the transitions in the replay; they have
+    labels if the run is ``labelled``.
 
     Raises:
-        ConfigError: the memory does not suffice; the text says how much is needed and free.
+        ConfigError: they do not fit; the message says how much memory is needed and free.
     """
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
         inputs = input_size(network, layout)
-        inside = _numbers_inside(module, inputs)
+        activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)
     memory.require(
         rows * row_bytes(inputs, n_actions if labelled else 0),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
-        "keep fewer, or let the network see less",
+        "lower it, or use fewer bins or frames",
     )
     together, batch = settings.updates_together, settings.batch_size
-    # The transitions of all updates, and the numbers that one update keeps for its gradient: the
-    # output of every layer and its gradient.
-    numbers = 2 * together * batch * inputs + 2 * batch * inside
+    # The transitions of all updates; and for one update the output of every layer and its gradient.
+    numbers = 2 * together * batch * inputs + 2 * batch * activations
     memory.require(
         _FLOAT * numbers,
         f"agent.batch_size: {together} times {batch:,} transitions "
         "(agent.updates_together times it) take",
-        "choose smaller ones",
+        "lower one of the two",
     )
 
 
-def _numbers_inside(module: torch.nn.Module, inputs: int) -> int:
-    """Count the outputs of all layers for one observation, not those between layers [-]."""
+def _count_activations(module: torch.nn.Module, inputs: int) -> int:
+    """Return the number of outputs of all layers without sublayers for one observation [-]."""
     count = 0
 
     def add(part: torch.nn.Module, inputs: object, output: object) -> None:

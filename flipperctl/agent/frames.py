@@ -16,10 +16,10 @@ def input_size(network: Network, layout: ObservationLayout) -> int:
 
 
 def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.float32]:
-    """Return the newest ``frames`` observations in one row, oldest first: (frames · (N + 3),).
+    """Return the newest ``frames`` observations in one row, oldest first, (frames · (N + 3),).
 
     ``recent``: observations of one episode, newest last. At its start the first observation is
-    repeated in place of those that do not exist yet.
+    repeated for those that are missing.
     """
     if frames == 1:
         return recent[-1]

@@ -13,7 +13,7 @@ def double_q_target(
 ) -> torch.Tensor:
     """Return r + γ · Q_target(s′, argmax_a Q_online(s′, a)), (B,) (van Hasselt et al. 2016).
 
-    ``reward`` and ``discount`` are (B,), the discount 0 where nothing is bootstrapped;
+    ``reward`` and ``discount`` are (B,), the discount 0 without bootstrapping;
     ``next_online`` and ``next_target`` are (B, A) at the next observation.
     """
     best = next_online.argmax(dim=1, keepdim=True)  # (B, 1)
@@ -56,8 +56,8 @@ def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: flo
 def mean_value_penalty(values: torch.Tensor) -> torch.Tensor:
     """Return the mean square of each state's mean Q-value; ``values`` are (B, A) [-].
 
-    Labels say nothing of that mean. Rounding moves it, by the size of a whole step of Adam: it came
-    to 5·10⁴ where the actions differ by 0.1, and took their last digits.
+    Labels do not determine that mean. Unconstrained, rounding errors moved it by whole steps of
+    Adam to 5·10⁴, which left float32 little precision for action differences of 0.1.
     """
     return values.mean(dim=1).square().mean()
 

@@ -1,7 +1,7 @@
 """Free memory, and a check that a size fits into it before it is allocated.
 
-Linux grants more memory than exists and kills the process that uses it; so the sizes that a
-configuration asks for are compared with the free memory first.
+Linux grants more memory than exists and kills the process that uses it. The sizes that a
+configuration asks for are therefore compared with the free memory first.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CGROUPS = (
 
 
 def available() -> int | None:
-    """Return the memory that this process may still allocate [B]; None if it is not known."""
+    """Return the memory that this process may still allocate [B]; None if unknown."""
     found = [*_free_in_machine(), *_free_in_container(), *_free_in_process()]
     return max(0, min(found)) if found else None
 
@@ -26,7 +26,7 @@ def available() -> int | None:
 def require(size: int, what: str, advice: str) -> None:
     """Check that ``size`` [B] fits into the free memory.
 
-    ``what`` begins the error's text, up to the size, and ``advice`` ends it.
+    The error reads ``what``, then the needed and the free memory, then ``advice``.
 
     Raises:
         ConfigError: the size does not fit.
@@ -56,7 +56,7 @@ def _free_in_container() -> list[int]:
     for limit, used in _CGROUPS:
         try:
             found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
-        except (OSError, ValueError):  # there is no such group, or the limit is "max"
+        except (OSError, ValueError):  # no such group, or the limit is "max"
             continue
     return found
 

@@ -12,7 +12,7 @@ from flipperctl.agent.building import naming_network
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A submodule that holds noise, which acts in ``train()`` mode only."""
+    """A submodule with noise that acts in ``train()`` mode only."""
 
     def draw_noise(self, rng: np.random.Generator, /) -> None:
         """Draw new noise from ``rng``."""

@@ -23,7 +23,7 @@ _Label = NDArray[np.float32] | None
 def row_bytes(size: int, labels: int = 0) -> int:
     """Return the memory of one transition [B].
 
-    Its observations have ``size`` numbers and its label has ``labels``.
+    ``size``: length of an input row; ``labels``: length of a label, 0 without one.
     """
     return 2 * 4 * size + 8 + 4 + 4 + 4 * labels
 
@@ -41,9 +41,9 @@ class Batch:
     next_observation: torch.Tensor
     """Input rows up to n decisions later, (B, frames · (N + 3)) float32 in SI units."""
     discount: torch.Tensor
-    """Factors of the next value: γⁿ, or 0 where nothing is bootstrapped, (B,) float32 [-]."""
+    """Factors of the next value: γⁿ, or 0 without bootstrapping, (B,) float32 [-]."""
     label: torch.Tensor | None = None
-    """The teacher's distribution over actions, (B, 9) float32; zeros where there is no label."""
+    """The teacher's distribution over actions, (B, 9) float32; zeros without a label."""
 
     def rows(self, part: slice) -> Batch:
         """Return a part of the batch."""
@@ -86,11 +86,11 @@ class Replay:
             needed = gigabytes(capacity * row_bytes(size, labels))
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
-                f"{needed} of memory, more than there is; keep fewer"
+                f"{needed} of memory, more than is available; lower it"
             ) from error
         self.added = 0
         self.kept = 0
-        """Number of transitions, the first that were added, that are never overwritten."""
+        """Number of first transitions, which are never overwritten."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
         self._n_step = n_step
@@ -111,8 +111,8 @@ class Replay:
     ) -> None:
         """Add one decision.
 
-        ``over``: the episode ended with it; ``bootstrap``: the target bootstraps after that end;
-        ``label``: the teacher's distribution over actions at ``observation``, if there is one.
+        ``over``: whether it ended the episode; ``bootstrap``: whether the target still includes the
+        value after that end; ``label``: the teacher's distribution over actions, if any.
         """
         self._pending.append((observation, action, reward, label))
         continues = 1.0 if bootstrap or not over else 0.0
@@ -143,27 +143,27 @@ class Replay:
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:
-        """Protect all transitions that were added so far; later ones never overwrite them.
+        """Protect all transitions added so far from being overwritten.
 
         Raises:
-            RuntimeError: they leave no room for others.
+            RuntimeError: they leave no room for more.
         """
         if self.added >= self.capacity:
             raise RuntimeError(f"{self.added} kept transitions fill the replay")
         self.kept = self.added
 
     def drop_pending(self) -> None:
-        """Discard the decisions that still wait for their n-th reward."""
+        """Discard the decisions that still lack their n-th reward."""
         self._pending.clear()
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """Return the used part of each array.
 
         Raises:
-            RuntimeError: an episode is running, whose last decisions the arrays do not hold.
+            RuntimeError: an episode is running, so the arrays lack its last decisions.
         """
         if self._pending:
-            raise RuntimeError("the replay is saved between episodes only")
+            raise RuntimeError("the replay can be saved only between episodes")
         return {name: array[: len(self)] for name, array in self.arrays.items()}
 
     def blank(self, added: int) -> dict[str, NDArray[np.generic]]:

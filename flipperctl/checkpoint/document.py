@@ -1,6 +1,6 @@
 """The JSON document in a checkpoint, written and read by the same models.
 
-In: JSON text of any origin. Out: a ``Document``, whose values all have their types and bounds.
+In: JSON text of any origin. Out: a ``Document`` whose values have valid types and bounds.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from flipperctl.core.actions import PAIRS
 from flipperctl.messages import explain
 
 FORMAT: Final = 2
-"""Format number. Format 1 held the state of a run in another form; its policies can be read."""
+"""Format number. Format 1 held the run's state in another form; its policies can still be read."""
 EPISODES: Final = "episodes"
-"""Kind of the document of recorded episodes, which are sealed like checkpoints."""
+"""Document kind of recorded episodes, which are sealed like checkpoints."""
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
-SwingMeasure = Literal["pitch_variation_100hz", "pitch_variation"]
-"""The θ̂_R by which validations of equal success are ordered: at 100 Hz, or at decisions as in runs
-that began with an earlier version."""
+VariationMeasure = Literal["pitch_variation_100hz", "pitch_variation"]
+"""The θ̂_R that ranks validations of equal success: at 100 Hz, or at decisions for runs that began
+with an earlier version."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error
@@ -48,33 +48,33 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class PluginOutline(Record):
-    """The settings of a plugin; all but the name stay unchecked, since it may not be installed."""
+class PartialPlugin(Record):
+    """The settings of a plugin; all but the name stay unchecked, as the plugin may be missing."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
     name: Label
 
 
-class RewardOutline(PluginOutline):
+class PartialReward(PartialPlugin):
     """The settings of a reward term."""
 
     weight: float
 
 
-class ConfigOutline(Record):
+class PartialConfig(Record):
     """The part of a training configuration that can be read without its plugins."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
-    terrain: PluginOutline
-    rewards: dict[Label, RewardOutline]
-    network: PluginOutline
+    terrain: PartialPlugin
+    rewards: dict[Label, PartialReward]
+    network: PartialPlugin
     seed: Count
 
 
 class Actions(Record):
-    """By how many steps each action turns each joint of the robot."""
+    """The turn of each joint of the robot by each action, in angle steps."""
 
     joints: tuple[Label, ...]
     """Names of the J joints."""
@@ -85,8 +85,8 @@ class Actions(Record):
     def _are_those_of_pairs(self) -> Self:
         if (self.joints, self.steps) != (PAIRS.joints, PAIRS.steps):
             raise ValueError(
-                f"they turn {', '.join(self.joints) or 'nothing'} by {len(self.steps)} actions; "
-                f"this version turns {', '.join(PAIRS.joints)} by its {len(PAIRS.steps)}"
+                f"the actions turn {', '.join(self.joints) or 'nothing'} in {len(self.steps)} ways;"
+                f" this version turns {', '.join(PAIRS.joints)} in {len(PAIRS.steps)}"
             )
         return self
 
@@ -98,21 +98,21 @@ class PluginReference(Record):
     name: Label
     module: Label
     file: Label | None = None
-    """Name of its file, if it was not installed; version 0.2 did not write it."""
+    """Name of its file, if it was not installed; not in files of version 0.2."""
 
     @property
     def origin(self) -> str | None:
-        """Name of its file, which that of the module tells too; None if it was installed."""
+        """Name of its file, also derived from its module's name; None if it was installed."""
         return self.file or plugins.module_file_name(self.module)
 
     @model_serializer(mode="wrap")
     def _without_none(self, serialize: SerializerFunctionWrapHandler) -> dict[str, str]:
-        """Leave ``file`` out for an installed plugin, so that files stay those of version 0.2."""
+        """Omit ``file`` for an installed plugin, as files of version 0.2 do."""
         return {name: text for name, text in serialize(self).items() if text is not None}
 
 
 class Validation(Record):
-    """The result of a validation: means over its episodes, of these and further metrics."""
+    """The result of a validation: means of these and further metrics over its episodes."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float]
@@ -124,16 +124,15 @@ class Validation(Record):
     pitch_variation_100hz: NonNegative | None = None
     """θ̂_R at 100 Hz [rad]; None in a run of an earlier version that did not record it."""
 
-    @property
-    def swing(self) -> float:
-        """θ̂_R at 100 Hz, or at decisions where that is all that is known [rad]."""
-        known = self.pitch_variation_100hz
-        return self.pitch_variation if known is None else known
+    def score(self, measure: VariationMeasure) -> tuple[float, float]:
+        """Return the key that the best validation maximises: success rate, then negated θ̂_R.
 
-    def score(self, measure: SwingMeasure) -> tuple[float, float]:
-        """Return what the best validation maximises: the success rate, then the negated θ̂_R."""
-        at_decisions = measure == "pitch_variation"
-        return self.success_rate, -(self.pitch_variation if at_decisions else self.swing)
+        Without a θ̂_R at 100 Hz, that at decisions is used.
+        """
+        variation = self.pitch_variation_100hz
+        if measure == "pitch_variation" or variation is None:
+            variation = self.pitch_variation
+        return self.success_rate, -variation
 
 
 class RequestState(Record):
@@ -172,15 +171,15 @@ class Generators(Record):
 
 
 class State(Record):
-    """All that a run needs to be resumed, beside the tensors; nothing depends on the clock."""
+    """All that a run needs to be resumed, besides the tensors; nothing depends on the clock."""
 
     decision: Count
     episode: Count
     loss: float
     recent: Annotated[tuple[bool, ...], Field(max_length=RECENT)]
     validations: tuple[Validation, ...]
-    best_by: SwingMeasure = "pitch_variation"
-    """θ̂_R by which the run chooses its best policy; earlier versions did not write it."""
+    best_by: VariationMeasure = "pitch_variation"
+    """θ̂_R by which the run chooses its best policy; not in files of earlier versions."""
     started: Count
     lost: Count
     updates: Count
@@ -189,7 +188,7 @@ class State(Record):
     """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
     replay_kept: Count = 0
-    """Recorded transitions among those of the replay; earlier versions did not write it."""
+    """Number of recorded transitions in the replay; not in files of earlier versions."""
     generators: Generators
 
     @property
@@ -230,13 +229,13 @@ class Document(Record):
 
     format: Literal[1, 2]
     kind: Literal["best", "last"]
-    config: ConfigOutline
+    config: PartialConfig
     versions: dict[Label, Label]
     plugins: tuple[PluginReference, ...]
     actions: Actions | None = None
-    """What the Q-values are of; files of version 0.2 leave it out, and have the same."""
+    """Actions of the Q-values; files of version 0.2 omit them and have these."""
     decision: Count | None = None
-    """Decisions of the run at which the best policy was validated."""
+    """Decision of the run at which the best policy was validated."""
     validation: Validation | None = None
     """Result of that validation."""
     state: State | None = None
@@ -254,7 +253,7 @@ class Document(Record):
         return self
 
     def plain(self) -> dict[str, Any]:
-        """Return the document as JSON types, without the fields that are None."""
+        """Return the document as JSON types, without fields that are None."""
         return {k: v for k, v in self.model_dump(mode="json").items() if v is not None}
 
     def text(self) -> str:
@@ -266,11 +265,11 @@ def parse(text: str) -> Document:
     """Parse the JSON text of a document.
 
     Raises:
-        ValueError: the text is not a valid document; the error names the path of the fault.
+        ValueError: the text is not a valid document; the message names the invalid key.
     """
     raw = decode(text)
     if raw.get("kind") == EPISODES:
-        raise ValueError("it is that of recorded episodes, which hold no policy")
+        raise ValueError("it describes recorded episodes, which hold no policy")
     number = raw.get("format")
     if type(number) is not int or number not in (1, FORMAT):
         raise ValueError(f"its format is {number!r:.40}; this version reads 1 and {FORMAT}")

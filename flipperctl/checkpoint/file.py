@@ -37,7 +37,7 @@ class Checkpoint:
     path: Path
     document: Document
     tensors: dict[str, torch.Tensor]
-    """Tensors by name; the part before the first dot is the part of the checkpoint."""
+    """Tensors by name; the name up to the first dot is a part of the checkpoint."""
 
     def config(self) -> TrainConfig:
         """Return the full training configuration.
@@ -50,24 +50,24 @@ class Checkpoint:
         return self._parse(self.document.config.model_dump(mode="json"))
 
     def policy_config(self) -> TrainConfig:
-        """Return the training configuration, as far as the policy needs it.
+        """Return the training configuration as far as the policy needs it.
 
-        Terrain and reward terms whose plugins are not there are stand-ins (see ``config.absent``),
-        and a teacher and loggers whose plugins are not there are left out.
+        Stand-ins replace a terrain and reward terms whose plugins are missing (see
+        ``config.absent``); a teacher and loggers whose plugins are missing are left out.
 
         Raises:
-            CheckpointError: another plugin is not there, such as the network's, or the
+            CheckpointError: another plugin is missing, such as the network's, or the
                 configuration is not valid in this version.
         """
-        self._require_plugins(apart=("terrain", "reward", "controller", "logger"))
+        self._require_plugins(optional=("terrain", "reward", "controller", "logger"))
         files = {(p.kind, p.name): p.origin for p in self.document.plugins if p.origin}
         settings = self.document.config.model_dump(mode="json")
         return self._parse(with_stand_ins(settings, files))
 
-    def _require_plugins(self, apart: Collection[str] = ()) -> None:
-        """Check that the plugins of all kinds but those ``apart`` are there."""
+    def _require_plugins(self, optional: Collection[str] = ()) -> None:
+        """Check that all plugins are available, except those of the ``optional`` kinds."""
         for plugin in self.document.plugins:
-            if plugin.kind not in apart and (plugin.kind, plugin.name) not in registry:
+            if plugin.kind not in optional and (plugin.kind, plugin.name) not in registry:
                 text = missing_plugin(plugin.kind, plugin.name, plugin.origin)
                 raise CheckpointError(f"{self.path}: {text}")
 
@@ -76,7 +76,7 @@ class Checkpoint:
             return parse(TrainConfig, settings)
         except ConfigError as error:
             raise CheckpointError(
-                f"{self.path}: its configuration does not fit: {error}"
+                f"{self.path}: its configuration is not valid: {error}"
             ) from error
 
     def part(self, prefix: str) -> dict[str, torch.Tensor]:
@@ -111,7 +111,7 @@ def describe(
     return Document(
         format=documents.FORMAT,
         kind=kind,
-        config=documents.ConfigOutline.model_validate(container(config)),
+        config=documents.PartialConfig.model_validate(container(config)),
         versions={
             "flipperctl": __version__,
             "torch": torch.__version__,
@@ -130,7 +130,7 @@ def describe(
 
 
 def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
-    """Return the plugins that a configuration names, each with its file if it is not installed."""
+    """Return the plugins that a configuration uses, with the files of those not installed."""
     plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
     plugged += [*config.rewards.values(), *config.logger.values()]
     if config.teacher.controller is not None:
@@ -168,7 +168,7 @@ def read(path: Path) -> Checkpoint:
         document = documents.parse(text)
         _check_names(document, tensors)
     except ValueError as error:
-        raise CheckpointError(f"{path}: its document is wrong: {error}") from error
+        raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     return Checkpoint(path, document, tensors)
 
 
@@ -181,13 +181,15 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
     for name in tensors:
         part = name.partition(".")[0]
         if part not in parts and not (older and part.startswith("weights")):
-            raise ValueError(f"a tensor is called {name!r:.60}; the parts are {sorted(parts)}")
+            raise ValueError(
+                f"a tensor is named {name!r:.60}; its part must be one of {sorted(parts)}"
+            )
 
 
 def find(run_or_file: Path, prefer: Path = BEST) -> Path:
     """Return the checkpoint file of a run directory, a file or the name of a shipped policy.
 
-    ``prefer``: the file of a run directory that is returned if both exist.
+    ``prefer``: the file of a run directory that is returned if it exists.
 
     Raises:
         CheckpointError: there is no such checkpoint.
@@ -211,7 +213,7 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
 def _suggestion(missing: Path, shipped: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the closest run beside the path, or shipped policy."""
     folder = missing.parent
-    with contextlib.suppress(OSError):  # a folder that cannot be read has no suggestion
+    with contextlib.suppress(OSError):  # no suggestion from an unreadable folder
         runs = [
             run.name
             for run in sorted(folder.iterdir())

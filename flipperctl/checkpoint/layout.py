@@ -1,4 +1,4 @@
-"""The check that tensors are those of a network: names, shapes, types and finite numbers."""
+"""A check of tensors against expected ones: names, shapes, types and finite numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def require_equal_layout(
     A number may be infinite where the expected one is infinite, as in a mask.
 
     Raises:
-        ValueError: a tensor differs; the text names the first one.
+        ValueError: a tensor differs; the message names the first one.
     """
     if missing := sorted(expected.keys() - found.keys()):
         raise ValueError(f"{missing[0]} is missing")

@@ -1,15 +1,15 @@
-"""Files of recorded episodes: what was perceived, done and taught at every decision.
+"""Files of recorded episodes: observation, action, reward and label of every decision.
 
-In: episodes of anything that drives, such as a controller or a training. Out: a sealed file (see
-``sealed``), whose document says where the episodes were driven, and whose tensors hold the
-episodes of T decisions one after the other:
+In: episodes of a controller, a policy or a training. Out: a sealed file (see ``sealed``). Its
+document describes the environments; its tensors hold the episodes of T decisions one after the
+other:
 
 - ``observation``, float32: the T + 1 observations of each episode, each (N + 3,) in SI units and of
-  one instant, so that any network can stack them; the last is that after the last decision;
+  one instant, so that any network can stack them; the last one follows the last decision;
 - ``action``, int64: the indices of the T actions;
 - ``reward``, float64: the T sums of the weighted reward terms;
-- ``label``, float32: the T distributions (9,) over actions that a student should have, each with
-  the sum 1, or zeros where nothing teaches.
+- ``label``, float32: the T target distributions (9,) over actions for a student, each with the sum
+  1, or zeros without a teacher.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_valida
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.checkpoint import sealed
-from flipperctl.checkpoint.document import EPISODES, Count, Label, Record, RewardOutline
+from flipperctl.checkpoint.document import EPISODES, Count, Label, PartialReward, Record
 from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.checkpoint.strict_json import decode
 from flipperctl.config import EnvConfig, container
@@ -46,7 +46,7 @@ _SUM = 1e-3  # largest error of a label's sum
 
 @dataclass(frozen=True, eq=False)
 class RecordedEpisode:
-    """An episode of T decisions as its driver perceived it."""
+    """An episode of T decisions with the observations of its policy."""
 
     number: int
     """Number of the episode in its run or evaluation, from 0."""
@@ -61,10 +61,10 @@ class RecordedEpisode:
     rewards: NDArray[np.float64]
     """Sums of the weighted reward terms, (T,) [-]."""
     labels: NDArray[np.float32]
-    """Distributions over actions that a student should have, (T, 9); zeros without a label."""
+    """Target distributions over actions for a student, (T, 9); zeros without a label."""
 
 
-class PerceptionOutline(Record):
+class PartialPerception(Record):
     """The observation layout, with further settings of the sensor."""
 
     model_config = ConfigDict(extra="allow")
@@ -73,18 +73,18 @@ class PerceptionOutline(Record):
     bin_width: Annotated[float, Field(gt=0, le=1)]
 
 
-class EnvironmentOutline(Record):
+class PartialEnvironment(Record):
     """The part of an environment's configuration that can be read without its plugins."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
-    perception: PerceptionOutline
+    perception: PartialPerception
     robot: dict[Label, float | None]
-    rewards: dict[Label, RewardOutline]
+    rewards: dict[Label, PartialReward]
 
 
-class EpisodeOutline(Record):
-    """What the document says about an episode."""
+class EpisodeEntry(Record):
+    """The entry of an episode in the document."""
 
     number: Count
     seed: Count
@@ -101,15 +101,15 @@ class RecordingDocument(Record):
     format: Literal[1]
     kind: Literal["episodes"]
     driver: str
-    """Who drove: a controller's name, a policy's file, or the terrain of a training."""
+    """Source of the actions: a controller's name, a policy's file, or a training's terrain."""
     versions: dict[Label, Label]
-    environments: tuple[EnvironmentOutline, ...]
-    episodes: tuple[EpisodeOutline, ...]
+    environments: tuple[PartialEnvironment, ...]
+    episodes: tuple[EpisodeEntry, ...]
 
     @model_validator(mode="after")
     def _environments_fit(self) -> Self:
         if len({(e.perception.bins, e.perception.bin_width) for e in self.environments}) > 1:
-            raise ValueError("its environments have several observation layouts")
+            raise ValueError("its environments have different observation layouts")
         count = len(self.environments)
         for at, episode in enumerate(self.episodes):
             if episode.environment >= count:
@@ -137,15 +137,15 @@ class Recording:
 def write(
     path: Path, driver: str, parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]]
 ) -> None:
-    """Write episodes and the environments in which they were driven, completely or not at all.
+    """Write episodes with their environments, completely or not at all.
 
     Raises:
-        ConfigError: the environments have several observation layouts.
+        ConfigError: the environments have different observation layouts.
         OutputError: the path cannot be written.
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     require_one_layout(path, [config for config, _ in parts])
-    environments = [_outline(config) for config, _ in parts]
+    environments = [_partial(config) for config, _ in parts]
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
@@ -157,7 +157,7 @@ def write(
         versions=versions,
         environments=tuple(environments),
         episodes=tuple(
-            EpisodeOutline(
+            EpisodeEntry(
                 number=episode.number,
                 seed=episode.seed,
                 terrain=episode.terrain,
@@ -184,7 +184,7 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
     """Check that episodes in these environments fit into one file.
 
     Raises:
-        ConfigError: the environments have several observation layouts.
+        ConfigError: the environments have different observation layouts.
     """
     if len({(config.perception.bins, config.perception.bin_width) for config in configs}) > 1:
         raise ConfigError(
@@ -193,9 +193,9 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
         )
 
 
-def _outline(config: EnvConfig) -> EnvironmentOutline:
+def _partial(config: EnvConfig) -> PartialEnvironment:
     """Return the part of the configuration that defines an environment."""
-    return EnvironmentOutline.model_validate(container(config.environment()))
+    return PartialEnvironment.model_validate(container(config.environment()))
 
 
 def _joined(
@@ -214,11 +214,11 @@ def read(path: Path) -> Recording:
     try:
         document = _parse(text)
     except ValueError as error:
-        raise CheckpointError(f"{path}: its document is wrong: {error}") from error
+        raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     try:
         _check(document, tensors)
     except ValueError as error:
-        raise CheckpointError(f"{path}: its tensors are wrong: {error}") from error
+        raise CheckpointError(f"{path}: its tensors are not valid: {error}") from error
     arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
     return Recording(path, document, tuple(_episodes(document, arrays)))
 
@@ -251,7 +251,7 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
         "reward": (torch.float64, (count,)),
         "label": (torch.float32, (count, len(ACTIONS))),
     }
-    # Views of one number, since the shapes are those of a document of any origin.
+    # Views of one number: the document may be of any origin, and its shapes of any size.
     expected = {n: torch.zeros((), dtype=d).expand(s) for n, (d, s) in shapes.items()}
     require_equal_layout(tensors, expected)
     action, label = tensors["action"], tensors["label"]
@@ -267,17 +267,17 @@ def _episodes(
     document: RecordingDocument, arrays: Mapping[str, NDArray[Any]]
 ) -> Iterator[RecordedEpisode]:
     begin = 0
-    for at, outline in enumerate(document.episodes):
-        end = begin + outline.decisions
+    for at, entry in enumerate(document.episodes):
+        end = begin + entry.decisions
         rows = slice(begin, end)
         yield RecordedEpisode(
-            outline.number,
-            outline.seed,
-            outline.terrain,
-            outline.outcome,
-            arrays["observation"][begin + at : end + at + 1],
-            arrays["action"][rows],
-            arrays["reward"][rows],
-            arrays["label"][rows],
+            number=entry.number,
+            seed=entry.seed,
+            terrain=entry.terrain,
+            outcome=entry.outcome,
+            observations=arrays["observation"][begin + at : end + at + 1],
+            actions=arrays["action"][rows],
+            rewards=arrays["reward"][rows],
+            labels=arrays["label"][rows],
         )
         begin = end

@@ -1,6 +1,6 @@
 """Sealed files: a JSON document and tensors in a safetensors file, with a SHA-256 of both.
 
-Reading finds every flipped bit and executes nothing. Equal contents give equal files, byte for
+Reading detects every flipped bit and executes no code. Equal contents give equal files, byte for
 byte. Checkpoints and recorded episodes are such files.
 """
 
@@ -25,7 +25,7 @@ def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
     """
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     data = save(held, {"flipperctl": text, "sha256": digest(text, held)})
-    # safetensors writes its metadata in an order that changes from process to process.
+    # safetensors writes its metadata in an order that differs between processes.
     length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
     ordered = {"__metadata__": dict(sorted(header.pop("__metadata__").items())), **header}
@@ -37,10 +37,10 @@ def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
 def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     """Return the text of the document and the tensors of a sealed file.
 
-    ``noun``: what the file should be, for the errors, such as "checkpoint".
+    ``noun``: kind of file for the errors, such as "checkpoint".
 
     Raises:
-        CheckpointError: the file is missing, truncated or changed, or of another program.
+        CheckpointError: the file is missing, truncated or changed, or not from flipperctl.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such {noun}")
@@ -58,12 +58,12 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
-            # Copies: a tensor of safetensors is a view of the file, and changes with it.
+            # Copies: a tensor of safetensors is a view of the file and changes with it.
             tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
-        raise CheckpointError(f"{path} is damaged or no safetensors file: {error}") from error
+        raise CheckpointError(f"{path} is damaged or not a safetensors file: {error}") from error
     if "flipperctl" not in metadata:
-        raise CheckpointError(f"{path} is a safetensors file, but no {noun} of flipperctl")
+        raise CheckpointError(f"{path} is a safetensors file, but not a {noun} of flipperctl")
     text = metadata["flipperctl"]
     if metadata.get("sha256") != digest(text, tensors):
         raise CheckpointError(f"{path} is damaged: its SHA-256 does not match its contents")

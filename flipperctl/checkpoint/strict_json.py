@@ -1,4 +1,4 @@
-"""JSON of any origin, whose keys are unique and whose numbers are finite."""
+"""Strict JSON: keys are unique and numbers are finite."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def decode(text: str) -> dict[str, Any]:
     """Return the mapping of a JSON text whose keys are unique and whose numbers are finite.
 
     Raises:
-        ValueError: the text is none.
+        ValueError: the text is not such a mapping.
     """
     try:
         raw = json.loads(

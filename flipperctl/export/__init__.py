@@ -1,1 +1,1 @@
-"""Export of policies as files for the robot; each is compared with torch before it is written."""
+"""Export of policies as files for the robot; each is compared with torch before writing."""

@@ -1,8 +1,8 @@
-"""The same network with fewer layers, as it is exported.
+"""An equal network with fewer layers, for export.
 
-In: a network that may hold modules with a method ``folded``, which returns a module of equal
-results that takes less time, or ``folded_into``, which returns a linear layer that does what the
-module and the linear layer after it do. Out: a copy of the network with those in their places.
+In: a network that may hold modules with a method ``folded``, which returns a faster module with
+equal results, or ``folded_into``, which returns a linear layer that replaces the module and the
+linear layer after it. Out: a copy of the network with these replacements.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from torch import nn
 
 
 def folded(network: nn.Module) -> nn.Module:
-    """Return a copy of ``network`` in evaluation mode, in which each module that can is folded."""
+    """Return a copy of ``network`` in evaluation mode, with all foldable modules folded."""
     return _fold(copy.deepcopy(network)).eval()
 
 
@@ -27,7 +27,7 @@ def _fold(module: nn.Module) -> nn.Module:
 
 
 def _join(parts: list[nn.Module]) -> nn.Module:
-    """Return the parts in a row, each that can joined with the linear layer after it."""
+    """Return the parts in sequence, each joined to the linear layer after it where possible."""
     for i in reversed(range(len(parts) - 1)):
         join, after = getattr(parts[i], "folded_into", None), parts[i + 1]
         if callable(join) and isinstance(after, nn.Linear):

@@ -1,6 +1,6 @@
 """The metadata of an exported policy.
 
-In: a training configuration. Out: what a robot must know to run the policy, as strings under
+In: a training configuration. Out: all that a robot needs to run the policy, as strings under
 ``flipperctl.*``.
 """
 
@@ -20,9 +20,9 @@ from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 
 
 def policy_metadata(config: TrainConfig) -> dict[str, str]:
-    """Return the metadata of a policy, without its checksum; values that are not text are JSON.
+    """Return the metadata of a policy without its checksum; values other than text are JSON.
 
-    ``config``: that of its training, with the robot that the policy is exported for.
+    ``config``: configuration of the training, with the robot that the export is for.
     """
     layout, robot = config.perception, config.robot
     values: dict[str, Any] = {
@@ -51,7 +51,7 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
 
 
 def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
-    """Return name, unit, frame and meaning of each of the N + 3 numbers of an observation."""
+    """Return the name, unit, frame and meaning of each of an observation's N + 3 numbers."""
     edges = pairwise(observation.edges(layout.bins, layout.bin_width))
     heights = [
         {

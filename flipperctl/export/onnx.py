@@ -25,7 +25,7 @@ OPSET = 18
 def export_onnx(
     module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
 ) -> tuple[bytes, QFunction]:
-    """Return the bytes of the model, and its Q-values as a function.
+    """Return the bytes of the model, and a function that computes its Q-values.
 
     Raises:
         MissingExtraError: a package that ONNX needs is not installed.
@@ -46,9 +46,9 @@ def export_onnx(
             verbose=False,
         )
     if program is None:
-        raise ExportError("torch gave no ONNX program")
+        raise ExportError("torch returned no ONNX program")
     model = program.model_proto
-    for node in model.graph.node:  # the exporter's notes: stack traces with local paths
+    for node in model.graph.node:  # the exporter's notes contain stack traces with local paths
         del node.metadata_props[:]
     onnx.helper.set_model_props(model, metadata)
     onnx.checker.check_model(model, full_check=True)
@@ -77,7 +77,7 @@ def compare_onnx(
         _, q_values = export_onnx(folded(module), config, {})
     except FlipperctlError:
         raise
-    except Exception as error:  # the exporter raises errors of many types, without a common one
+    except Exception as error:  # the exporter's errors have no common type
         raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
     return compare(module, q_values, observations)
 
@@ -106,6 +106,6 @@ def _import_package(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         raise MissingExtraError(
-            f"export onnx needs the package {name}, which comes with flipperctl unless that was "
-            f"installed without its dependencies; pip install {name}"
+            f"export onnx needs the package {name}, which is missing if flipperctl was installed "
+            f"without its dependencies; pip install {name}"
         ) from error

@@ -1,6 +1,6 @@
 """The comparison of an exported policy with torch on the observations of real rollouts.
 
-In: a network in torch and the same network exported. Out: their largest difference, or an error.
+In: a network in torch and its export. Out: their largest difference, or an error.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import EvaluationSeeds
 
 TOLERANCE = 1e-4
-"""Largest difference of a Q-value that counts as rounding, relative to the largest |Q|."""
+"""Largest difference of Q-values that counts as rounding, relative to the largest |Q|."""
 
 QFunction = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9)."""
 
 
 class _RecordingPolicy(TrainedPolicy):
-    """Acts like the policy and keeps the inputs of its network."""
+    """Acts like a trained policy and keeps the inputs of its network."""
 
     def __init__(self, module: torch.nn.Module, frames: int) -> None:
         super().__init__(module, frames)
@@ -43,7 +43,7 @@ class _RecordingPolicy(TrainedPolicy):
 def rollout_observations(
     config: TrainConfig, module: torch.nn.Module, count: int
 ) -> NDArray[np.float32]:
-    """Return ``count`` or more inputs of the network from its own episodes, (M, F · (N + 3))."""
+    """Return at least ``count`` network inputs from the policy's own episodes, (M, F · (N + 3))."""
     env = FlipperEnv(config=config.environment())
     policy = _RecordingPolicy(module, config.network.frames)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
@@ -59,14 +59,14 @@ def compare(
     """Return the largest difference of the Q-values and the agreement of the chosen actions.
 
     Raises:
-        ExportError: the Q-values differ by more than rounding, or rounding does not explain a
-            different action.
+        ExportError: the Q-values differ by more than rounding, or an action differs for another
+            reason.
     """
     with torch.inference_mode():
         expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
     actual = exported(observations)
     if actual.shape != expected.shape:
-        raise ExportError(f"the exported policy gives {actual.shape}, torch {expected.shape}")
+        raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
     difference = float(np.abs(expected - actual).max())
     largest = float(np.abs(expected).max())
     limit = TOLERANCE * max(1.0, largest)

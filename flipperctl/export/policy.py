@@ -1,6 +1,6 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
-In: a checkpoint, and changes of its robot. Out: an ONNX or pt2 file, and the result of the
+In: a checkpoint and changes to its robot. Out: an ONNX or pt2 file, and the result of the
 comparison.
 """
 
@@ -26,7 +26,7 @@ from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 
 Format = Literal["onnx", "pt2"]
 OBSERVATIONS = 1000
-"""Least number of observations that are compared."""
+"""Smallest number of observations in the comparison."""
 
 
 def export(
@@ -35,9 +35,9 @@ def export(
     output: Path,
     robot: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Write the policy to ``output`` and return what the comparison found.
+    """Write the policy to ``output`` and return the result of the comparison.
 
-    ``robot``: fields of the robot that the file is for, where they differ from the training's.
+    ``robot``: fields of the file's robot that differ from the training's.
 
     Raises:
         ConfigError: there is no such field, or its value is of the wrong type or out of bounds.
@@ -51,7 +51,7 @@ def export(
     module = policy_module(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
     metadata = policy_metadata(config)
-    # The exporters run the network's code, and wrap its errors.
+    # The exporters run the network's code and wrap its errors.
     with naming(config.network, "forward", ExportError, while_=" (export)"):
         if format == "onnx":
             metadata = {**metadata, CHECKSUM: PLACEHOLDER}
@@ -71,7 +71,7 @@ def export(
 
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:
-    """Return what differs between two robots; the decision period stands for control_period."""
+    """Return the differences of two robots, with the decision period for control_period."""
     names = [*(name for name in Robot.model_fields if name != "control_period"), "decision_period"]
     pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}
     return {

@@ -16,7 +16,7 @@ from flipperctl.export.parity import QFunction
 def export_pt2(
     module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
 ) -> tuple[bytes, QFunction]:
-    """Return the bytes of the archive, and its Q-values as a function."""
+    """Return the bytes of the archive, and a function that computes its Q-values."""
     example = torch.zeros(2, input_size(config.network, config.perception))
     program = torch.export.export(
         module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
@@ -24,7 +24,7 @@ def export_pt2(
     buffer = io.BytesIO()
     torch.export.save(program, buffer, extra_files=dict(metadata))
     buffer.seek(0)
-    # These bytes were made in this process; they are read back to check what the file will hold.
+    # Read back what the file will hold; the bytes come from this process, so loading is safe.
     exported = torch.export.load(buffer).module()
 
     def q_values(observations: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,4 +1,4 @@
-"""Controllers that simulate what lies ahead; importing this package registers them."""
+"""Controllers that plan in simulation; importing this package registers them."""
 
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.planner import Planner

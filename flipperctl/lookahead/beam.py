@@ -1,8 +1,8 @@
-"""A beam search to the finish, or as far as asked, on the true ground.
+"""A beam search on the true ground, to the finish or over a requested distance.
 
-In: a state of the prediction model. Out: the cheapest sequence of actions. Nodes compete with those
-of the same stretch of the way, not with those of the same age; otherwise nodes that wait before an
-obstacle would displace those that climb it.
+In: a state of the prediction model. Out: the cheapest sequence of actions. Nodes compete within a
+distance bin, not within a depth; otherwise nodes that wait in front of an obstacle would displace
+those that climb it.
 """
 
 from __future__ import annotations
@@ -20,45 +20,45 @@ from flipperctl.lookahead.mpc_settings import STEEP, STEEP_FROM
 from flipperctl.lookahead.search import HOLD, moves
 
 _ROUNDS = 8
-"""Decisions that a node may spend in one stretch without leaving it."""
+"""Largest number of decisions of a node in one distance bin."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where a search ends, and what its plans cost."""
+    """Where a search ends, and the cost weights of its plans."""
 
     finish: float
     """World x that the chassis centre must pass [m]."""
     top: float
-    """World z below which both ends of the chassis are close to the ground at the finish [m]."""
+    """Largest world z of the chassis' ends at the finish [m]."""
     smoothness: float
-    """Price of the pitch variation at 100 Hz [s/rad]."""
-    way: float = math.inf
-    """Length of way after which a search ends short of the finish [m]."""
+    """Cost weight of the pitch variation at 100 Hz [s/rad]."""
+    distance: float = math.inf
+    """Distance after which a search ends short of the finish [m]."""
     pitch: float = 0.0
-    """Price of the absolute pitch there, from which the chassis must return [s/rad]."""
+    """Cost weight of the absolute pitch after that distance [s/rad]."""
 
 
-class Way(NamedTuple):
+class SearchResult(NamedTuple):
     """The result of a search, or of a simulated plan."""
 
     actions: tuple[int, ...]
     cost: float
-    """Cost from the root: time, the time to the finish at full speed, and swing [s]."""
-    gone: float
-    """Way from the root [m]."""
+    """Cost from the root: time, remaining time at full speed, weighted pitch variation [s]."""
+    distance: float
+    """Distance from the root [m]."""
     complete: bool
-    """Whether the plan leads as far as was asked."""
+    """Whether the plan reaches the finish or the requested distance."""
 
 
 @dataclass
 class _Nodes:
-    """Nodes as rows of arrays."""
+    """Search nodes as rows of arrays."""
 
     states: FloatArray
     places: FloatArray
     time: FloatArray
-    swing: FloatArray
+    variation: FloatArray
     steep: FloatArray
     cost: FloatArray
     parent: NDArray[np.int64]
@@ -83,32 +83,34 @@ class Beam:
     robot: Robot
     goal: Goal
     width: int
-    """Nodes that are expanded in each stretch."""
-    stretch: float
-    """Length of a stretch [m]."""
+    """Nodes that are expanded in each distance bin."""
+    bin_length: float
+    """Length of a distance bin [m]."""
     cell: float
     """Nodes closer than this in position and pitch, with equal targets, are merged [m, rad]."""
     spent: int = field(default=0, init=False)
 
-    def search(self, root: FloatArray, budget: float = math.inf, bound: float = math.inf) -> Way:
+    def search(
+        self, root: FloatArray, budget: float = math.inf, bound: float = math.inf
+    ) -> SearchResult:
         """Return the cheapest plan from the state ``root``, (``STATE``,).
 
-        If no plan below the cost ``bound`` [s] leads as far as asked, or ``budget`` decisions are
-        spent before, return the one that came farthest.
+        If no plan below the cost ``bound`` [s] reaches the requested distance within ``budget``
+        decisions, return the plan that came farthest.
         """
         place = np.array([self.model.chassis(root)])
         zero = np.zeros(1)
         begin = float(place[0, 0])
-        last = min(self.goal.finish, begin + self.goal.way)
+        last = min(self.goal.finish, begin + self.goal.distance)
         none = np.array([-1])
         start = _Nodes(root[None], place, zero, zero, zero, zero, none, none)
-        stretches: dict[int, list[_Nodes]] = {0: [start]}
+        bins: dict[int, list[_Nodes]] = {0: [start]}
         expanded: list[_Nodes] = []
         count, best, final, farthest = 0, bound, (-1, -1), (begin, -1, -1)
         limit = self.spent + budget
-        while stretches and self.spent < limit:
-            index = min(stretches)
-            fresh = stretches.pop(index)
+        while bins and self.spent < limit:
+            index = min(bins)
+            fresh = bins.pop(index)
             seen = np.zeros(0)
             for _ in range(_ROUNDS):
                 nodes = self._beam(_Nodes.joined(fresh), seen, best)
@@ -133,38 +135,42 @@ class Beam:
                         float(children.places[row, 0]),
                         *(int(children.parent[row]), int(children.action[row])),
                     )
-                bins = ((children.places[:, 0] - begin) / self.stretch).astype(np.int64)
-                bins = np.maximum(bins, index)
-                for found in np.unique(bins[bins > index]).tolist():
-                    stretches.setdefault(found, []).append(children.take(bins == found))
-                fresh = [children.take(bins == index)]
+                at = ((children.places[:, 0] - begin) / self.bin_length).astype(np.int64)
+                at = np.maximum(at, index)
+                for found in np.unique(at[at > index]).tolist():
+                    bins.setdefault(found, []).append(children.take(at == found))
+                fresh = [children.take(at == index)]
                 if not len(fresh[0].cost):
                     break
         complete = final[0] >= 0
         tail = final if complete else farthest[1:]
         actions = _trace(expanded, *tail)
-        gone = (last if complete else farthest[0]) - begin
-        return Way(actions, best if complete else math.inf, gone, complete)
+        distance = (last if complete else farthest[0]) - begin
+        return SearchResult(actions, best if complete else math.inf, distance, complete)
 
-    def follow(self, root: FloatArray, actions: tuple[int, ...]) -> Way:
-        """Simulate a plan from the state ``root``, in the same costs as those of ``search``."""
+    def follow(self, root: FloatArray, actions: tuple[int, ...]) -> SearchResult:
+        """Simulate a plan from the state ``root``, with the same costs as in ``search``."""
         place = np.array([self.model.chassis(root)])
         zero, none = np.zeros(1), np.array([-1])
         begin = float(place[0, 0])
-        last = min(self.goal.finish, begin + self.goal.way)
+        last = min(self.goal.finish, begin + self.goal.distance)
         nodes = _Nodes(root[None], place, zero, zero, zero, zero, none, none)
         for done, action in enumerate(actions):
             children = self._children(nodes, 0, action)
             if not len(children.cost):
-                return Way(actions[:done], math.inf, float(nodes.places[0, 0]) - begin, False)
+                distance = float(nodes.places[0, 0]) - begin
+                return SearchResult(actions[:done], math.inf, distance, False)
             nodes = children
             if self._ended(nodes, last)[0]:
-                gone = float(nodes.places[0, 0]) - begin
-                return Way(actions[: done + 1], float(nodes.cost[0]), gone, True)
-        return Way(actions, math.inf, float(nodes.places[0, 0]) - begin, False)
+                distance = float(nodes.places[0, 0]) - begin
+                return SearchResult(actions[: done + 1], float(nodes.cost[0]), distance, True)
+        return SearchResult(actions, math.inf, float(nodes.places[0, 0]) - begin, False)
 
     def _beam(self, nodes: _Nodes, seen: FloatArray, best: float) -> _Nodes:
-        """Return those to expand, cheapest first, after ``seen`` were expanded in this stretch."""
+        """Return the nodes to expand, cheapest first.
+
+        ``seen``: costs of the nodes that were expanded in this bin before [s].
+        """
         nodes = nodes.take(nodes.cost < best)
         nodes = nodes.take(np.argsort(nodes.cost, kind="stable"))
         keys = np.column_stack(
@@ -191,18 +197,18 @@ class Beam:
         found = self.model.expand(nodes.states[parent], targets, period)
         self.spent += len(parent)
         time = nodes.time[parent] + period
-        swing = nodes.swing[parent] + found.swing
+        variation = nodes.variation[parent] + found.pitch_variation
         steep = np.maximum(nodes.steep[parent], found.steepest)
-        left = (self.goal.finish - found.places[:, 0]) / speed  # negative: it arrived before
-        cost = time + left + self.goal.smoothness * swing
+        left = (self.goal.finish - found.places[:, 0]) / speed  # negative past the finish
+        cost = time + left + self.goal.smoothness * variation
         cost += STEEP * np.maximum(0.0, steep - STEEP_FROM)
         children = _Nodes(
-            found.states, found.places, time, swing, steep, cost, first + parent, taken
+            found.states, found.places, time, variation, steep, cost, first + parent, taken
         )
         return children.take(found.steepest < self.model.overturn)
 
     def _ended(self, nodes: _Nodes, last: float) -> NDArray[np.bool_]:
-        """Return which nodes are as far as asked; there, add the price of their pitch."""
+        """Return which nodes end the search; short of the finish, add the cost of their pitch."""
         x, z = nodes.places.T
         ended = x >= last
         if last >= self.goal.finish:

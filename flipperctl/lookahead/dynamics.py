@@ -1,9 +1,9 @@
 """The dynamics of the prediction model as machine code: a rigid robot with ideal servos.
 
-The flippers follow their targets at their full rate whatever the load, so that the robot is one
-rigid body whose shape changes: three degrees of freedom instead of nine, and no joints to solve.
-Contacts are those of the engine: round ends and edges, friction, and belts that drive along the
-outline. One decision costs about a tenth of the engine's.
+The flippers follow their targets at their full rate under any load. The robot is thus one rigid
+body of changing shape: three degrees of freedom instead of nine, and no joints to solve. Contacts
+are those of the engine: rounded ends and edges, friction, and belts that run along the outline.
+One decision takes about a tenth of the engine's time.
 
 The state of a robot is 10 numbers: x, z [m] of the centre of mass, pitch [rad], their rates, the
 angles of the front and the rear flippers in frame R [rad], and their targets.
@@ -32,13 +32,13 @@ NUMBERS = 14
 
 _FAST = partial(
     njit, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
-)  # sums in any order: a fifth faster, equal in every run on one machine
+)  # allows reordered sums: a fifth faster, still equal in every run on one machine
 _MARGIN = 0.02
-"""Gap below which a contact is watched [m]."""
+"""Gap below which a contact is solved [m]."""
 _SLOP = 0.0005
-"""Overlap that is left alone [m]."""
+"""Overlap that is not corrected [m]."""
 _PUSH = 0.3
-"""Largest speed at which an overlap is pushed apart [m/s]."""
+"""Largest speed at which an overlap is corrected [m/s]."""
 
 
 @cached(_FAST)
@@ -84,7 +84,7 @@ def touches(
     contacts: FloatArray,
     count: int,
 ) -> int:
-    """Append the contacts of a capsule's axis from a to b; return their number.
+    """Append the contacts of a capsule with its axis from a to b; return their new number.
 
     ``ground``: (V, 5): x, z [m] of a point, and normal and length of the edge that begins there.
     A row of ``contacts`` is x, z [m] on the ground, the normal from ground to robot, the gap [m],
@@ -151,11 +151,10 @@ def _solve(
     k: FloatArray,
     rows: FloatArray,
 ) -> None:
-    """Change the motion (vx, vz, turn) so that every contact holds, by sequential impulses.
+    """Solve all contacts by sequential impulses, which change the motion (vx, vz, turn) in place.
 
-    ``extra`` (3, 5): velocity (x, z) that each part has by the flippers' turn at its hinge, the
-    hinge being the last two numbers with the rate in the row of the part. ``rows`` is working
-    memory, (``MOST``, 10).
+    ``extra`` (3, 5): additional motion of each part as the flippers turn: velocity x, z of its
+    hinge, turn rate, and position x, z of the hinge. ``rows`` is working memory, (``MOST``, 10).
     """
     dt, light, slow = k[STEP], 1 / mass, 1 / inertia
     for c in range(count):
@@ -166,7 +165,7 @@ def _solve(
         ox = part[0] - part[2] * (contact[1] - part[4])
         oz = part[1] + part[2] * (contact[0] - part[3])
         arm, across = rx * nz - rz * nx, -rx * nx - rz * nz
-        # Normal: approach no faster than the gap closes in this step.
+        # Normal: in this step, approach by no more than the gap.
         bias = gap / dt if gap > 0 else -min(_PUSH, 0.2 / dt * max(0.0, -gap - _SLOP))
         row[0], row[1], row[2], row[3] = nx, nz, arm, across
         row[4] = ox * nx + oz * nz + bias
@@ -207,14 +206,14 @@ def advance(
     extra: FloatArray,
     motion: FloatArray,
 ) -> tuple[float, float]:
-    """Simulate ``steps`` steps in place; return the swing and the largest |pitch| [rad].
+    """Simulate ``steps`` steps in place; return the pitch variation and the largest |pitch| [rad].
 
-    ``contacts``, ``rows``, ``extra`` and ``motion`` are working memory. One function, since its
-    parts would hand on a dozen numbers to each other.
+    ``contacts``, ``rows``, ``extra`` and ``motion`` are working memory. It is one function, since
+    its parts would pass a dozen numbers to each other.
     """
     dt, mass = k[STEP], k[CHASSIS] + 2 * k[FLIPPER]
     radius, reach, most = k[RADIUS], k[RADIUS] + _MARGIN, k[RATE] * k[STEP]
-    swing, steep = 0.0, 0.0
+    variation, steep = 0.0, 0.0
     gx, gz, inertia = mass_centre(state[6], state[7], k)
     cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
     cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
@@ -250,11 +249,11 @@ def advance(
         state[0] += motion[0] * dt
         state[1] += motion[1] * dt
         state[2] += motion[2] * dt
-        swing += abs(motion[2] * dt)
+        variation += abs(motion[2] * dt)
         steep = max(steep, abs(state[2]))
         if steep >= k[OVERTURN]:
             break
-    return swing, steep
+    return variation, steep
 
 
 @cached(_FAST)
@@ -274,7 +273,7 @@ def expand(
     k: FloatArray,
     found: FloatArray,
     place: FloatArray,
-    swing: FloatArray,
+    variation: FloatArray,
     steep: FloatArray,
 ) -> None:
     """Simulate one decision from each state, (M, ``STATE``), towards its targets, (M, 2)."""
@@ -283,7 +282,7 @@ def expand(
     for row in range(len(states)):
         found[row] = states[row]
         found[row, 8], found[row, 9] = targets[row, 0], targets[row, 1]
-        swing[row], steep[row] = advance(
+        variation[row], steep[row] = advance(
             found[row], steps, ground, k, contacts, rows, extra, motion
         )
         place[row, 0], place[row, 1] = chassis(found[row], k)

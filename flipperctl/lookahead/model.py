@@ -1,7 +1,7 @@
 """The prediction model on one piece of ground: many decisions from many states.
 
-In: a polyline of the ground, a robot, and states. Out: the states after a decision, and how much
-the chassis swung.
+In: a polyline of the ground, a robot, and states. Out: the states after a decision, and the pitch
+variation of the chassis.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from flipperctl.lookahead.dynamics import STATE
 
 FLIPPERS, TARGETS = 6, 8
 """Index in a state of the flippers' angles, and of their targets."""
-_LEVEL_GROUND = 20.0  # length of the level ground on both sides of what is known [m]
+_LEVEL_GROUND = 20.0  # length of the level ground on both sides of the known ground [m]
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Branch:
     """States after the decision, (M, ``STATE``)."""
     places: FloatArray
     """x and z of the chassis centre after the decision, (M, 2) [m]."""
-    swing: FloatArray
+    pitch_variation: FloatArray
     """Sum of the absolute pitch changes from step to step, (M,) [rad]."""
     steepest: FloatArray
-    """Largest absolute pitch of the steps, (M,) [rad]."""
+    """Largest absolute pitch of any step, (M,) [rad]."""
 
 
 class Model:
@@ -48,7 +48,7 @@ class Model:
         overturn: float = math.pi / 3,
         gravity: float = 9.81,
     ) -> None:
-        """Put level ground on both sides of ``line``, (V, 2) with x never decreasing [m]."""
+        """Extend ``line``, (V, 2) [m] with x never decreasing, by level ground on both sides."""
         self.overturn = overturn
         self._ground = _edges(line)
         axle = robot.flipper_axle
@@ -73,10 +73,10 @@ class Model:
         flippers: tuple[float, float],
         rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> FloatArray:
-        """Return the state, (``STATE``,), of a robot whose flippers are at their targets.
+        """Return the state of a robot whose flippers are at their targets, (``STATE``,).
 
         ``pose``: x, z [m] of the chassis centre and pitch; ``rates``: their rates of change.
-        ``flippers``: angles of front and rear in frame R [rad].
+        ``flippers``: angles of the front and the rear flippers in frame R [rad].
         """
         x, z, pitch = pose
         gx, gz, _ = dynamics.mass_centre(*flippers, self._numbers)
@@ -95,13 +95,13 @@ class Model:
         """Simulate ``duration`` [s] from each state, (M, ``STATE``); ``targets`` are (M, 2)."""
         count = len(states)
         found, place = np.empty((count, STATE)), np.empty((count, 2))
-        swing, steepest = np.empty(count), np.empty(count)
+        variation, steepest = np.empty(count), np.empty(count)
         steps = math.ceil(duration / self._step - 1e-9)
         dynamics.expand(
             *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
-            *(self._ground, self._numbers, found, place, swing, steepest),
+            *(self._ground, self._numbers, found, place, variation, steepest),
         )
-        return Branch(found, place, swing, steepest)
+        return Branch(found, place, variation, steepest)
 
 
 @cache

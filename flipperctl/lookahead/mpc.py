@@ -10,11 +10,12 @@ from flipperctl.lookahead.mpc_settings import MpcSettings
 
 @controller("mpc")
 class Mpc(MpcSettings, Controller):
-    """Model predictive control: plan from what is perceived, take one action, plan again.
+    """Model predictive control: plan on the perceived ground, take one action, plan again.
 
     At each decision a beam search simulates a nominal robot on the perceived ground and takes the
-    first action of the cheapest plan. A plan costs its lost time and, in seconds, its swing,
-    posture and pitch at the horizon. It needs no training and runs in real time on one core.
+    first action of the cheapest plan. The cost of a plan is its lost time plus, weighted in
+    seconds, its pitch variation, its postures and its pitch at the horizon. The controller needs
+    no training and runs in real time on one core.
     """
 
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")

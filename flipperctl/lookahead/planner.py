@@ -1,4 +1,4 @@
-"""``planner``: registers the search for the best known way across a scene."""
+"""``planner``: registers the search for the best known trajectory across a scene."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from flipperctl.lookahead.planner_settings import PlannerSettings
 
 @controller("planner")
 class Planner(PlannerSettings, Controller):
-    """The best known drive across the scene, found before the episode begins; then it is played.
+    """Search for the best trajectory across the scene before the episode begins, then play it.
 
-    A drive costs its time plus ``smoothness`` seconds for each radian of θ̂_R at 100 Hz. The search
-    begins with the drives of ``level``, ``okada``, ``mpc`` and ``policy``, then drives by beam
-    searches over the true ground with ``width`` and twice ``width`` nodes, and improves the best of
-    all. Every drive is played in the simulated scene, which decides. With a ``smoothness`` above 0,
-    none is chosen that is rougher than a drive that the search began with. It is a yardstick for
-    policies and cannot run on a robot.
+    The cost of a trajectory is its time plus ``smoothness`` seconds for each radian of θ̂_R at
+    100 Hz. The search begins with the trajectories of ``level``, ``okada``, ``mpc`` and ``policy``,
+    adds those of beam searches on the true ground with ``width`` and twice ``width`` nodes, and
+    improves the best one. Every trajectory is played in the simulated scene, which decides its
+    outcome and cost. With a ``smoothness`` above 0, the result is no rougher than the smoothest
+    trajectory that the search began with. It is a yardstick for policies and cannot run on a robot.
     """
 
     searches_first: ClassVar[bool] = True
@@ -31,7 +31,7 @@ class Planner(PlannerSettings, Controller):
     def starting_from(self, trained: Policy) -> Planner:
         """Return these settings with the policy that ``policy`` names.
 
-        Files are read by the caller: this package knows neither checkpoints nor networks.
+        The caller reads the file: this package knows neither checkpoints nor networks.
         """
         settings = self.model_copy()
         settings._trained = trained
@@ -41,7 +41,7 @@ class Planner(PlannerSettings, Controller):
         """Return a policy that searches for a plan at the start of each episode.
 
         Raises:
-            ConfigError: ``policy`` names one, and ``starting_from`` was not given it.
+            ConfigError: ``policy`` names a policy that ``starting_from`` was not given.
         """
         from flipperctl.lookahead.best_known import PlannerPolicy
 

@@ -1,4 +1,4 @@
-"""The fields of ``planner``: the settings of the search for the best known drive of a scene."""
+"""The fields of ``planner``: the settings of the search for the best trajectory of a scene."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from flipperctl.api import Settings
 
 
 class PlannerSettings(Settings):
-    """Size of the search, and what smoothness is worth."""
+    """Size of the search, and the cost weight of pitch variation."""
 
     width: int = Field(
         40, ge=1, le=10_000, description="beam width: nodes expanded in each distance bin [-]"
     )
     smoothness: float = Field(
-        30.0, ge=0, le=1000, description="time that a radian of pitch variation is worth [s/rad]"
+        30.0, ge=0, le=1000, description="cost weight of pitch variation [s/rad]"
     )
     budget: int = Field(
         200_000,
@@ -34,6 +34,6 @@ class PlannerSettings(Settings):
     )
     policy: str = Field(
         "",
-        description="a run, a checkpoint, an .onnx file or a shipped policy whose drive the search "
-        "starts from as well; empty: none [-]",
+        description="a run, a checkpoint, an .onnx file or a shipped policy whose trajectory the "
+        "search also starts from; empty: none [-]",
     )

@@ -1,7 +1,6 @@
 """The policy of ``mpc``: it perceives, plans, and takes the first action of its plan.
 
-In: perceptions alone. Out: actions. It simulates a nominal robot on the ground that it has
-perceived.
+In: perceptions alone. Out: actions. The policy simulates a nominal robot on the perceived ground.
 """
 
 from __future__ import annotations
@@ -27,21 +26,21 @@ from flipperctl.lookahead.search import Plan, Search
 from flipperctl.sim.thinning import kept_points
 
 NO_PLAN = 1000.0
-"""Cost of an action with which no plan survives the search [s]."""
+"""Cost of an action that begins no plan of the search [s]."""
 _STANDS = 0.03
-"""Way in one decision below which the robot stands [m]."""
+"""Distance in one decision below which the robot counts as standing still [m]."""
 _PATIENCE = 3
-"""Decisions of standing after each of which the search widens once more [-]."""
+"""Number of decisions without progress after which the search widens again [-]."""
 _MOST_HURRY = 4
-"""Largest number of times that swing gets cheaper, and multiple of the wide search's width [-]."""
+"""Largest multiple of the wide search's width, and of reductions of its cost weights [-]."""
 _CLOSE = 0.05
-"""Gap or overlap between robot and sensed ground up to which they are taken to touch [m]."""
-_AS_EXPECTED = np.array([0.04, 0.04, 0.05])
-"""Difference of x, z [m] and pitch [rad] up to which a prediction's velocities are believed."""
+"""Largest gap or overlap at which robot and sensed ground count as touching [m]."""
+_MAX_ERROR = np.array([0.04, 0.04, 0.05])
+"""Largest errors of x, z [m] and pitch [rad] at which predicted velocities are reused."""
 
 
 class MpcPolicy:
-    """Plans anew at each decision; remembers the map, its flippers' targets and its last plan."""
+    """Plans at each decision; remembers the map, the flippers' targets and the last plan."""
 
     def __init__(self, settings: MpcSettings) -> None:
         self._settings = settings
@@ -60,7 +59,7 @@ class MpcPolicy:
         """Decisions simulated for the last action, by all of its searches [-]."""
 
     def reset(self, simulator: Simulator) -> None:
-        """Forget the last episode; the simulator of the scene is not used."""
+        """Forget the last episode; the simulator is not used."""
         self._forget()
         compile_now()  # not at the first decision, which may be timed
 
@@ -76,7 +75,7 @@ class MpcPolicy:
         return np.where(np.isfinite(costs), costs, NO_PLAN)
 
     def took(self, action: int) -> None:
-        """Turn the remembered targets by the action; keep the rest of the plan if it is its own."""
+        """Turn the remembered targets; keep the rest of the plan if the action is its first."""
         assert self._plan is not None  # costs() or act() made it
         self._former = self._plan.actions[1:] if action == self._plan.actions[0] else ()
         robot = self._robot
@@ -97,26 +96,27 @@ class MpcPolicy:
         return self._plan
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
-        """Search with the normal prices, and wider and in a hurry if that plan gets stuck.
+        """Search with the normal cost weights; if that plan gets stuck, search wider in a hurry.
 
-        The longer the robot stands, the wider the search and the cheaper the swing.
+        The longer the robot stands still, the wider the search and the smaller the weight of
+        pitch variation.
         """
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
-        depth, of_each = settings.horizon, settings.of_each
-        calm = Search(robot, settings.prices(), settings.beam, depth, of_each)
+        size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
+        calm = Search(robot, settings.cost_weights(), width=settings.beam, **size)
         width = round(settings.wider * settings.beam * hurry)
-        wide = Search(robot, settings.prices(hurry), width, depth, of_each)
+        wide = Search(robot, settings.cost_weights(hurry), width=width, **size)
         plan, self.simulated = None, 0
         if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)
             self.simulated = plan.simulated
-            stuck = plan.late > settings.stuck_from or len(plan.actions) < settings.horizon
+            stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.horizon
             self._hurried = stuck and time.perf_counter() < deadline
         if plan is None or self._hurried:
             plan = wide.run(model, root, former, deadline)
             self.simulated += plan.simulated
-            self._hurried = plan.late > settings.stuck_from / 2
+            self._hurried = plan.lost_time > settings.stuck_from / 2
         return plan
 
     def _scene(self, p: Perception, robot: Robot) -> tuple[Model, FloatArray]:
@@ -138,7 +138,7 @@ class MpcPolicy:
         if self._plan is not None:
             before, expected = self._plan.states[:2]
             moved = expected[:3] - (before[0], before[1], 0.0)
-            if (np.abs(moved - (*motion, p.pitch)) < _AS_EXPECTED).all():
+            if (np.abs(moved - (*motion, p.pitch)) < _MAX_ERROR).all():
                 root[3:6] = expected[3:6]
         root[TARGETS:] = _rule(robot).next_targets(self._targets, (p.front, p.rear), (0.0, 0.0))
         if settings.latency:
@@ -154,7 +154,7 @@ class MpcPolicy:
         motion = self._map.add(p.points, guess)
         self._standing = self._standing + 1 if math.hypot(*motion) < _STANDS else 0
         line = self._map.line()
-        if not len(line):  # nothing is perceived: level ground under the tracks
+        if not len(line):  # nothing was perceived: assume level ground under the tracks
             line = np.array([[0.0, -robot.track_radius]])
         return line, motion
 
@@ -164,7 +164,7 @@ def _rule(robot: RobotGeometry) -> TargetRule:
 
 
 def nominal(geometry: RobotGeometry) -> Robot:
-    """Return a robot of this geometry with the masses and speeds that are known of it."""
+    """Return a robot of this geometry, with its own masses and speeds if they are known."""
     if isinstance(geometry, Robot):
         return geometry
     return Robot(**geometry.model_dump())
@@ -173,18 +173,18 @@ def nominal(geometry: RobotGeometry) -> Robot:
 def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
     """Return the height of the chassis centre in frame L at which the robot touches the ground [m].
 
-    It is 0 if the ground is farther away than noise and bias explain.
+    It is 0 if the ground is farther away than noise and bias can explain.
     """
     hinge, axle = robot.hinge_offset, robot.flipper_axle
     front, rear = p.pitch + p.front, p.pitch - p.rear
     here = np.array([math.cos(p.pitch), math.sin(p.pitch)])
-    ends = (
+    segments = (
         (-hinge * here, hinge * here),
         (hinge * here, hinge * here + (axle * math.cos(front), axle * math.sin(front))),
         (-hinge * here, -hinge * here - (axle * math.cos(rear), axle * math.sin(rear))),
     )
     along = np.linspace(0.0, 1.0, 12)[:, None]
-    axes = [a + along * (b - a) for a, b in ends]
+    axes = [a + along * (b - a) for a, b in segments]
     at = np.concatenate(axes)  # (36, 2) [m]
     low, high = at[:, 0].min() - 0.2, at[:, 0].max() + 0.2
     x = np.union1d(np.arange(low, high, 0.01), line[(line[:, 0] > low) & (line[:, 0] < high), 0])

@@ -1,7 +1,7 @@
-"""Drives played in the simulator, from the start to their end: of policies, plans and searches.
+"""Trajectories played in the simulator from the start: those of policies, plans and searches.
 
-In: a simulator. Out: the actions of a drive, how it ended and what it cost. The simulator decides;
-predictions only choose the actions.
+In: a simulator. Out: the actions of a trajectory, its outcome and its cost. Both are the
+simulator's; predictions only choose the actions.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from flipperctl.lookahead.model import TARGETS
 from flipperctl.lookahead.search import HOLD
 
 _LEANING = 0.5
-"""Pitch at the end of a short search that is taken for granted [rad]."""
+"""Pitch at the end of a short search that the cost bound allows for [rad]."""
 
 
 @dataclass
-class Drive:
-    """A drive from the start; ``step`` plays its next decision in the simulator."""
+class Trajectory:
+    """A trajectory from the start; ``step`` plays its next decision in the simulator."""
 
     simulator: Simulator
     smoothness: float
-    """Price of the pitch variation at 100 Hz [s/rad]."""
+    """Cost weight of the pitch variation at 100 Hz [s/rad]."""
     actions: list[int] = field(default_factory=list)
     variation: float = 0.0
     """Pitch variation at 100 Hz so far [rad]."""
     outcome: Outcome | None = None
 
     def __post_init__(self) -> None:
-        """Return to the start."""
+        """Restart the simulator."""
         self.simulator.restart()
         state, robot = self.simulator.state, self.simulator.robot
         self._rule = TargetRule(window=robot.angle_step, limit=robot.angle_limit)
@@ -55,27 +55,27 @@ class Drive:
 
     @property
     def reached(self) -> bool:
-        """True if the robot is at the finish."""
+        """Whether the robot has reached the finish."""
         return self.outcome is Outcome.REACHED
 
     @property
-    def gone(self) -> float:
+    def x(self) -> float:
         """World x of the chassis centre [m]."""
         return float(self.simulator.state.position[0])
 
     @property
     def cost(self) -> float:
-        """Cost so far: time and variation [s]."""
+        """Cost so far: time and weighted pitch variation [s]."""
         return self.simulator.state.time + self.smoothness * self.variation
 
 
-def root(drive: Drive, beam: Beam) -> FloatArray:
-    """Return the present state of the drive as one of the prediction model, (``STATE``,)."""
-    state = drive.simulator.state
+def root(played: Trajectory, beam: Beam) -> FloatArray:
+    """Return the present state as a state of the prediction model, (``STATE``,)."""
+    state = played.simulator.state
     x, z = state.position.tolist()
     rates = (*state.velocity.tolist(), state.pitch_rate)
     found = beam.model.state((x, z, state.pitch), (state.front, state.rear), rates)
-    found[TARGETS:] = drive.targets
+    found[TARGETS:] = played.targets
     return found
 
 
@@ -84,69 +84,72 @@ def play(
     policy: Policy,
     smoothness: float,
     report: Callable[[float], None] = lambda fraction: None,
-) -> Drive:
-    """Return the drive of a policy, which perceives what it does in the episode.
+) -> Trajectory:
+    """Return the trajectory of a policy, with the perceptions that it has in the episode.
 
-    ``report`` is called with the fraction of the way that is done.
+    ``report`` is called with the fraction of the distance that is done.
     """
-    drive = Drive(simulator, smoothness)
-    begin = drive.gone
+    played = Trajectory(simulator, smoothness)
+    begin = played.x
     policy.reset(simulator)
-    while drive.outcome is None:
-        drive.step(policy.act(simulator.perceive()))
-        report(min(1.0, max(0.0, (drive.gone - begin) / (simulator.finish - begin))))
-    return drive
+    while played.outcome is None:
+        played.step(policy.act(simulator.perceive()))
+        report(min(1.0, max(0.0, (played.x - begin) / (simulator.finish - begin))))
+    return played
 
 
 @dataclass(frozen=True)
 class Pursuit:
-    """A drive by plans that are searched anew where the simulator departs from the prediction."""
+    """Follows plans, and searches again where the simulator departs from the prediction."""
 
     beam: Beam
     patience: int
-    """Decisions after which a plan is searched anew in any case [-]."""
+    """Decisions after which a new search is made in any case [-]."""
     tolerance: float
-    """Increase of a plan's predicted cost from which it is searched anew [s]."""
+    """Increase of a plan's predicted cost that triggers a new search [s]."""
     report: Callable[[], None] = lambda: None
     """Called after each search."""
 
-    def drive(
+    def play(
         self,
         simulator: Simulator,
         prefix: Sequence[int] = (),
+        *,
         bound: float = math.inf,
         budget: float = math.inf,
-    ) -> Drive:
-        """Return a drive that begins with the actions ``prefix``.
+    ) -> Trajectory:
+        """Return a trajectory that begins with the actions ``prefix``.
 
-        It breaks off, without an outcome, where no plan is predicted to cost less than ``bound``
-        [s], or after ``budget`` predicted decisions.
+        It stops without an outcome when no plan is predicted to cost less than ``bound`` [s], or
+        after ``budget`` predicted decisions.
         """
         beam = self.beam
-        drive, limit = Drive(simulator, beam.goal.smoothness), beam.spent + budget
+        played, limit = Trajectory(simulator, beam.goal.smoothness), beam.spent + budget
         for action in prefix:
-            if drive.outcome is None:
-                drive.step(action)
+            if played.outcome is None:
+                played.step(action)
         plan: tuple[int, ...] = ()
         expected, age = 0.0, 0
-        while drive.outcome is None:
-            left = max(0.0, simulator.finish - drive.gone) / simulator.speed
-            if drive.cost + left >= bound or beam.spent >= limit:
+        while played.outcome is None:
+            left = max(0.0, simulator.finish - played.x) / simulator.speed
+            if played.cost + left >= bound or beam.spent >= limit:
                 break
-            here = root(drive, beam)
-            way = beam.follow(here, plan)
-            if not way.complete or age >= self.patience or way.cost > expected + self.tolerance:
+            here = root(played, beam)
+            best = beam.follow(here, plan)
+            if not best.complete or age >= self.patience or best.cost > expected + self.tolerance:
                 slack = self.tolerance + beam.goal.pitch * _LEANING
-                found = beam.search(here, limit - beam.spent, bound - drive.cost + slack)
+                found = beam.search(
+                    here, budget=limit - beam.spent, bound=bound - played.cost + slack
+                )
                 self.report()
                 age = 0
-                if not (way.complete and way.cost <= found.cost):
-                    way = found
-                if not way.complete and math.isfinite(bound):
-                    break  # nothing cheaper than the bound leads on from here
-            plan = way.actions or (HOLD,)
-            before = drive.cost - drive.gone / simulator.speed
-            drive.step(plan[0])
-            paid = drive.cost - drive.gone / simulator.speed - before
-            plan, expected, age = plan[1:], way.cost - paid, age + 1
-        return drive
+                if not (best.complete and best.cost <= found.cost):
+                    best = found
+                if not best.complete and math.isfinite(bound):
+                    break  # no plan from here costs less than the bound
+            plan = best.actions or (HOLD,)
+            before = played.cost - played.x / simulator.speed
+            played.step(plan[0])
+            paid = played.cost - played.x / simulator.speed - before
+            plan, expected, age = plan[1:], best.cost - paid, age + 1
+        return played

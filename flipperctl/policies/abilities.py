@@ -1,7 +1,7 @@
-"""What a policy or a controller can do beyond its contract.
+"""Optional abilities of policies and controllers.
 
-Collectors and policies that use others ask for an ability, never for a class. The costs of all
-actions are an ability of the contract itself: ``flipperctl.api.CostPolicy``.
+Collectors and policies that wrap others check for an ability, never for a class. One more ability,
+the cost of every action, is part of the public API: ``flipperctl.api.CostPolicy``.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class LabellingPolicy(Policy, Protocol):
 
 @runtime_checkable
 class PolicyUser(Protocol):
-    """A controller that builds on the policy of a file."""
+    """A controller that uses a policy from a file."""
 
     @property
     def policy(self) -> str:
         """A run, a checkpoint, an exported file or a shipped policy; empty for none."""
 
     def starting_from(self, policy: Policy, /) -> Controller:
-        """Return the same settings with the policy that ``policy`` names, read by the caller."""
+        """Return the same settings with the loaded policy that the setting ``policy`` names."""

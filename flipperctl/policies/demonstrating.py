@@ -1,4 +1,4 @@
-"""A policy that drives as another one does and labels every decision of its own.
+"""A policy that acts as another one and labels every decision.
 
 In: any policy. Out: its actions, each with the label that a student should learn from.
 """
@@ -10,7 +10,7 @@ from flipperctl.policies import labels
 
 
 class DemonstratingPolicy:
-    """Labels by the costs of the actions where its policy offers them, else by its action."""
+    """Acts as its policy; labels each decision by action costs, or by the action without costs."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy, self._labeller = policy, labels.Labeller(policy)
@@ -22,7 +22,7 @@ class DemonstratingPolicy:
         self._policy.reset(simulator)
 
     def act(self, p: Perception) -> int:
-        """Return the policy's action, the cheapest if it offers costs; keep the label."""
+        """Return the policy's action, the cheapest if it offers costs; store the label."""
         action, self.label = self._labeller.choose(p)
         self._labeller.took(action)
         return action

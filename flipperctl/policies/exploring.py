@@ -1,4 +1,4 @@
-"""The policy of training episodes: ε-greedy, and with the network's own noise if it has any."""
+"""The policy of training episodes: ε-greedy, with the network's own noise if it has any."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flipperctl.api import ACTIONS, Perception, Simulator
 
 
 class ExploringPolicy:
-    """Takes a random action with probability ε, else the greedy action under newly drawn noise."""
+    """Takes a random action with probability ε, otherwise the greedy action under new noise."""
 
     def __init__(
         self,

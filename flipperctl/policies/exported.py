@@ -1,7 +1,7 @@
 """An exported file as a policy in the simulator, run as the robot runs it.
 
-In: a file of ``flipperctl export onnx``. Out: a policy, the evaluation that its metadata describe,
-and whether a robot agrees with what the file itself applies.
+In: a file of ``flipperctl export onnx``. Out: a policy, the evaluation configuration in its
+metadata, and a check of a robot against the values that the file itself applies.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ _APPLIED = ("angle_step", "angle_limit", "flipper_speed", "control_period")
 
 
 class ExportedPolicy:
-    """Acts greedily in the Q-values of an exported file."""
+    """Acts greedily on the Q-values of an exported file."""
 
     def __init__(self, file: Path) -> None:
         """Read the file.
 
         Raises:
-            PolicyError: the file is missing, damaged or not one of flipperctl.
+            PolicyError: the file is missing, damaged or not from flipperctl.
         """
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
@@ -44,20 +44,20 @@ class ExportedPolicy:
         self._policy.reset()
 
     def act(self, p: Perception) -> int:
-        """Return the index of the action of the largest Q-value, 0 to 8."""
+        """Return the index of the action with the largest Q-value, 0 to 8."""
         return self._policy.act(p.observation)
 
 
 def is_exported(file: Path) -> bool:
-    """Return whether a file is meant as an exported policy, not as a checkpoint."""
+    """Return whether a file name is that of an exported policy, not of a checkpoint."""
     return file.suffix == ".onnx"
 
 
 def exported_config(file: Path) -> EvalConfig:
-    """Return the file's own evaluation: its robot, layout and terrain, all as in training.
+    """Return the file's evaluation configuration: robot, layout and terrain, all as in training.
 
-    A file of format 1 holds only the terrain's name, which then has its defaults. A terrain whose
-    plugin is not there is a stand-in (see ``config.absent``).
+    A file of format 1 holds only the terrain's name; its fields then have their defaults. A
+    stand-in replaces a terrain whose plugin is missing (see ``config.absent``).
 
     Raises:
         PolicyError: flipperctl did not export the file, or this version lacks one of its settings.
@@ -72,17 +72,17 @@ def exported_config(file: Path) -> EvalConfig:
     try:
         return parse(EvalConfig, with_stand_ins(settings, files))
     except ConfigError as error:
-        raise PolicyError(f"{file}: its metadata do not fit this version: {error}") from error
+        raise PolicyError(f"{file}: its metadata are not valid in this version: {error}") from error
 
 
 def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
-    """Check that a simulated robot agrees with what an exported file applies itself.
+    """Check that a simulated robot agrees with the values that an exported file applies itself.
 
-    The file brings its table of actions, the limit of its targets and its decision period to the
-    real robot, whatever the simulator was told. All other properties are the robot's own.
+    On the real robot, the file's own action table, target limit and decision period apply,
+    whatever the simulator's settings. All other properties are the robot's own.
 
     Raises:
-        ConfigError: one of them differs; the text has the command that exports a file with it.
+        ConfigError: one of them differs; the message has the command that exports a matching file.
     """
     found = list(_disagreements(interface, robot))
     if not found:
@@ -91,20 +91,20 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     changed = [name for name in _APPLIED if not _close(getattr(own, name), getattr(robot, name))]
     if not changed:
         raise ConfigError(
-            f"{file} applies {', '.join(found)}: it contradicts the robot in its own metadata; "
+            f"{file} applies {', '.join(found)}, unlike the robot in its own metadata; "
             f"flipperctl inspect conventions --checkpoint {shlex.quote(str(file))} shows where"
         )
     values = {name: json.dumps(getattr(robot, name)) for name in changed}
     asked = " ".join(f"robot.{name}={value}" for name, value in values.items())
-    advice = f"export a file with it: flipperctl export onnx --checkpoint RUN {asked}"
+    advice = f"export a matching file: flipperctl export onnx --checkpoint RUN {asked}"
     if changed == ["flipper_speed"]:
         speed = values["flipper_speed"]
         advice += f", or keep the file's period with randomise.flipper_speed={speed}"
-    raise ConfigError(f"{file} applies {', '.join(found)}, on the robot as well; {advice}")
+    raise ConfigError(f"{file} applies {', '.join(found)}, also on the real robot; {advice}")
 
 
 def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
-    """Yield in words what the file applies instead of the robot's own."""
+    """Yield a description of each value that the file applies instead of the robot's."""
     rule = interface.targets
     step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
     if not np.allclose(interface.actions, robot.actions.turns(step), rtol=0.0, atol=_CLOSE):

@@ -1,4 +1,4 @@
-"""Labels: the distributions over actions that a teacher wants its student to have.
+"""Labels: a teacher's target distributions over actions for its student.
 
 In: the cost of each action, or the action that a policy takes. Out: probabilities, (9,).
 """
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from flipperctl.api import ACTIONS, CostPolicy, FloatArray, Perception, Policy
 
 TEMPERATURE = 0.3
-"""Default difference of costs by which an action becomes e times less probable [s]."""
+"""Default cost difference that makes an action e times less probable [s]."""
 
 
 def from_costs(costs: FloatArray, temperature: float = TEMPERATURE) -> NDArray[np.float32]:
@@ -31,12 +31,12 @@ def from_action(action: int) -> NDArray[np.float32]:
 
 
 class Labeller:
-    """Asks a policy for its actions and labels them, by its costs where it offers them."""
+    """Asks a policy for actions and labels them, by their costs if the policy offers them."""
 
     def __init__(self, policy: Policy, temperature: float = TEMPERATURE) -> None:
         """``temperature``: difference of costs [s]; see ``from_costs``."""
         self._policy, self._temperature = policy, temperature
-        # Asked once: to check a protocol takes longer than some of the work of a decision.
+        # Checked once: a check against a protocol takes longer than parts of a decision.
         self._costs = policy if isinstance(policy, CostPolicy) else None
 
     def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:

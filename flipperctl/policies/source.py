@@ -1,7 +1,6 @@
 """A picklable reference to a policy.
 
-In: a file, or the name and settings of a controller plugin. Out: a policy, trained, exported or
-ruled alike.
+In: a file, or the name and settings of a controller plugin. Out: the policy.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from flipperctl.policies.trained import TrainedPolicy, policy_module
 
 @dataclass(frozen=True)
 class PolicySource:
-    """Where a policy comes from: a file or a controller plugin; one of the two is given."""
+    """Where a policy comes from: either a file or a controller plugin."""
 
     checkpoint: Path | None = None
     """A checkpoint, or a file of ``flipperctl export onnx``."""
@@ -48,7 +47,7 @@ class PolicySource:
     def label(self) -> str:
         """Return the name that tables and files use.
 
-        It is the name of a shipped policy or of a controller plugin, else the file's path.
+        It is the name of a shipped policy or of a controller plugin, otherwise the file's path.
         """
         if self.checkpoint is not None:
             shipped = {file: name for name, file in shipped_policies().items()}
@@ -56,13 +55,13 @@ class PolicySource:
         return str((self.settings or {})["name"])
 
     def baselines(self) -> tuple[str, ...]:
-        """Return the controllers that stand beside this one's results, unless others are named."""
+        """Return the controllers that this policy is compared with by default."""
         if self.checkpoint is not None:
             return ()
         return self._controller().baselines
 
     def robot(self) -> Robot | None:
-        """Return the robot that a file's policy is for; None of a controller plugin.
+        """Return the robot that a file's policy was made for; None for a controller plugin.
 
         Raises:
             CheckpointError: the file is missing or damaged.
@@ -80,7 +79,7 @@ class PolicySource:
         Raises:
             CheckpointError: the policy was trained on another observation layout, or its file is
                 missing or damaged.
-            ConfigError: the environment's robot contradicts what an exported file applies itself.
+            ConfigError: the environment's robot contradicts values that an exported file applies.
             PolicyError: the exported file is damaged.
             PluginFailedError: the controller's code failed.
         """
@@ -101,7 +100,7 @@ class PolicySource:
 
 
 def _exported(file: Path, config: EnvConfig) -> Policy:
-    """Return the policy of an exported file for an environment, whose robot must fit."""
+    """Return the policy of an exported file for an environment with a matching robot."""
     policy = ExportedPolicy(file)
     interface = policy.interface
     _check_layout(file, interface.bins, interface.bin_width, config)
@@ -119,7 +118,7 @@ def _trained(file: Path, config: EnvConfig) -> Policy:
 
 
 def _check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
-    """Check that a file's policy takes the observations of an environment; ``bin_width`` [m]."""
+    """Check that an environment has the observation layout of a policy; ``bin_width`` [m]."""
     layout = config.perception
     if (bins, bin_width) != (layout.bins, layout.bin_width):
         raise CheckpointError(

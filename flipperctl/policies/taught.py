@@ -1,6 +1,7 @@
-"""The policy of training episodes with a teacher, which labels every state that is visited.
+"""The policy of training episodes with a teacher, which labels every visited state.
 
-In: a student's policy, a teacher, and who drives how often. Out: actions, and a label for each.
+In: a student's policy, a teacher, and the student's share of the episodes. Out: actions, each with
+a label.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from flipperctl.policies import labels
 
 
 class TaughtPolicy:
-    """Lets the student or the teacher drive an episode; the teacher labels both (DAgger).
+    """Lets the student or the teacher act for an episode; the teacher labels both (DAgger).
 
     Ross, Gordon and Bagnell 2011, with whole episodes instead of single decisions mixed.
     """
@@ -28,42 +29,42 @@ class TaughtPolicy:
         student_learns: Callable[[], bool],
         rng: np.random.Generator,
     ) -> None:
-        """``student_learns``: before it does, the teacher drives; called before each episode.
+        """``student_learns`` is called before each episode; while it is False, the teacher acts.
 
-        ``rng`` draws who drives, and the random actions of the teacher's episodes.
+        ``rng`` chooses who acts, and the random actions of the teacher's episodes.
         """
         self._student, self._teacher, self._settings = student, teacher, settings
         self._labeller = labels.Labeller(teacher, settings.temperature)
         self._student_learns, self._rng = student_learns, rng
-        self._student_drives = False
+        self._student_acts = False
         self._simulator: Simulator | None = None
         self.label = labels.from_action(0)
         """The teacher's distribution over actions at the last decision, (9,)."""
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode of both and draw who drives it."""
+        """Begin an episode of both policies and choose which one acts."""
         self._student.reset(simulator)
         self._teacher.reset(simulator)
         if self._settings.privileged:
-            simulator.restart()  # the resets may have driven in it
+            simulator.restart()  # the policies may have simulated in it
             self._simulator = simulator
         share = self._settings.student_share if self._student_learns() else 0.0
-        self._student_drives = self._rng.random() < share
+        self._student_acts = self._rng.random() < share
 
     def act(self, p: Perception) -> int:
-        """Return the driver's action; keep the teacher's label."""
+        """Return the acting policy's action; store the teacher's label."""
         simulator = self._simulator
         seen = p if simulator is None else simulator.perceive_exactly()
         choice, self.label = self._labeller.choose(seen)
-        action = self._drive(p, choice)
+        action = self._chosen(p, choice)
         self._labeller.took(action)
         if simulator is not None:
-            simulator.step(action)  # which repeats the episode bit for bit
+            simulator.step(action)  # repeats the episode bit for bit
         return action
 
-    def _drive(self, p: Perception, choice: int) -> int:
+    def _chosen(self, p: Perception, choice: int) -> int:
         """Return the student's action, or the teacher's ``choice`` or a random one."""
-        if self._student_drives:
+        if self._student_acts:
             return self._student.act(p)
         if self._rng.random() < self._settings.random:
             return int(self._rng.integers(len(ACTIONS)))

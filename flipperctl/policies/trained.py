@@ -17,20 +17,20 @@ from flipperctl.errors import CheckpointError, ConfigError
 
 
 class TrainedPolicy:
-    """Acts greedily in the Q-values of a network, which is in ``eval()`` mode."""
+    """Acts greedily on the Q-values of a network in ``eval()`` mode."""
 
     def __init__(self, module: torch.nn.Module, frames: int = 1) -> None:
-        """``frames`` is the number of observations that the network takes in at once."""
+        """``frames``: number of observations that the network takes as one input."""
         self.module = module
         self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; a network remembers nothing from one to the next."""
+        """Begin an episode; the policy has no memory."""
 
     def act(self, p: Perception) -> int:
-        """Return the index of the action of the largest Q-value, 0 to 8."""
+        """Return the index of the action with the largest Q-value, 0 to 8."""
         return greedy(self.module, stacked(p.recent, self.frames), self._device)
 
 
@@ -40,7 +40,7 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     It maps observations (B, F · (N + 3)) of F frames in SI units to Q-values (B, 9).
 
     Raises:
-        CheckpointError: the network's plugin is not there, or the weights do not fit the network.
+        CheckpointError: the network's plugin is missing, or the weights do not fit the network.
     """
     config = checkpoint.policy_config()
     try:

@@ -30,7 +30,7 @@ class Actor:
     """Plays training episodes with the weights that come with each request."""
 
     def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """Build the environment and the network of ``config``, the container of a ``TrainConfig``.
+        """Build the environment and the network of ``config``, a ``TrainConfig`` as plain data.
 
         Raises:
             FlipperctlError: the configuration or a plugin is not valid here.
@@ -55,7 +55,7 @@ class Actor:
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
 
-        The weights are passed apart from the request, since many requests share them.
+        The weights are separate from the request, since many requests share them.
         """
         self._load(weights)
         self._module.train()
@@ -78,16 +78,22 @@ class Actor:
         actions = np.array([d.action for d in episode])
         rewards = np.array([d.reward for d in episode])
         labelled = np.array(labels) if labels else None
-        return Rollout(np.array(observations), actions, rewards, ending, labelled)
+        return Rollout(
+            observations=np.array(observations),
+            actions=actions,
+            rewards=rewards,
+            ending=ending,
+            labels=labelled,
+        )
 
     def _load(self, weights: Weights) -> None:
         state = {name: torch.from_numpy(array) for name, array in weights.items()}
-        with naming_network(self._module, "load_state_dict"):  # it may have changed its shapes
+        with naming_network(self._module, "load_state_dict"):  # its shapes may have changed
             self._module.load_state_dict(state)
 
 
 class StartedActor:
-    """An actor whose errors at start-up are raised by its first call.
+    """An actor whose start-up errors are raised by its first call.
 
     The start of a worker process cannot return an error to the main process; a call can.
     """
@@ -108,11 +114,11 @@ class StartedActor:
             self._actor = error
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
-        """Do as ``Actor.evaluate``, or raise the error of the start."""
+        """Call ``Actor.evaluate``, or raise the start-up error."""
         return self._ready().evaluate(weights, seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
-        """Do as ``Actor.play``, or raise the error of the start."""
+        """Call ``Actor.play``, or raise the start-up error."""
         return self._ready().play(request, weights)
 
     def _ready(self) -> Actor:

@@ -2,7 +2,7 @@
 
 Out: one ``Step`` for each decision, episode after episode. ``InProcessCollector`` acts with the
 newest weights (``train.mode=exact``). ``AsyncCollector`` keeps workers busy with requests for whole
-episodes, so that acting and learning go on at the same time (``train.mode=fast``).
+episodes, so that acting and learning run in parallel (``train.mode=fast``).
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Collector(Protocol):
     """A source of episodes."""
 
     def episode(self) -> Iterator[Step]:
-        """Yield the steps of one episode, to its end; none if the run is to stop before it."""
+        """Yield the steps of one whole episode; none if the run is to stop first."""
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
     ) -> list[Row] | None:
-        """Play one greedy episode for each seed, in this process with ``play_here``.
+        """Play one greedy episode for each seed; ``play_here`` plays one in this process.
 
         Returns the rows in the order of the seeds; None if the run is to stop before the last.
         """
@@ -50,37 +50,37 @@ class Collector(Protocol):
 
 
 class RolloutWorkers(Protocol):
-    """Workers that play the episodes that they are requested to play."""
+    """Workers that play requested episodes."""
 
     @property
     def capacity(self) -> int:
         """Number of requests that keeps all workers busy."""
 
     def send(self, request: RolloutRequest) -> None:
-        """Send a request; does not wait."""
+        """Send a request without waiting."""
 
     def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
-        """Wait for a request and return it with its rollout, or with None if its worker died.
+        """Wait for a rollout; return its request with it, or with None if the worker died.
 
         Returns None alone, and keeps the request, if the run is to stop before a rollout arrives.
         """
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
-        """Request one greedy episode for each seed, which free workers play; does not wait.
+        """Request one greedy episode for each seed from the free workers, without waiting.
 
-        The future of an episode that no worker has begun can be cancelled. One whose worker died
+        The future of an episode that no worker has begun can be cancelled. If its worker died, it
         raises ``WorkerDiedError``.
         """
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that were sent and not yet taken, oldest first."""
+        """Return the requests that were sent but not yet taken, oldest first."""
 
     def close(self) -> None:
         """Stop the workers."""
 
 
 class InProcessCollector:
-    """Plays in this process, so that the policy acts with the newest weights."""
+    """Plays in this process; the policy acts with the newest weights."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class InProcessCollector:
     ) -> None:
         """``next_seed`` and ``difficulty`` are called before each episode.
 
-        ``frames``: number of observations that the network takes as one input. ``stop`` ends an
+        ``frames``: number of observations that the network takes as one input. ``stop`` can end an
         evaluation between two episodes.
         """
         self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
@@ -101,14 +101,21 @@ class InProcessCollector:
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
-        """Yield the steps of one episode; each is made when the iterator asks for it."""
+        """Yield the steps of one episode; each is made on request of the iterator."""
         seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
         for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
             observation = stacked(d.perception.recent, frames)
             next_observation = stacked(d.next_perception.recent, frames)
             label = None if self._labelling is None else self._labelling.label
-            yield Step(observation, d.action, d.reward, next_observation, ending, label)
+            yield Step(
+                observation=observation,
+                action=d.action,
+                reward=d.reward,
+                next_observation=next_observation,
+                ending=ending,
+                label=label,
+            )
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
@@ -122,11 +129,11 @@ class InProcessCollector:
         return rows
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return an empty list: nothing is requested ahead of its use."""
+        """Return an empty list: no episode is requested ahead of its use."""
         return []
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there are no worker processes."""
 
 
 class AsyncCollector:
@@ -143,13 +150,13 @@ class AsyncCollector:
         """``next_request`` makes the request of the next episode.
 
         ``on_lost`` is called with each request whose worker died; ``accept`` returns whether the
-        rollout of a request is still used, or dropped. ``stop`` ends any wait for workers.
+        rollout of a request is still used. ``stop`` ends any wait for workers.
         """
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept, self._stop = on_lost, accept, stop
 
     def resume(self, requests: Sequence[RolloutRequest]) -> None:
-        """Send the requests again that were outstanding when the run was saved."""
+        """Resend the requests that were outstanding when the run was saved."""
         for request in requests:
             self._workers.send(request)
 
@@ -172,7 +179,7 @@ class AsyncCollector:
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
     ) -> list[Row] | None:
-        """Let whoever is free play the next episode: workers from the first, this from the last.
+        """Play one episode for each seed: workers from the first on, this process from the last.
 
         Returns the rows in the order of the seeds; None if the run is to stop before the last.
         """

@@ -1,7 +1,7 @@
 """The one episode loop.
 
-In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made when the
-iterator asks for it, so that the caller can learn, display, wait or stop in between.
+In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made on request of
+the iterator, so that the caller can learn, display, wait or stop in between.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from flipperctl.errors import FlipperctlError
 Row = dict[str, Any]
 """Seed, outcome and metrics of one episode."""
 SEARCH = "search_"
-"""Prefix of the keys of what a policy reported about its search."""
+"""Prefix of the keys of a policy's search results."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ def decisions(
     report_progress: Callable[[float], None] = lambda fraction: None,
     observers: Sequence[Observer] = (),
 ) -> Iterator[Decision]:
-    """Yield the decisions of one episode, to its end; stop iterating to cancel it.
+    """Yield the decisions of one whole episode; stop iterating to cancel it.
 
     ``difficulty``: difficulty of the terrain, 0 to 1. ``pace`` is called before each decision with
-    the time since the start of the episode [s], and may wait. ``report_progress`` is called by a
-    policy that searches before it drives, with the fraction of the search that is done.
-    ``observers`` see the episode's samples, measurements and decisions.
+    the time since the start of the episode [s], and may wait. ``report_progress`` is called with
+    the completed fraction of the search by a policy that searches before it acts. ``observers`` see
+    the episode's samples, measurements and decisions.
 
     Raises:
         FlipperctlError: the policy returned an action that does not exist.
@@ -86,7 +86,13 @@ def decisions(
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
             ending |= {f"{SEARCH}{name}": value for name, value in simulator.results.items()}
         yield Decision(
-            perception, action, reward, info["rewards"], env.transition, env.perception, ending
+            perception=perception,
+            action=action,
+            reward=reward,
+            rewards=info["rewards"],
+            transition=env.transition,
+            next_perception=env.perception,
+            ending=ending,
         )
 
 
@@ -101,7 +107,7 @@ def play(
 ) -> Row:
     """Play one episode to its end; return its seed, outcome and metrics.
 
-    ``watch`` is called after each decision; ``observers`` see what lies between decisions, too.
+    ``watch`` is called after each decision; ``observers`` also see the samples between decisions.
     """
     ending: Row | None = None
     for decision in decisions(

@@ -1,9 +1,8 @@
 """A pool of worker processes that replaces those that die.
 
-In: functions and their arguments. Out: futures of what the functions return. Calls wait in one
-queue, from which each worker takes the next as soon as it is free, so that a long call holds up no
-other. Each worker is a process pool of one from the standard library, so a process that dies ends
-nothing but the call that it works on.
+In: functions and their arguments. Out: futures of their results. Calls wait in one queue; each free
+worker takes the next one, so that a long call delays no other. Each worker is a process pool of one
+from the standard library, so a process that dies fails only its current call.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from flipperctl.errors import FlipperctlError
 _ACTOR = "flipperctl.rollout.actor"
 _STOPS = (signal.SIGINT, signal.SIGTERM)
 _MAX_DEATHS = 3
-"""Deaths of a worker, without a result in between, after which its calls fail."""
+"""Number of successive deaths of a worker after which its calls fail."""
 
 
 class WorkerDiedError(FlipperctlError):
@@ -35,7 +34,7 @@ class WorkerDiedError(FlipperctlError):
 class WorkerPool:
     """``count`` processes, each initialised by ``initializer(*arguments)``.
 
-    A process starts with the first call that finds no other one free.
+    A process starts with the first call for which no other process is free.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class WorkerPool:
         context = multiprocessing.get_context("forkserver" if several else "spawn")
         known = multiprocessing.get_all_start_methods()
         if multiprocessing.get_start_method(allow_none=True) not in (None, *known):
-            # A worker of joblib has a start method of its own, which its children do not know.
+            # A joblib worker has its own start method, which its children do not know.
             multiprocessing.set_start_method("spawn", force=True)
         if several:
             context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
@@ -65,7 +64,7 @@ class WorkerPool:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Queue the call ``function(*arguments)``; return its future.
 
-        Calls begin in their order; one that has not begun can be cancelled. The result of the
+        Calls begin in their order; a call that has not begun can be cancelled. The result of the
         future may raise:
 
             WorkerDiedError: the process of the call died; a new one takes the next call.
@@ -93,7 +92,7 @@ class WorkerPool:
 
 
 class _Worker:
-    """A process that runs one call after the other, and its successors."""
+    """A process that runs one call at a time, replaced when it dies."""
 
     _starting = threading.Lock()  # processes are started one at a time
 
@@ -138,7 +137,7 @@ class _Worker:
         return list(self._executor._processes or {})
 
     def close(self) -> None:
-        """Stop the process, in the middle of a call if it works on one."""
+        """Stop the process, even during a call."""
         with self._starting:
             self._closed = True
         if self._busy:
@@ -151,13 +150,13 @@ class _Worker:
 def _blocked_stops() -> Iterator[None]:
     """Block SIGINT and SIGTERM while a worker starts.
 
-    The process inherits that, and its imports are not interrupted: Ctrl-C in a terminal reaches
-    every process of the run.
+    The process inherits the block, so that Ctrl-C, which reaches every process of the run in a
+    terminal, does not interrupt its imports.
     """
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return
-    resource_tracker.ensure_running()  # whose start would let the signals through again
+    resource_tracker.ensure_running()  # starting it later would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
     try:
         yield
@@ -167,7 +166,7 @@ def _blocked_stops() -> Iterator[None]:
 
 def _initialize_process(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     with contextlib.suppress(ValueError):  # not in the main thread
-        for number in _STOPS:  # the main process handles them, and ends its workers
+        for number in _STOPS:  # the main process handles them and stops its workers
             signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)

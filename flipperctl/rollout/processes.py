@@ -24,27 +24,27 @@ class ProcessWorkers:
     """Actors in ``count`` processes; rollouts come in the order of the requests."""
 
     def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """``config``: the container of a ``TrainConfig``."""
+        """``config``: a ``TrainConfig`` as plain data."""
         self.capacity = 2 * count  # each worker plays one request while another waits
         self._pool = WorkerPool(count, _create_actor, (config, plugin_paths))
         self._sent: deque[tuple[RolloutRequest, Future[Rollout]]] = deque()
-        # Weights go through files: a pool whose process dies while a long message to it is under
-        # way would hold up the interpreter's exit (CPython issue 94777, before Python 3.12).
+        # Weights go through files: a process that dies while it receives a long message would block
+        # the interpreter's exit (CPython issue 94777, before Python 3.12).
         self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
         self._files: dict[int, Path] = {}
 
     def send(self, request: RolloutRequest) -> None:
-        """Queue a request for the next worker that is free."""
+        """Queue a request for the next free worker."""
         if request.version not in self._files:
             self._files[request.version] = self._write(f"request{request.version}", request.weights)
         path = self._files[request.version]
-        slim = replace(request, weights={})
-        self._sent.append((request, self._pool.submit(_play, slim, path)))
+        light = replace(request, weights={})
+        self._sent.append((request, self._pool.submit(_play, light, path)))
 
     def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
         """Wait for the oldest request; return it and its rollout, or None if its worker died.
 
-        Returns None alone, and keeps the request, if ``stop`` returns True before.
+        Returns None alone, and keeps the request, if ``stop`` returns True first.
         """
         request, future = self._sent[0]
         while not wait([future], POLL).done:
@@ -61,7 +61,7 @@ class ProcessWorkers:
                 self._files.pop(version).unlink()
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
-        """Queue one greedy episode for each seed; they begin in their order."""
+        """Queue one greedy episode for each seed; they begin in this order."""
         path = self._write("evaluated", weights)
         return [self._pool.submit(_evaluate, path, seed) for seed in seeds]
 
@@ -71,7 +71,7 @@ class ProcessWorkers:
         return path
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that were sent and not yet taken, oldest first."""
+        """Return the requests that were sent but not yet taken, oldest first."""
         return [request for request, _ in self._sent]
 
     def close(self) -> None:

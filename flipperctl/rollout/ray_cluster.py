@@ -1,7 +1,7 @@
 """The Ray cluster of this process: started here, or joined at an address.
 
-In: an address and further settings of ``ray.init``. Out: a connection, or an error that says which
-setting is wrong.
+In: an address and further settings of ``ray.init``. Out: a connection, or an error that names the
+wrong setting.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from flipperctl.errors import ConfigError, MissingExtraError
 QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 """Settings of ``ray.init`` for a process that shows its own messages."""
 _PATIENCE = 10.0
-"""Time in which a host has to answer [s]; Ray itself would try for minutes."""
+"""Longest wait for a host's answer [s]; Ray itself would try for minutes."""
 
 
 def import_ray() -> Any:
@@ -34,7 +34,7 @@ def import_ray() -> Any:
 
 
 def start_local(cpus: int) -> None:
-    """Start a cluster for this process alone, unless it is connected to one already.
+    """Start a cluster for this process alone, unless it is already connected to one.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -46,10 +46,10 @@ def start_local(cpus: int) -> None:
 
 
 def join(address: str | None, key: str, **settings: Any) -> None:
-    """Connect to a running cluster; ``settings`` are further ones of ``ray.init``.
+    """Connect to a running cluster; ``settings`` are passed on to ``ray.init``.
 
-    ``key``: configuration path of the address, for the errors. Without an address, Ray joins the
-    cluster that it finds on this machine, or starts one.
+    ``key``: configuration path of the address, for the errors. Without an address, Ray joins a
+    cluster on this machine, or starts one.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -73,14 +73,14 @@ def join(address: str | None, key: str, **settings: Any) -> None:
 
 
 def cpus() -> tuple[int, int]:
-    """Return the numbers of free and of all CPUs of the cluster."""
+    """Return the numbers of free CPUs and of all CPUs of the cluster."""
     ray = import_ray()
     free, total = ray.available_resources(), ray.cluster_resources()
     return int(free.get("CPU", 0)), int(total.get("CPU", 0))
 
 
 def _is_refused_token(error: BaseException) -> bool:
-    """Return whether Ray failed for want of a token; ``ray.init`` has that in a cause's text."""
+    """Return whether Ray failed for lack of a token, which only a cause's text says."""
     found: BaseException | None = error
     while found is not None:
         if "AuthenticationError" in f"{type(found).__name__} {found}":
@@ -104,7 +104,7 @@ def _check_reachable(address: str | None) -> None:
 
 @contextlib.contextmanager
 def _kept_sigterm() -> Iterator[None]:
-    """Keep this process's handler of SIGTERM, which ``ray.init`` replaces by an exit."""
+    """Keep this process's SIGTERM handler, which ``ray.init`` replaces by an exit."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield

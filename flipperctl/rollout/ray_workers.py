@@ -1,8 +1,8 @@
 """Actors on a Ray cluster; rollouts come as soon as they are ready.
 
 An actor gets requests once it has a CPU and has started; the others wait for a CPU. When a worker
-or a node is lost, the episodes that it was playing are lost, and Ray starts the actor again on a
-node with a free CPU. The weights of a version are sent once for all workers.
+or a node is lost, its running episodes are lost, and Ray restarts the actor on a node with a free
+CPU. The weights of a version are sent once for all workers.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from flipperctl.rollout.ray_cluster import QUIET, cpus, import_ray, join, start_
 from flipperctl.rollout.values import POLL, Rollout, RolloutRequest, Stop, Weights
 
 _REQUESTS_PER_WORKER = 2
-"""Requests of one worker: it plays one while the other waits."""
+"""Requests per worker: one is played while the other waits."""
 _REPORT_AFTER = 10.0
-"""Time of waiting for workers to start, after which those without a CPU are reported [s]."""
+"""Time after which workers that still wait for a CPU are reported [s]."""
 
 
 class RayWorkers:
@@ -42,8 +42,8 @@ class RayWorkers:
     ) -> None:
         """Create the actors; do not wait until they have started.
 
-        ``config``: the container of a ``TrainConfig``. ``report`` is called with what the user
-        should know about the workers, as a sentence.
+        ``config``: a ``TrainConfig`` as plain data. ``report`` is called with sentences about the
+        workers for the user.
 
         Raises:
             MissingExtraError: Ray is not installed.
@@ -62,15 +62,15 @@ class RayWorkers:
         actor = remote.options(num_cpus=1, max_restarts=-1)
         self._started: list[Any] = []
         self._starting: dict[Any, Any] = {}
-        """Actor by the reference that is ready as soon as it has started."""
+        """Actors by the references that become ready once they have started."""
         for _ in range(settings.workers):
-            self._expect(actor.remote(config, plugin_paths, str(Path.cwd())))
+            self._await_start(actor.remote(config, plugin_paths, str(Path.cwd())))
         self._changed_at, self._reported = time.monotonic(), 0
         self._waited = 0.0
         """Time of waiting since the last rollout [s]."""
         self._queue: deque[RolloutRequest] = deque()
         self._sent: dict[Any, tuple[RolloutRequest, Any]] = {}
-        """Request and actor by the reference of the rollout."""
+        """Requests and actors by the references of their rollouts."""
         self._shared: tuple[Weights | None, Any] = (None, None)
         self._closed = False
 
@@ -82,7 +82,7 @@ class RayWorkers:
     def send(self, request: RolloutRequest) -> None:
         """Queue a request for a worker that has started."""
         self._queue.append(request)
-        self._hand_out()
+        self._dispatch()
 
     def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
         """Wait for the first rollout that is ready; return it with its request.
@@ -95,13 +95,13 @@ class RayWorkers:
                 start.
         """
         while not stop():
-            self._admit()
-            self._hand_out()
+            self._collect_started()
+            self._dispatch()
             begun = time.monotonic()
             ready, _ = self._ray.wait([*self._sent, *self._starting], timeout=POLL)
             self._waited += time.monotonic() - begun
             if self._waited > self._settings.patience:
-                raise FlipperctlError(self._why_nothing())
+                raise FlipperctlError(self._timeout_text())
             for reference in ready:
                 if reference in self._sent:
                     return self._taken(reference)
@@ -116,10 +116,10 @@ class RayWorkers:
         self._waited = 0.0
         return request, rollout
 
-    def _expect(self, actor: Any) -> None:
+    def _await_start(self, actor: Any) -> None:
         self._starting[actor.__ray_ready__.remote()] = actor
 
-    def _admit(self) -> None:
+    def _collect_started(self) -> None:
         """Let the actors that have started take requests; report those that get no CPU."""
         waiting = list(self._starting)
         ready = self._ray.wait(waiting, num_returns=len(waiting), timeout=0)[0] if waiting else []
@@ -128,7 +128,7 @@ class RayWorkers:
             try:
                 self._ray.get(reference)
             except self._ray.exceptions.ActorUnavailableError:  # lost again; Ray restarts it
-                self._expect(actor)
+                self._await_start(actor)
                 continue
             except self._ray.exceptions.RayActorError as error:
                 last = str(error).strip().splitlines()[-1]
@@ -140,24 +140,24 @@ class RayWorkers:
             self._report_waiting()
 
     def _report_waiting(self) -> None:
-        """Say once how many workers have got no CPU, if none is free."""
+        """Report once how many workers have no CPU, if none is free."""
         count, (free, total) = len(self._starting), cpus()
         if free or count == self._reported:
             return
         self._reported = count
         text = (
-            f"{count} of {self._settings.workers} Ray workers (collector.workers) have got no CPU: "
+            f"{count} of {self._settings.workers} Ray workers (collector.workers) have no CPU: "
             f"none of the cluster's {total} is free. "
         )
         if self._started:
-            text += f"The run goes on with {len(self._started)}; others join it when a CPU is free"
+            text += f"The run continues with {len(self._started)}; others join when a CPU is free"
         else:
             text += (
                 f"The run waits up to {self._settings.patience:g} s (collector.patience) for one"
             )
         self._report(text)
 
-    def _hand_out(self) -> None:
+    def _dispatch(self) -> None:
         """Send the queued requests to the started actors with the fewest pending ones."""
         if not self._started:
             return
@@ -170,21 +170,21 @@ class RayWorkers:
                 self._shared = (request.weights, self._ray.put(dict(request.weights)))
             actor = min(self._started, key=lambda one: load[id(one)])
             load[id(actor)] += 1
-            slim = replace(request, weights={})
-            self._sent[actor.play.remote(slim, self._shared[1])] = (request, actor)
+            light = replace(request, weights={})
+            self._sent[actor.play.remote(light, self._shared[1])] = (request, actor)
 
-    def _why_nothing(self) -> str:
+    def _timeout_text(self) -> str:
         patience = f"{self._settings.patience:g} s (collector.patience)"
         free, total = cpus()
         if self._started:
             return f"no Ray worker has played an episode for {patience}"
         return (
-            f"no Ray worker has got a CPU and started within {patience}: {free} of the cluster's "
+            f"no Ray worker got a CPU and started within {patience}: {free} of the cluster's "
             f"{total} CPUs are free; wait for other jobs to end, or add machines"
         )
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
-        """Let each started actor play one greedy episode after the other, in their order."""
+        """Let the started actors play one greedy episode for each seed, begun in this order."""
         shared = self._ray.put(dict(weights))
         calls: list[tuple[int, Future[Row]]] = [(seed, Future()) for seed in seeds]
         arguments = (shared, deque(calls), list(self._started))
@@ -194,7 +194,7 @@ class RayWorkers:
     def _evaluate(
         self, shared: Any, calls: deque[tuple[int, Future[Row]]], free: list[Any]
     ) -> None:
-        """Hand the calls out to whichever actor is free; runs in a thread of its own."""
+        """Send the calls to free actors; runs in its own thread."""
         running: dict[Any, tuple[Future[Row], Any]] = {}
         while not self._closed:
             while free and calls:
@@ -203,7 +203,7 @@ class RayWorkers:
                     actor = free.pop()
                     running[actor.evaluate.remote(shared, seed)] = future, actor
             if not running:
-                return  # the rest is played by the learner
+                return  # the learner plays the rest
             ready, _ = self._ray.wait(list(running), timeout=POLL)
             for reference in ready:
                 future, actor = running.pop(reference)
@@ -234,15 +234,15 @@ class RayWorkers:
         ) as error:
             with contextlib.suppress(ValueError):  # both its requests were lost
                 self._started.remove(actor)
-                self._expect(actor)
+                self._await_start(actor)
             raise WorkerDiedError("a Ray worker was lost") from error
 
     def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that were sent and not yet taken, oldest first."""
+        """Return the requests that were sent but not yet taken, oldest first."""
         return [*(request for request, _ in self._sent.values()), *self._queue]
 
     def close(self) -> None:
-        """Stop the actors, and disconnect if the connection was made here."""
+        """Stop the actors; close the connection if this object made it."""
         self._closed = True
         for actor in [*self._started, *self._starting.values()]:
             self._ray.kill(actor)

@@ -1,4 +1,4 @@
-"""Records episodes for a file, while they are played.
+"""Records episodes for a file while they are played.
 
 In: decisions of one episode with their labels. Out: a ``RecordedEpisode``.
 """
@@ -16,7 +16,7 @@ NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 
 
 class EpisodeRecorder:
-    """Collects the decisions of one episode after the other."""
+    """Collects the decisions of one episode at a time."""
 
     def __init__(self) -> None:
         self._observations: list[NDArray[np.float32]] = []
@@ -41,20 +41,20 @@ class EpisodeRecorder:
         self._observations, self._decisions = [], []
 
     def finish(self, number: int, ending: Row) -> RecordedEpisode:
-        """Return the episode that ended with the last decision; begin the next.
+        """Return the episode that the last decision ended; begin the next one.
 
         ``number`` counts episodes from 0; ``ending`` has the seed, outcome and terrain.
         """
         actions, rewards, labels = zip(*self._decisions, strict=True)
         found = RecordedEpisode(
-            number,
-            ending["seed"],
-            ending["terrain"],
-            Outcome(ending["outcome"]),
-            np.array(self._observations, np.float32),
-            np.array(actions, np.int64),
-            np.array(rewards, np.float64),
-            np.array(labels, np.float32),
+            number=number,
+            seed=ending["seed"],
+            terrain=ending["terrain"],
+            outcome=Outcome(ending["outcome"]),
+            observations=np.array(self._observations, np.float32),
+            actions=np.array(actions, np.int64),
+            rewards=np.array(rewards, np.float64),
+            labels=np.array(labels, np.float32),
         )
         self.drop()
         return found

@@ -1,7 +1,7 @@
-"""Seeds of episodes in three streams whose ranges do not overlap, and exploration's generator.
+"""Seeds of episodes in three streams with disjoint ranges, and the generator for exploration.
 
-Training seeds are 32-bit numbers. Validation and evaluation seeds have the stream's number in front
-of 50 random bits; all are below 2^53, so that every reader of JSON keeps their last digit.
+Training seeds are 32-bit numbers. Validation and evaluation seeds are the stream's number followed
+by 50 random bits; all are below 2^53, so that every JSON reader keeps all their digits.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def validation_seed(seed: int, episode: int) -> int:
 class EvaluationSeeds:
     """The seeds of an evaluation's episodes on one terrain, from 3 · 2^50 on.
 
-    Equal arguments give equal episodes on every machine. The seeds of two terrains differ, so that
+    Equal arguments give equal seeds on every machine. The seeds of two terrains differ, so that
     episodes on several terrains are independent samples. Physics, sensing, start, engine and policy
-    have no influence, so that all of them meet the same ground.
+    do not influence the seeds, so that all of them meet the same ground.
     """
 
     seed: int
@@ -64,7 +64,7 @@ class EvaluationSeeds:
 
 
 def exploration_rng(seed: int, episode: int) -> np.random.Generator:
-    """Return the generator with which a worker explores in one training episode."""
+    """Return the generator of a worker's exploration in one training episode."""
     return np.random.default_rng(_sequence(seed, _EXPLORATION, episode))
 
 

@@ -18,7 +18,7 @@ PlayHere = Callable[[int], Row]
 Stop = Callable[[], bool]
 """Returns whether the user has asked the run to stop."""
 POLL = 0.1
-"""Longest time between two calls of a ``Stop`` while waiting for workers [s]."""
+"""Longest time between two calls of ``Stop`` during a wait for workers [s]."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class RolloutRequest:
     decision: int
     """Decisions of the run at the time of the request."""
     version: int
-    """Updates that produced the weights; requests of one version share them."""
+    """Number of updates before the weights; requests of one version share their weights."""
     weights: Weights
     difficulty: float = 1.0
     """Difficulty of the terrain, 0 to 1."""
@@ -75,4 +75,11 @@ class Rollout:
             before, after = self.observations[t], self.observations[t + 1]
             ending = self.ending if t == last else None
             label = None if self.labels is None else self.labels[t]
-            yield Step(before, int(action), float(reward), after, ending, label)
+            yield Step(
+                observation=before,
+                action=int(action),
+                reward=float(reward),
+                next_observation=after,
+                ending=ending,
+                label=label,
+            )

@@ -22,7 +22,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import a name when it is asked for, so that the program here can handle Ctrl-C before."""
+    """Import a name on first use, so that ``__main__`` can handle Ctrl-C before."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

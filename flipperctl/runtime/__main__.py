@@ -16,7 +16,7 @@ HELP = """Usage: python -m flipperctl.runtime FILE
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, the actions, the decision period, the robot and the training.
-It needs numpy and onnxruntime alone.
+It needs only numpy and onnxruntime.
 
 Examples
 
@@ -63,8 +63,8 @@ def _main(words: list[str]) -> int:
         return 0
     if len(words) != 1 or words[0].startswith("-"):
         raise RequestError(
-            f"one exported policy is allowed, as in python -m flipperctl.runtime stair.onnx; "
-            f"got {shlex.join(words) or 'nothing'}; --help explains"
+            f"expected one exported policy, as in python -m flipperctl.runtime stair.onnx; "
+            f"got {shlex.join(words) or 'nothing'}; see --help"
         )
     from flipperctl.runtime.policy import OnnxPolicy
 

@@ -1,4 +1,4 @@
-"""The SHA-256 of an exported policy: written into the file that it covers.
+"""The SHA-256 of an exported policy, stored in the file that it covers.
 
 In: the bytes of a file. Out: the bytes with their checksum, or an error before any other code
 parses them. The checksum is computed over the whole file with its own 64 hexadecimal digits set to
@@ -42,7 +42,7 @@ def add_checksum(data: bytes) -> bytes:
 
 
 def verify(data: bytes, where: str) -> bool:
-    """Check the bytes of a file; return whether it has a checksum (a file of format 1 has none).
+    """Check the bytes of a file; return whether they have a checksum (format 1 has none).
 
     Raises:
         PolicyError: the bytes were changed since the export, or ``flipperctl export onnx`` did not
@@ -66,7 +66,7 @@ def verify(data: bytes, where: str) -> bool:
     found_version = data[version : version + 1]
     if found_version == b"1" and _FORMAT_1_ENTRIES.issuperset(re.findall(_NAME, data)):
         return False
-    # Only a file of format 1 has no checksum, and it has no other entries: this one is damaged.
+    # Without a checksum, only the entries of format 1 are possible: this file is damaged.
     if found_version in (b"1", b"%d" % FORMAT_VERSION):
         raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
     raise PolicyError(
@@ -76,7 +76,7 @@ def verify(data: bytes, where: str) -> bool:
 
 
 def _find_entry(data: bytes, key: str, length: int) -> int | None:
-    """Return where the value of a metadata entry begins; None unless one of that length exists.
+    """Return the offset of a metadata entry's value; None unless one of that length exists.
 
     An entry is a protobuf message of two strings: tag 1, length, key, tag 2, length, value. An
     entry that occurs twice counts as missing.

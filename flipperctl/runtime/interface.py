@@ -27,13 +27,13 @@ from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
 LARGEST_HEIGHT = 5.0
-"""Largest height of an observation, beside half the length of the perceived ground [m].
+"""Largest height of an observation, plus half the length of the perceived ground [m].
 
-No ground that a robot crosses is as steep or deep; the -10 of a robot that measures its own height
-above level ground in centimetres, and the -100 of one that does in millimetres, are beyond it.
+No passable ground is as high or as deep. The limit detects heights in wrong units: level ground is
+about -10 in centimetres and -100 in millimetres.
 """
 TARGETS = f"{PREFIX}targets"
-"""Entry of the rule for the flippers' targets."""
+"""Metadata entry of the rule for the flippers' targets."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class Interface:
     targets: TargetRule
     """How an action turns the flippers; see ``states_targets``."""
     states_targets: bool
-    """Whether the file states that rule. If it does not, the policy was trained with targets that
-    no measured angle bounds, so that ``targets.window`` is infinite."""
+    """Whether the file states that rule. If not, the policy was trained with targets that were not
+    bounded by measured angles, and ``targets.window`` is infinite."""
     decision_period: float
     """Time between two actions [s]."""
     robot: Mapping[str, float]
@@ -113,11 +113,11 @@ class Interface:
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     """Return the interface that the metadata of a model describe.
 
-    ``where`` names the file in errors.
+    ``where``: name of the file, for the errors.
 
     Raises:
         PolicyError: flipperctl did not write the metadata, their format is unknown, or an entry
-            is wrong.
+            is not valid.
     """
     version = metadata.get(f"{PREFIX}format_version")
     if version not in ("1", str(FORMAT_VERSION)):
@@ -141,7 +141,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     )
     joints = entry(
         "joints",
-        f"the list {json.dumps(PAIRS.joints)}, whose joints this version turns,",
+        f"the list {json.dumps(PAIRS.joints)}, the joints of this version,",
         lambda v: v == list(PAIRS.joints),
         absent=json.dumps(PAIRS.joints),  # as in files of version 0.2
     )
@@ -188,7 +188,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
 
 
 def _targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]) -> TargetRule:
-    """Return the rule for the targets; without its entry, that of the earlier versions."""
+    """Return the rule for the targets; without its entry, the rule of earlier versions."""
     if TARGETS not in metadata:
         return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
     rule = _entry(
@@ -211,10 +211,10 @@ def _entry(
     check: Callable[[Any], bool],
     absent: str = "",
 ) -> Any:
-    """Return the value of an entry that ``check`` accepts; ``absent`` is its text if it is missing.
+    """Return the value of an entry after ``check``; ``absent`` is the text of a missing entry.
 
     Raises:
-        PolicyError: the entry is not JSON or ``check`` refuses it.
+        PolicyError: the entry is not JSON, or ``check`` rejects it.
     """
     text = metadata.get(f"{PREFIX}{name}", absent)
     try:
@@ -247,7 +247,7 @@ def _is_count(value: object) -> bool:
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= sys.float_info.max  # false for NaN; whole numbers have no upper end
+    return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
 
 
 def _is_positive(value: object) -> bool:

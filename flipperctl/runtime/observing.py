@@ -1,7 +1,7 @@
-"""From what a robot measures to the observation of a policy.
+"""The observation of a policy from a robot's measurements.
 
-In: points of the ground, angles and the pitch. Out: an observation, by the arithmetic with which
-the simulator makes it.
+In: points of the ground, flipper angles and the pitch. Out: an observation, computed as in the
+simulator.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ def observe(
     near = ground[np.abs(ground[:, 0]) <= reach + _ROUNDING]
     if not len(near):
         raise PolicyError(
-            f"{where}: of {len(ground)} points none lies within ±{reach:g} m of the chassis centre"
+            f"{where}: none of the {len(ground)} points lies within ±{reach:g} m of the chassis "
+            "centre"
         )
     heights = mean_heights(near, interface.bins, interface.bin_width)
     return layout.assemble(heights, front=front, rear=rear, pitch=pitch)

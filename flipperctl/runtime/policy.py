@@ -1,6 +1,6 @@
 """A policy from a file of ``flipperctl export onnx``.
 
-In: the file, and observations. Out: Q-values and actions, each in some ten microseconds.
+In: the file and observations. Out: Q-values and actions, each in about ten microseconds.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ DEGREES = "angles are in radians"
 
 
 class OnnxPolicy:
-    """An exported policy; use an object in one thread at a time.
+    """An exported policy; use an object from one thread at a time.
 
-    A policy whose input is several observations (``interface.frames``) keeps the earlier ones
-    itself: call ``reset`` at the start of each episode.
+    A policy whose input is several observations (``interface.frames``) stores the earlier ones:
+    call ``reset`` at the start of each episode.
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
@@ -74,12 +74,12 @@ class OnnxPolicy:
     def observation(
         self, points: ArrayLike, *, front: float, rear: float, pitch: float, frame: Frame = "L"
     ) -> NDArray[np.float32]:
-        """Return the observation for ``act`` from what the robot measures, (N + 3,) in SI units.
+        """Return the observation for ``act`` from the robot's measurements, (N + 3,) in SI units.
 
-        It is made as in the simulator. ``points``: ground below and around the robot in its side
-        plane, (P, 2) of x (forward) and z (up) [m] with the chassis centre as origin, in any order;
-        those farther away than the bins reach are left out. ``frame`` of the points: ``L`` is
-        level, ``R`` is fixed to the chassis. ``front``, ``rear``: angles of the flippers in frame
+        It is computed as in the simulator. ``points``: ground below and around the robot in its
+        side plane, (P, 2) of x (forward) and z (up) [m] from the chassis centre, in any order;
+        points beyond the bins are ignored. ``frame`` of the points: ``L`` is level, ``R`` is fixed
+        to the chassis. ``front``, ``rear``: angles of the flippers in frame
         R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
 
         Raises:
@@ -97,12 +97,12 @@ class OnnxPolicy:
         )
 
     def act(self, observation: ArrayLike) -> int:
-        """Return the index of the largest Q-value, a row of ``interface.actions``.
+        """Return the index of the action with the largest Q-value, a row of ``interface.actions``.
 
         ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 
         Raises:
-            PolicyError: the observation has another shape, is not numbers, or holds one beyond
+            PolicyError: the observation has another shape, is not numeric, or exceeds
                 ``interface.limits``.
             NonFiniteError: the observation or a Q-value is NaN or infinite.
         """
@@ -120,7 +120,7 @@ class OnnxPolicy:
         self._row[...] = array
         try:
             self._session.run_with_iobinding(self._bound)
-        except Exception as error:  # onnxruntime's own, which share no base class
+        except Exception as error:  # onnxruntime's errors share no base class
             raise run_error(self.path, error) from error
         action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
@@ -130,9 +130,9 @@ class OnnxPolicy:
     def next_targets(self, targets: ArrayLike, angles: ArrayLike, action: int) -> FloatPair:
         """Return the angles to which an action turns the front and the rear flippers, (2,) [rad].
 
-        ``targets``: the last targets, at the start of an episode the measured angles; ``angles``:
-        the measured angles; each of the front and the rear flippers in frame R, (2,) [rad]. The
-        rule is ``interface.targets``, the environment's own.
+        ``targets``: the last targets, or the measured angles at the start of an episode;
+        ``angles``: the measured angles; each of the front and the rear flippers in frame R, (2,)
+        [rad]. The rule is ``interface.targets``, as in the environment.
 
         Raises:
             PolicyError: an argument is not two numbers within ±π, or there is no such action.
@@ -165,11 +165,11 @@ class OnnxPolicy:
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Return the Q-values (9,) of one input (frames · (N + 3),), or (B, 9) of a batch of B.
 
-        An input is ``interface.frames`` observations, oldest first; the observations that ``act``
-        keeps are neither read nor changed.
+        An input is ``interface.frames`` observations, oldest first; the observations stored by
+        ``act`` are neither read nor changed.
 
         Raises:
-            PolicyError: the observation has another shape, is not numbers, or holds one beyond
+            PolicyError: the observation has another shape, is not numeric, or exceeds
                 ``interface.limits``.
             NonFiniteError: the observation or a Q-value is NaN or infinite.
         """
@@ -183,14 +183,14 @@ class OnnxPolicy:
         values: NDArray[np.float32]
         try:
             values = self._session.run([OUTPUT], {INPUT: batch})[0]
-        except Exception as error:  # onnxruntime's own, which share no base class
+        except Exception as error:  # onnxruntime's errors share no base class
             raise run_error(self.path, error) from error
         if not np.isfinite(values).all():
             raise self._non_finite_error(values)
         return values[0] if array.ndim == 1 else values
 
     def _numbers(self, observation: ArrayLike, size: int) -> NDArray[np.float32]:
-        if observation is None:  # which numpy would read as NaN
+        if observation is None:  # numpy would read it as NaN
             raise PolicyError(
                 f"{self.path}: there is no observation (None); {size} numbers are needed"
             )
@@ -200,7 +200,7 @@ class OnnxPolicy:
             raise PolicyError(f"{self.path}: the observation is not numbers: {error}") from error
 
     def _value_error(self, array: NDArray[np.float32]) -> FlipperctlError:
-        """Return an error that names the first number that is not finite or beyond its limit."""
+        """Return an error that names the first number that is not finite or exceeds its limit."""
         size = self.interface.size
         limits = np.resize(self._limits, array.shape)
         index = np.argwhere(~(np.abs(array) <= limits))[0]

@@ -1,4 +1,4 @@
-"""Opens an exported policy with onnxruntime, and checks what it is.
+"""Opens an exported policy with onnxruntime and checks it.
 
 In: a file. Out: a session, its metadata and the shapes of its input and output.
 """
@@ -24,7 +24,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def open_session(path: Path) -> InferenceSession:
-    """Open a session with one thread, since so small a network is slower with two.
+    """Open a session with one thread; a network of this size is slower with two.
 
     The checksum is verified before anything is parsed.
 
@@ -50,11 +50,11 @@ def open_session(path: Path) -> InferenceSession:
             data,
             options,
             providers=["CPUExecutionProvider"],
-            enable_fallback=0,  # the fallback would only try again, and print that on stdout
+            enable_fallback=0,  # the fallback would only retry, and print to stdout
         )
-    except Exception as error:  # onnxruntime's own, which share no base class
+    except Exception as error:  # onnxruntime's errors share no base class
         raise PolicyError(
-            f"{path} is damaged or no ONNX model that onnxruntime runs: {_reason(error)}"
+            f"{path} is damaged or not an ONNX model that onnxruntime can run: {_reason(error)}"
         ) from error
 
 
@@ -63,7 +63,7 @@ def _read_bytes(path: Path) -> bytes:
         return path.read_bytes()
     except FileNotFoundError as error:
         raise PolicyError(f"{path}: there is no such policy file") from error
-    except (OSError, ValueError) as error:  # a ValueError: the name is not valid
+    except (OSError, ValueError) as error:  # ValueError: the name is not valid
         reason = getattr(error, "strerror", None) or error
         raise PolicyError(f"{path} cannot be read: {reason}") from error
 
@@ -71,19 +71,19 @@ def _read_bytes(path: Path) -> bytes:
 @functools.cache
 def _warn_once(path: str) -> None:
     _LOGGER.warning(
-        "%s was exported by flipperctl 0.1, without a checksum: whether it is damaged cannot be "
-        "checked, and it holds only the name of its terrain; export it again",
+        "%s was exported by flipperctl 0.1 without a checksum: damage cannot be checked, and the "
+        "file holds only the name of its terrain; export it again",
         path,
     )
 
 
 @functools.cache
 def warn_of_targets(path: str) -> None:
-    """Warn once of a file that does not state the rule for its targets."""
+    """Warn once that a file does not state the rule for its targets."""
     _LOGGER.warning(
         "%s does not state how a blocked flipper is turned (flipperctl.targets): it was exported "
-        "by an earlier flipperctl, whose targets no measured angle bounds; they are computed as "
-        "in its training. Export it again to bound them",
+        "by an earlier flipperctl, whose targets were not bounded by measured angles; they are "
+        "computed as in its training. Export it again to bound them",
         path,
     )
 

@@ -1,1 +1,1 @@
-"""A training run: the loop, its episodes, validation, checkpoints and records."""
+"""A training run: loop, episodes, validation, checkpoints and records."""

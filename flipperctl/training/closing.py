@@ -1,6 +1,6 @@
-"""Close everything that a training opened, whatever fails.
+"""Close everything that a training opened, even after errors.
 
-In: things with a ``close``. Out: the first error, after all of them were closed.
+In: objects with a ``close``. Out: the first error, after all of them were closed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ class Closable(Protocol):
     """Holds a resource."""
 
     def close(self) -> None:
-        """Release it."""
+        """Release the resource."""
 
 
 ClosableT = TypeVar("ClosableT", bound=Closable)
@@ -22,9 +22,9 @@ ClosableT = TypeVar("ClosableT", bound=Closable)
 
 @contextmanager
 def closing(opened: Sequence[Closable]) -> Iterator[None]:
-    """Close all that is in ``opened`` when the block ends, the newest first.
+    """Close everything in ``opened`` when the block ends, newest first.
 
-    The block may add to ``opened``. Its own error is raised, else the first of the closing ones.
+    The block may add to ``opened``. Its own error is raised, otherwise the first of closing.
     """
     errors: list[BaseException] = []
     try:
@@ -41,7 +41,7 @@ def closing(opened: Sequence[Closable]) -> Iterator[None]:
 
 
 def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
-    """Return what the makers make; if one fails, what the others made is closed."""
+    """Return the objects of the makers; if a maker fails, close those made before."""
     opened: list[ClosableT] = []
     try:
         for make in makers:

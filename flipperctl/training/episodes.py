@@ -34,9 +34,9 @@ class EpisodeSource:
         rng: np.random.Generator,
         report: Callable[[str], None],
     ) -> None:
-        """``rng`` draws the random actions of episodes in this process.
+        """``rng`` chooses the random actions of episodes in this process.
 
-        ``report`` is called with what the user should know about the workers, as a sentence.
+        ``report`` is called with sentences about the workers for the user.
         """
         self._config, self._agent, self._progress = config, agent, progress
         self._rng, self._report = rng, report
@@ -51,9 +51,9 @@ class EpisodeSource:
         return linear(s.epsilon_start, s.epsilon_end, self._progress.decision / s.epsilon_decisions)
 
     def start_collector(self, outstanding: Sequence[RolloutRequest], stop: Stop) -> Collector:
-        """Start the collector; send the ``outstanding`` requests of a resumed run again.
+        """Start the collector; resend the ``outstanding`` requests of a resumed run.
 
-        ``stop`` ends its waiting and its evaluations.
+        ``stop`` can end its waits and its evaluations.
         """
         config = self._config
         if config.train.mode == "exact":
@@ -71,9 +71,9 @@ class EpisodeSource:
         return collector
 
     def update_difficulty(self, reached: bool) -> None:
-        """Let the terrain choose the next difficulty after an episode that ended.
+        """Let the terrain choose the next difficulty after an episode.
 
-        ``reached``: whether the episode reached the finish.
+        ``reached``: whether the robot reached the finish.
         """
         progress = self._progress
         terrain = self._config.terrain

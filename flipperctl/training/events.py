@@ -1,6 +1,6 @@
 """``metrics.csv``, the record that every training run writes.
 
-Its writer is a listener of the trainer; in a resumed run it continues from an earlier decision.
+Its writer is a listener of the trainer; a resumed run continues the file from its checkpoint.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def columns() -> tuple[str, ...]:
 
 
 class MetricsCsv:
-    """Writes a row for each episode and for each validation; ``kind`` distinguishes them."""
+    """Writes one row for each episode and each validation; the column ``kind`` tells which."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class MetricsCsv:
         """Ignore notes; the file has no row for them."""
 
     def _write(self, row: Mapping[str, Any]) -> None:
-        if not self._path.exists():  # rows would be written to a file without a name
+        if not self._path.exists():  # rows would go to a deleted file
             raise WriteError(f"{self._path} was deleted while the run was training")
         try:
             self._writer.writerow(row)
@@ -74,12 +74,12 @@ class MetricsCsv:
 
 
 def _complete_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a ``metrics.csv``, without one that was cut off when its process died."""
+    """Return the complete rows of a ``metrics.csv``; a killed process can leave a partial one."""
     rows = read_rows(path)
     return [row for row in rows if None not in row.values() and row.get("decision", "").isdigit()]
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a ``metrics.csv``, column name to text."""
+    """Return the rows of a ``metrics.csv`` as text by column name."""
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))

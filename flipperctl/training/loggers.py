@@ -1,7 +1,7 @@
-"""The loggers of a training, none of which can stop it.
+"""The loggers of a training, which can never stop it.
 
-In: the plugins of a configuration. Out: listeners of the trainer. One that fails is dropped after a
-warning on stderr.
+In: the plugins of a configuration. Out: listeners of the trainer. A listener that fails is dropped
+with a warning on stderr.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from flipperctl.errors import MissingExtraError
 def openers(
     config: TrainConfig, directory: Path, resume_at: int | None
 ) -> list[Callable[[], Listener]]:
-    """Return a function for each logger that opens it for the run in ``directory``.
+    """Return for each logger a function that opens it for the run in ``directory``.
 
-    ``resume_at``: decision from which the run goes on; None if it begins. The functions raise
+    ``resume_at``: decision from which the run continues; None for a new run. The functions raise
     MissingExtraError if a package that the logger needs is not installed.
     """
     plain = container(config)
@@ -35,13 +35,13 @@ def openers(
 
 
 class GuardedLogger:
-    """Passes everything on to a logger's listener, until that fails."""
+    """Forwards all events to a logger's listener until the listener fails."""
 
     def __init__(self, logger: Logger, run: RunInfo) -> None:
         """Open the logger.
 
         Raises:
-            MissingExtraError: a package that it needs is not installed.
+            MissingExtraError: a package that the logger needs is not installed.
         """
         self._logger = logger
         self._listener: Listener | None = None
@@ -53,15 +53,15 @@ class GuardedLogger:
             self._drop(error, "open")
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """Record a training episode that ended."""
+        """Record the row of an ended training episode."""
         self._attempt("episode", lambda listener: listener.episode(row))
 
     def validation(self, row: Mapping[str, Any]) -> None:
-        """Record a validation."""
+        """Record the row of a validation."""
         self._attempt("validation", lambda listener: listener.validation(row))
 
     def note(self, text: str) -> None:
-        """Record an event that the user should know."""
+        """Record a message for the user."""
         self._attempt("note", lambda listener: listener.note(text))
 
     def close(self) -> None:
@@ -77,7 +77,7 @@ class GuardedLogger:
             self._drop(error, method)
 
     def _drop(self, error: BaseException, method: str) -> None:
-        """Warn, and use the listener no more; an interrupt is raised again."""
+        """Warn and drop the listener; an interrupt is raised again."""
         if isinstance(error, KeyboardInterrupt):
             raise error
         listener, self._listener = self._listener, None
@@ -87,6 +87,6 @@ class GuardedLogger:
         where = guard.error_place(error, self._logger, method)
         print(
             f"warning: {guard.plugin_label(self._logger)}: {method} raised "
-            f"{guard.error_line(error)} ({where}); the training goes on without it",
+            f"{guard.error_line(error)} ({where}); the training continues without it",
             file=sys.stderr,
         )

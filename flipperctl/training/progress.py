@@ -1,4 +1,4 @@
-"""The progress of a run: counters that its parts share and that its checkpoint holds."""
+"""The progress of a run: counters that its parts share and its checkpoint stores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Progress:
     """The counters of a run."""
 
     difficulty: float
-    """Difficulty of the terrain in the next episode that is begun or requested, 0 to 1."""
+    """Difficulty of the terrain in the next new or requested episode, 0 to 1."""
     decision: int = 0
     """Number of decisions stored for learning so far."""
     episode: int = 0

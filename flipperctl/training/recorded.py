@@ -34,8 +34,8 @@ def read_teacher(config: TrainConfig) -> Recording | None:
     check_fit(config, found)
     if found.decisions >= config.agent.replay_size:
         raise ConfigError(
-            f"agent.replay_size: {config.agent.replay_size:,} transitions leave no room beside the "
-            f"{found.decisions:,} recorded ones of teacher.episodes={name}; make it larger"
+            f"agent.replay_size: {config.agent.replay_size:,} transitions leave no room besides "
+            f"the {found.decisions:,} recorded ones of teacher.episodes={name}; raise it"
         )
     return found
 

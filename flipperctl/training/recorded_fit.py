@@ -1,7 +1,7 @@
-"""Whether recorded episodes fit a training: what must be equal, and what is only stated.
+"""The check of recorded episodes against a training: what must be equal, and what may differ.
 
-In: a training's configuration and a file of recorded episodes. Out: an error where the episodes
-would teach something else than they say; in words, the conditions under which they differ.
+In: a training's configuration and a file of recorded episodes. Out: an error if the episodes have
+another meaning in the training; a sentence with the conditions that differ.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Robot
-from flipperctl.checkpoint.recording import EnvironmentOutline, Recording
+from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, container
 from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.errors import ConfigError
 
 _SECTIONS = ("sim", "perception", "episode", "randomise")
-"""Sections of an environment that may differ: the student learns from what others met."""
+"""Sections of an environment that may differ: the student can learn from other conditions."""
 
 
 def check_fit(config: TrainConfig, found: Recording) -> None:
-    """Refuse episodes that would teach something else than they say.
+    """Check that recorded episodes mean the same in a training.
 
-    The observation layout and the robot must be the training's: the robot decides what an action
-    turns and how long a decision takes. So must the rewards, if they are learnt from.
+    The observation layout and the robot must be the training's: the robot determines the turn of
+    each action and the duration of a decision. So must the rewards, if the training uses them.
 
     Raises:
-        ConfigError: they are not; the text has each setting that differs, with both values.
+        ConfigError: they differ; the message has each differing setting with both values.
     """
     for environment in found.document.environments:
         _check_layout(config, found.path, environment)
@@ -37,9 +37,9 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
 
 
 def differing_conditions(config: TrainConfig, found: Recording) -> str:
-    """Return a sentence with the settings of simulation, sensing and episodes that differ.
+    """Return a sentence with the differing settings of simulation, sensing and episodes.
 
-    It is empty if there are none.
+    It is empty if none differ.
     """
     ours = container(config.environment())
     ours["randomise"] = _with_paths(ours["randomise"])
@@ -62,17 +62,17 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
 
 
-def _section(environment: EnvironmentOutline, section: str) -> dict[str, Any]:
+def _section(environment: PartialEnvironment, section: str) -> dict[str, Any]:
     found = environment.model_dump(mode="json").get(section, {})
     return _with_paths(found) if section == "randomise" else found
 
 
 def _with_paths(randomise: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section with the mappings of paths, which files leave out if they are empty."""
+    """Return the section with its mappings of paths, which files omit if they are empty."""
     return {**randomise, **{section: randomise.get(section, {}) for section in PATH_SECTIONS}}
 
 
-def _check_layout(config: TrainConfig, path: Path, environment: EnvironmentOutline) -> None:
+def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
     ours, theirs = config.perception, environment.perception
     if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
         raise ConfigError(
@@ -82,9 +82,9 @@ def _check_layout(config: TrainConfig, path: Path, environment: EnvironmentOutli
         )
 
 
-def _check_robot(robot: Robot, path: Path, environment: EnvironmentOutline) -> None:
+def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
     ours = container(robot)
-    theirs = {**container(Robot()), **environment.robot}  # of a version without all settings
+    theirs = {**container(Robot()), **environment.robot}  # an earlier version lacks some settings
     texts = list(_differing("robot", ours, theirs))
     if not texts:
         return
@@ -98,7 +98,7 @@ def _check_robot(robot: Robot, path: Path, environment: EnvironmentOutline) -> N
     )
 
 
-def _check_rewards(config: TrainConfig, path: Path, environment: EnvironmentOutline) -> None:
+def _check_rewards(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
     rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
     if config.teacher.td_weight and rewards != container(config.environment())["rewards"]:
         raise ConfigError(
@@ -122,5 +122,5 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
 
 
 def _text(value: object) -> str:
-    """Return a value as an override has it."""
+    """Return a value as the text of an override."""
     return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))

@@ -1,7 +1,7 @@
-"""The episodes of a training, recorded for others to learn from (``train.record``).
+"""Records the episodes of a training, so that others can learn from them (``train.record``).
 
-In: the steps of the training. Out: a file of recorded episodes beside each checkpoint, with those
-that have ended since the checkpoint before, and one file of all when the run ends or is stopped.
+In: the steps of the training. Out: with each checkpoint, a file of the episodes that have ended
+since the previous one; when the run ends or is stopped, one file of all episodes.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from flipperctl.rollout.values import Step
 EPISODES = Path("episodes.safetensors")
 """File of a run directory with all episodes of the training, written when the run ends."""
 PARTS = Path("episodes")
-"""Folder of a run directory with the files that its checkpoints have written since it started."""
+"""Folder of a run directory with the files written with its checkpoints since the run started."""
 
 
 class TrainingRecorder:
     """Writes the episodes of a training, each once until the run ends.
 
     A file in the folder ``episodes`` is named after the number of its first episode, counted from
-    0. The files are written before the checkpoint that counts their episodes, so the checkpoint
-    never counts one that is not there. Those that no checkpoint counts are played and written
-    again when the run is resumed.
+    0. It is written before the checkpoint that counts its episodes, so that a checkpoint never
+    counts missing episodes. Episodes that no checkpoint counts are played and written again when
+    the run is resumed.
     """
 
     def __init__(self, config: TrainConfig, directory: Path) -> None:
-        """Keep nothing unless ``train.record`` asks for it."""
+        """Create a recorder, which does nothing unless ``train.record`` is set."""
         self._config, self._directory = config, directory
         self._on, self._size = config.train.record, config.perception.size
         self._running, self._new = EpisodeRecorder(), list[RecordedEpisode]()
 
     def add(self, step: Step, number: int) -> None:
-        """Add a step of the episode with this number, counted from 0."""
+        """Add a step of episode ``number``, counted from 0."""
         if not self._on:
             return
-        newest = slice(-self._size, None)  # of the frames that the network takes
+        newest = slice(-self._size, None)  # of the frames in the network's input
         self._running.add(
             step.observation[newest],
             step.action,
@@ -85,7 +85,7 @@ class TrainingRecorder:
         self._remove(parts)
 
     def restore(self, episodes: int) -> None:
-        """Go on after that many episodes of the run; drop later ones, which are played again.
+        """Continue after the first ``episodes``; drop later ones, which are played again.
 
         Raises:
             CheckpointError: a file of the episodes is damaged.
@@ -98,7 +98,7 @@ class TrainingRecorder:
             whole.unlink(missing_ok=True)
             return
         saved = list(self._saved())
-        if saved and saved[-1].number >= episodes:  # of a later checkpoint than the restored one
+        if saved and saved[-1].number >= episodes:  # from after the restored checkpoint
             self._write(whole, [episode for episode in saved if episode.number < episodes])
             self._remove(self._parts())
 
@@ -112,7 +112,7 @@ class TrainingRecorder:
         whole, last = self._directory / EPISODES, -1
         for path in [*([whole] if whole.is_file() else []), *self._parts()]:
             for episode in recording.read(path).episodes:
-                if episode.number > last:  # not one that was joined before the run was killed
+                if episode.number > last:  # the run may have been killed after joining it
                     last = episode.number
                     yield episode
 

@@ -1,7 +1,7 @@
 """The whole state of a run, written as a checkpoint and restored from one.
 
-Checkpoints are taken between episodes, where the simulator holds no state, so a resumed run repeats
-the uninterrupted one bit for bit.
+Checkpoints are taken between episodes, when the simulator holds no state, so a resumed run repeats
+the uninterrupted run bit for bit.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class RunSaver:
         generators: Mapping[str, np.random.Generator],
         validator: Validator,
     ) -> None:
-        """``generators``: explore, sample and noise."""
+        """``generators``: keyed by explore, sample and noise."""
         self._config, self._directory = config, directory
         self._agent, self._replay, self._progress = agent, replay, progress
         self._generators, self._validator = generators, validator
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
-        """Write ``last.safetensors``; a resumed run sends the ``outstanding`` requests again."""
+        """Write ``last.safetensors``; a resumed run resends the ``outstanding`` requests."""
         tensors = self._agent.tensors()
         for name, array in self._replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)

@@ -31,8 +31,8 @@ def run_arrays(
     """
     if state.replay_kept >= replay.capacity:
         raise CheckpointError(
-            f"{saved.path}: its part replay is wrong: {state.replay_kept} kept transitions leave "
-            f"no room in a replay of {replay.capacity}"
+            f"{saved.path}: its part replay is not valid: {state.replay_kept} kept transitions "
+            f"leave no room in a replay of {replay.capacity}"
         )
     network = agent.online.state_dict()
     blank = {n: torch.from_numpy(array) for n, array in replay.blank(state.replay_added).items()}
@@ -46,7 +46,7 @@ def run_arrays(
         try:
             require_equal_layout(saved.part(part), tensors)
         except ValueError as error:
-            raise CheckpointError(f"{saved.path}: its part {part} is wrong: {error}") from error
+            raise CheckpointError(f"{saved.path}: its part {part} is not valid: {error}") from error
     found = _arrays(saved, "replay")
     bounded = [("action", len(ACTIONS) - 1), ("discount", 1)]
     bounded += [("label", 1)] if "label" in found else []

@@ -1,6 +1,6 @@
 """The time that a run has taken, in ``timing.json``.
 
-It is kept apart from the checkpoints, so that equal runs have equal checkpoint files.
+It is separate from the checkpoints, so that equal runs have equal checkpoint files.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ NAME = "timing.json"
 
 
 class Stopwatch:
-    """Measures the time that a run has taken, over all its starts."""
+    """Measures the time of a run over all its starts."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / NAME
@@ -29,7 +29,7 @@ class Stopwatch:
         return self._earlier + time.perf_counter() - self._started_at
 
     def start(self) -> None:
-        """Start to count, on top of the time that ``read`` found."""
+        """Start counting, on top of the time from ``read``."""
         self._started_at = time.perf_counter()
 
     def write(self) -> None:

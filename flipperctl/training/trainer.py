@@ -3,9 +3,9 @@
 In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
 summary.json. The command line writes config.yaml; listeners write metrics.csv and events.
 
-The first checkpoint is written before the first decision, so that a run can be resumed whenever it
-was killed. When the budget is spent, the rest of the running episode is dropped; a run that is
-resumed from there with a larger budget therefore differs from one that began with it.
+The first checkpoint is written before the first decision, so that a killed run can always be
+resumed. When the budget is spent, the rest of the running episode is dropped; a run that is resumed
+from there with a larger budget therefore differs from a run that began with it.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class Trainer:
         """Train until the budget is spent or ``stop`` returns True.
 
         ``stop`` is called between episodes, in validations, and while waiting for workers. Returns
-        the summary, which is also written to ``summary.json``. The listeners are closed, whatever
-        fails.
+        the summary, which is also written to ``summary.json``. The listeners are closed even after
+        an error.
         """
         opened: list[Closable] = [*self.listeners]
         with closing(opened):
@@ -110,9 +110,9 @@ class Trainer:
             return summary
 
     def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
-        """Train and validate; return whether the budget is spent, or False if stopped before.
+        """Train and validate; return whether the budget is spent, False if the run was stopped.
 
-        A run that was stopped in a validation begins with it when it is resumed.
+        A run that was stopped in a validation repeats it first when it is resumed.
         """
         settings, progress = self.config.train, self.progress
         while True:
@@ -131,7 +131,7 @@ class Trainer:
                 self._save_all(collector.outstanding())
 
     def _validation_due(self) -> bool:
-        """Return whether the last validation lies before the newest multiple of the period."""
+        """Return whether a validation is due since the last one, or at the end of the budget."""
         decision, settings, last = self.progress.decision, self.config.train, self.validator.last
         validated_at = 0 if last is None else last.decision
         if decision >= settings.decisions:
@@ -139,9 +139,9 @@ class Trainer:
         return decision // settings.validate_every > validated_at // settings.validate_every
 
     def _add_recorded(self) -> None:
-        """Put the recorded episodes of the teacher into the replay of a run that begins.
+        """Put the recorded episodes of the teacher into the replay of a new run.
 
-        Listeners are told under which other conditions they were recorded.
+        Notes to the listeners name the conditions in which they differ from the training.
 
         Raises:
             CheckpointError: their file is missing or damaged.
@@ -153,7 +153,7 @@ class Trainer:
             fill(self.replay, found, self.config)
 
     def _train_episode(self, collector: Collector) -> None:
-        """Act and step in the collector, store and learn, until the episode or the budget ends.
+        """Collect, store and learn until the episode or the budget ends.
 
         Does nothing if the run is to stop before an episode arrives.
         """
@@ -187,7 +187,7 @@ class Trainer:
     def _learn(self) -> None:
         """Update the agent if an update is due at this decision.
 
-        None is before the first transition, which is complete after ``n_step`` decisions.
+        No update is due before the first transition, complete after ``n_step`` decisions.
         """
         agent, progress = self.config.agent, self.progress
         together = agent.updates_together
@@ -237,7 +237,7 @@ class Trainer:
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
 
-        New recorded episodes are written first, so that the checkpoint counts none that is missing.
+        New recorded episodes are written first, so that the checkpoint counts no missing one.
         """
         self._recorder.save()
         self._saver.save(outstanding)
@@ -246,8 +246,8 @@ class Trainer:
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
         """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
 
-        In this order, a killed run never leaves a best policy of a decision that it does not reach
-        again when resumed; a resumed run writes the best policy that was not written before.
+        In this order, a killed run never leaves a best policy from after its last checkpoint; a
+        resumed run writes a best policy that was not written before.
         """
         self.save(outstanding)
         best = self.validator.best

@@ -1,4 +1,4 @@
-"""Validation: the policy is evaluated on the same episodes each time, and the best one is found."""
+"""Validation: evaluates the policy on the same episodes each time and finds the best policy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flipperctl.agent.d3qn import D3qn, arrays
-from flipperctl.checkpoint.document import SwingMeasure, Validation
+from flipperctl.checkpoint.document import Validation, VariationMeasure
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.statistics import reached
@@ -29,20 +29,19 @@ class Validator:
         ]
         self.history: list[Validation] = []
         """Results of all validations, oldest first."""
-        self.best_by: SwingMeasure = "pitch_variation_100hz"
-        """θ̂_R by which validations of equal success are ordered."""
+        self.best_by: VariationMeasure = "pitch_variation_100hz"
+        """θ̂_R that ranks validations of equal success."""
 
     @property
     def best(self) -> Validation | None:
         """Validation with the highest success rate so far, then the lowest θ̂_R."""
         return max(self.history, key=lambda v: v.score(self.best_by), default=None)
 
-    def restore(self, history: Sequence[Validation], best_by: SwingMeasure) -> None:
+    def restore(self, history: Sequence[Validation], best_by: VariationMeasure) -> None:
         """Continue after the validations of a resumed run.
 
-        A run that has chosen a best policy by θ̂_R at decisions, as earlier versions did, goes on
-        so: the weights of its other policies are gone, so another measure could find a best
-        validation whose policy is not in ``best.safetensors``.
+        A run that chose its best policy by θ̂_R at decisions, as earlier versions did, keeps that
+        measure: with another one the best validation could be one whose weights are lost.
         """
         self.history[:] = history
         self.best_by = best_by if history else "pitch_variation_100hz"

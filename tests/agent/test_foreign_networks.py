@@ -67,8 +67,8 @@ class Counted(torch.nn.Module):
 
 def test_a_network_that_needs_a_batch_is_refused_before_it_acts() -> None:
     expected = (
-        r"network 'foreign' fails on one observation in train\(\) mode, in which a training acts: "
-        r"forward raised ValueError: Expected more than 1 value per channel "
+        r"network 'foreign' fails on one observation in train\(\) mode, which training episodes "
+        r"use: forward raised ValueError: Expected more than 1 value per channel "
         r".*learners\.py:\d+\)"
     )
     with pytest.raises(ConfigError, match=expected):
@@ -93,7 +93,7 @@ def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
 
 def test_a_network_without_anything_to_learn_is_refused() -> None:
     frozen = torch.nn.Linear(18, 9).requires_grad_(False)
-    with pytest.raises(ConfigError, match="build made a network with nothing to learn"):
+    with pytest.raises(ConfigError, match="build built a network without trainable parameters"):
         D3qn(Foreign(module=frozen), LAYOUT, ACTIONS, Agent(), seed=0)
 
 

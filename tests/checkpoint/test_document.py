@@ -39,7 +39,10 @@ def last(short_run: Path, tmp_path: Path) -> Path:
         ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
         ({"plugins.0": "step"}, "document.plugins.0: "),
         ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
-        ({"actions.joints": ["left", "right"]}, "document.actions: they turn left, right by 9 act"),
+        (
+            {"actions.joints": ["left", "right"]},
+            "document.actions: the actions turn left, right in",
+        ),
         ({"versions": []}, "document.versions: "),
         ({"versions.torch": 2}, "document.versions.torch: "),
         ({"padding": "x"}, "document.padding: there is no such key"),
@@ -81,7 +84,7 @@ def test_a_wrong_document_is_named_by_its_path(
 )
 def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: Path) -> None:
     best.write_bytes(checkpoint.serialize(text, checkpoint.read(best).tensors))
-    with pytest.raises(CheckpointError, match="its document is wrong") as caught:
+    with pytest.raises(CheckpointError, match="its document is not valid") as caught:
         checkpoint.read(best)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -124,11 +127,15 @@ def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Ch
 @pytest.mark.parametrize(
     ("name", "tensor", "expected"),
     [
-        ("replay.reward", None, "replay is wrong: reward is missing"),
-        ("replay.reward", torch.zeros(3), r"replay is wrong: reward is float32 \(3,\); float32 \("),
-        ("replay.action", torch.full((600,), 9), r"replay is wrong: action is int64 \(600,\)"),
+        ("replay.reward", None, "replay is not valid: reward is missing"),
+        (
+            "replay.reward",
+            torch.zeros(3),
+            r"replay is not valid: reward is float32 \(3,\); flo",
+        ),
+        ("replay.action", torch.full((600,), 9), r"replay is not valid: action is int64 \(600,\)"),
         ("optimiser.third", torch.zeros(3), "there is no tensor 'third'"),
-        ("online.1.joined.0.bias", torch.zeros(1), r"online is wrong: 1\.joined\.0\.bias is "),
+        ("online.1.joined.0.bias", torch.zeros(1), r"online is not valid: 1\.joined\.0\.bias is "),
     ],
 )
 def test_a_run_is_resumed_only_from_its_own_tensors(
@@ -150,7 +157,7 @@ def test_a_replay_with_an_action_that_does_not_exist_is_refused(last: Path) -> N
 def test_a_tensor_of_an_unknown_part_is_refused(best: Path) -> None:
     saved = checkpoint.read(best)
     checkpoint.write(best, saved.document, {**saved.tensors, "more.x": torch.zeros(1)})
-    with pytest.raises(CheckpointError, match=r"a tensor is called 'more\.x'"):
+    with pytest.raises(CheckpointError, match=r"a tensor is named 'more\.x'"):
         checkpoint.read(best)
 
 

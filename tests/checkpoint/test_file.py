@@ -78,7 +78,7 @@ def test_a_truncated_file_is_damaged(best: Path, size: int) -> None:
 def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.safetensors"
     save_file({"weight": torch.zeros(2)}, path)
-    with pytest.raises(CheckpointError, match="no checkpoint of flipperctl"):
+    with pytest.raises(CheckpointError, match="not a checkpoint of flipperctl"):
         checkpoint.read(path)
 
 

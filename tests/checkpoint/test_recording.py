@@ -136,5 +136,5 @@ def test_an_outline_of_endless_episodes_takes_no_memory(file: Path) -> None:
     document = recording.read(file).document.model_dump(mode="json")
     document["episodes"][0]["decisions"] = 2**31 - 1
     change(file, document, {})
-    with pytest.raises(CheckpointError, match="its tensors are wrong"):
+    with pytest.raises(CheckpointError, match="its tensors are not valid"):
         recording.read(file)

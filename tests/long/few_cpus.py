@@ -31,7 +31,7 @@ _TO_SAY = 15.0
 """Time of training after which the workers without a CPU must have been named [s]."""
 _TO_LEAVE = 20.0
 """Time that a command's processes have to end after it [s]."""
-_SAID = re.compile(r"(\d+) of (\d+) Ray workers \(collector\.workers\) have got no CPU")
+_SAID = re.compile(r"(\d+) of (\d+) Ray workers \(collector\.workers\) have no CPU")
 
 
 @dataclass
@@ -177,7 +177,7 @@ class Trial:
         """Check the one error of a run that gets no CPU."""
         self._expect(command, 1)
         errors = [line for line in command.text.splitlines() if line.startswith("error: ")]
-        if len(errors) != 1 or "no Ray worker has got a CPU" not in errors[0]:
+        if len(errors) != 1 or "no Ray worker got a CPU" not in errors[0]:
             self.case.faults.append(f"errors: {errors}")
         if self.case.seconds > self.case.patience + _TO_FAIL:
             self.case.faults.append("it fails too late")

@@ -24,7 +24,7 @@ def test_it_rests_and_drives_at_the_speed_of_its_belts() -> None:
     x, z = found.places[0]
     assert x == pytest.approx(0.2 * 3.0, rel=0.02)
     assert z == pytest.approx(0.1, abs=0.002)
-    assert found.swing[0] < 0.01
+    assert found.pitch_variation[0] < 0.01
 
 
 def test_a_flipper_turns_at_its_rate_and_stops_at_its_target() -> None:
@@ -69,7 +69,7 @@ def test_one_decision_agrees_with_the_engine(terrain: str) -> None:
     """Within a centimetre and 0.01 rad at the median over random decisions."""
     env = FlipperEnv(terrain)
     rng = np.random.default_rng(3)
-    places, turns, swings = [], [], []
+    places, turns, variations = [], [], []
     for seed in range(2):
         env.reset(seed=seed)
         model = Model(env.profile.points, env.robot)
@@ -85,11 +85,13 @@ def test_one_decision_agrees_with_the_engine(terrain: str) -> None:
             found = model.expand(state[None], np.array([env.drive.targets]), 0.6)
             places.append(np.hypot(*(found.places[0] - env.state.position)))
             turns.append(abs(found.states[0, 2] - env.state.pitch))
-            swings.append(abs(found.swing[0] - np.abs(np.diff(env.drive.poses[:, 2])).sum()))
+            variations.append(
+                abs(found.pitch_variation[0] - np.abs(np.diff(env.drive.poses[:, 2])).sum())
+            )
     assert len(places) > 20
     assert np.median(places) < 0.01
     assert np.median(turns) < 0.01
-    assert np.median(swings) < 0.01
+    assert np.median(variations) < 0.01
 
 
 def test_equal_states_give_equal_futures_in_any_company() -> None:

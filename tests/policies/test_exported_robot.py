@@ -47,7 +47,7 @@ def build(file: Path, robot: dict[str, Any], **settings: Any) -> None:
         ),
         (  # the same period by another way is still another table
             {"angle_step": STEP / 2, "flipper_speed": Robot().flipper_speed / 2},
-            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.1309\), on the robot",
+            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.1309\), also on the real",
             f"robot.angle_step={STEP / 2!r} robot.flipper_speed={Robot().flipper_speed / 2!r}",
         ),
         (
@@ -92,7 +92,7 @@ def test_randomise_has_nothing_that_a_file_applies() -> None:
 def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> None:
     degrees = [[i * 15.0, j * 15.0] for i in (-1, 0, 1) for j in (-1, 0, 1)]
     path = linear.write(tmp_path / "p.onnx", **OWN, actions=degrees)
-    with pytest.raises(ConfigError, match=r"turns of 15 rad .*contradicts the robot in its own"):
+    with pytest.raises(ConfigError, match=r"turns of 15 rad .*unlike the robot in its own"):
         build(path, {})
 
 

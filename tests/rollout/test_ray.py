@@ -72,13 +72,13 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     learner = trainer(short_config(**settings, **{"train.validate_every": 200}), tmp_path)
     listener = Notes()
     learner.listeners.append(listener)
-    expected = "2 of 4 Ray workers (collector.workers) have got no CPU"
+    expected = "2 of 4 Ray workers (collector.workers) have no CPU"
     summary = learner.run(
         lambda: expected in str(listener.notes) and len(learner.validator.history) > 1
     )
     assert summary["finished"] is False
     assert summary["lost_episodes"] == 0
-    assert "The run goes on with 2; others join it when a CPU is free" in listener.notes[-1]
+    assert "The run continues with 2; others join when a CPU is free" in listener.notes[-1]
 
 
 def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
@@ -93,7 +93,7 @@ def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
         begun = time.monotonic()
         stopped = trainer(config, tmp_path / "stopped")
         assert stopped.run(lambda: time.monotonic() > begun + 0.5)["finished"] is False
-        with pytest.raises(FlipperctlError, match=r"no Ray worker has got a CPU.* 1 s \(collector"):
+        with pytest.raises(FlipperctlError, match=r"no Ray worker got a CPU.* 1 s \(collector"):
             trainer(config, tmp_path / "failed").run()
         assert time.monotonic() - begun < 30
     finally:

@@ -47,8 +47,8 @@ def test_points_of_the_chassis_frame_are_levelled(policy: OnnxPolicy) -> None:
     ("points", "frame", "error", "text"),
     [
         ([[0.0, 0.0, 0.0]], "L", PolicyError, r"shape \(1, 3\); \(P, 2\) is allowed"),
-        (np.empty((0, 2)), "L", PolicyError, r"of 0 points none lies within ±1\.125 m"),
-        ([[500.0, -10.0]], "L", PolicyError, "of 1 points none lies within"),
+        (np.empty((0, 2)), "L", PolicyError, r"none of the 0 points lies within ±1\.125 m"),
+        ([[500.0, -10.0]], "L", PolicyError, "none of the 1 points lies within"),
         ([[0.0, -0.1], [0.1, math.nan]], "L", NonFiniteError, r"point 1 is \(0\.1, nan\)"),
         (["far"], "L", PolicyError, "the points are not numbers"),
         (GROUND, "W", PolicyError, "no frame 'W'; 'L'"),

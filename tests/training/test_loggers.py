@@ -41,7 +41,7 @@ def test_it_is_dropped_with_one_warning(
     logger.close()
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith(f"warning: logger 'broken': {method} raised ")
-    assert line.endswith("the training goes on without it")
+    assert line.endswith("the training continues without it")
     assert listener.closed == (method != "open")
 
 

@@ -247,7 +247,7 @@ def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
     assert (done.code, done.err.count("\n")) == (2, 1)
     assert f"another robot: robot.angle_step={math.pi / 12} (here 0.2)" in done.err
     assert (
-        "it is that of recorded episodes"
+        "it describes recorded episodes"
         in call("eval", "--checkpoint", "a.safetensors", cwd=tmp_path).err
     )
     (tmp_path / "bad.safetensors").write_bytes((tmp_path / "a.safetensors").read_bytes()[:-1])
