@@ -52,7 +52,7 @@ class Gyro(api.Instrument):
 
 @dataclass(frozen=True)
 class Seen:
-    """What is measured once for each decision."""
+    """Values that are measured once for each decision."""
 
     points: NDArray[np.float64]  # (N, 2) in frame L [m]
     front: float  # [rad]

@@ -68,7 +68,15 @@ class Sliding:
     def state(self) -> api.RobotState:
         front, rear = map(float, self._angles)
         position, velocity = np.array(self.position), self._velocity()
-        return api.RobotState(position, self.pitch, front, rear, velocity, 0.0, self._time)
+        return api.RobotState(
+            position,
+            pitch=self.pitch,
+            front=front,
+            rear=rear,
+            velocity=velocity,
+            pitch_rate=0.0,
+            time=self._time,
+        )
 
     def penetration(self) -> float:
         return 0.0

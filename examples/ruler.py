@@ -36,4 +36,4 @@ class RulerOver:
         heights = np.array([self._profile.height(x + ahead) - z for ahead in self._x])
         heights += self._errors * rng.standard_normal(len(heights))
         ground = api.SensedGround(np.column_stack([self._x, heights]), heights)
-        return ground, api.SensedAngles(state.front, state.rear, state.pitch)
+        return ground, api.SensedAngles(front=state.front, rear=state.rear, pitch=state.pitch)
