@@ -1,1 +1,1 @@
-"""Developers' measures, run in a clone; each is a module with ``ABOUT`` and ``measure``."""
+"""Developers' benchmarks, run in a clone; each is a module with ``ABOUT`` and ``measure``."""

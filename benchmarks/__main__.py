@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: measures for those who work on flipperctl, with ``bench``'s options."""
+"""``python -m benchmarks``: benchmarks for developers, with the options of ``bench``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HELP = """Measure flipperctl against its limits and another learner, in a clone 
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of the substep;
 [bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
 [bold]updates[/] against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes succeed,
-against it too; [bold]startup[/] of each command; [bold]discovery[/] of installed plugins.
+also against it; [bold]startup[/] of each command; [bold]discovery[/] of installed plugins.
 Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,

@@ -1,6 +1,6 @@
 """Accuracy by the simulator's substep: θ̂_R on the paper's scenes compared with finer substeps.
 
-The same controller crosses the same scene from several starts at each substep. Beside it, single
+The same controller crosses the same scene from several starts at each substep. In addition, single
 episodes of the shipped policy and of the controller are compared on all kinds of ground.
 """
 
@@ -22,7 +22,7 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 ABOUT = (
     "θ̂_R of a rule at 100 Hz and at decisions on the paper's scenes, from several starts, by "
     "substep; ratios against a quarter of the configured substep; relative changes of single "
-    "episodes with a policy driving, and the fraction of outcomes that change"
+    "episodes with a policy, and the fraction of outcomes that change"
 )
 MEASURES = {"100hz.": "pitch_variation_100hz", "": "pitch_variation"}
 """θ̂_R at 100 Hz and at decisions: a part of a quantity's name, and the measure."""
@@ -30,7 +30,7 @@ SCENES = ("paper_step", "paper_stair")
 FACTORS = (2.0, 1.0, 0.5, 0.25)
 """Substeps as multiples of the configured one [-]; the last one is the reference."""
 _RULE = 0.4
-"""Fraction of the progress for the rule on the paper's scenes; the rest is for the policies."""
+"""Fraction of the progress bar for the rule on the paper's scenes; policies take the rest."""
 
 
 def measure(bench: Benchmark) -> dict[str, Any]:

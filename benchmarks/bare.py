@@ -1,7 +1,7 @@
-"""Chipmunk alone, for the benchmark: a world's space stepped by the C function and nothing else.
+"""Chipmunk alone, for the benchmark: a world's space stepped only by the C function.
 
 Without the callback the belts would stand still, so the tracks get Chipmunk's own constant surface
-velocity instead. It fails at risers; therefore each decision of a bare world begins from the
+velocity instead. That velocity fails at risers, so each decision of a bare world begins from the
 snapshot of a world with real belts.
 """
 
@@ -47,7 +47,7 @@ def strip(world: PlanarWorld) -> None:
 
 
 def put(world: PlanarWorld, begin: Snapshot, phases: tuple[float, ...]) -> None:
-    """Restore the bodies at the beginning of a decision, and the servo targets that it set."""
+    """Restore the bodies at the start of a decision, and set the servo targets of that decision."""
     for body, state in zip(world.space.bodies, begin.bodies, strict=True):
         body.position, body.angle, body.velocity, body.angular_velocity = state
     gears = [c for c in world.space.constraints if isinstance(c, GearJoint)]
@@ -56,7 +56,7 @@ def put(world: PlanarWorld, begin: Snapshot, phases: tuple[float, ...]) -> None:
 
 
 def step(world: PlanarWorld, substeps: int) -> None:
-    """Take ``substeps`` steps of the engine and do nothing else."""
+    """Take ``substeps`` steps of the engine alone."""
     step_alone(world.space, world.sim.substep, substeps)
 
 

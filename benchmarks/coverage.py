@@ -1,12 +1,12 @@
-"""Simulates how often the 95 % intervals of evaluations contain the truth.
+"""Simulate how often the 95 % intervals of evaluations contain the true value.
 
     python -m benchmarks.coverage [episodes.csv ...] [--repetitions N] [--seed N]
 
-For each distribution and number of values, the intervals of many samples are computed, and the
-fraction is printed that contains the distribution's mean. A file that ``eval --output`` wrote adds
-the θ̂_R at 100 Hz of the episodes that reached the finish, by scene and method, and the paired
-differences of two methods: the samples are drawn from them with replacement, so that their mean is
-the truth. The coverage of rates and of differences of paired rates is computed, not simulated.
+For each distribution and number of values, it computes the intervals of many samples and prints the
+fraction that contains the distribution's mean. A file written by ``eval --output`` adds θ̂_R at
+100 Hz of the episodes that reached the finish, by scene and method, and the paired differences of
+two methods. Samples are drawn from these with replacement, so that their mean is the true value.
+The coverage of rates and of differences of paired rates is computed exactly.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from flipperctl.evaluation.intervals import interval, paired_success, proportion
 COUNTS = (2, 3, 5, 10, 20, 100)
 """Numbers of values in a sample [-]."""
 SMALLEST = 20
-"""Smallest number of recorded values that stand for a distribution [-]."""
+"""Smallest number of recorded values that represent a distribution [-]."""
 RATES = (0.5, 0.8, 0.95, 0.99)
 """Success rates [-]."""
 UNEQUAL = ((0.0, 0.0), (0.02, 0.02), (0.1, 0.02), (0.1, 0.1), (0.3, 0.1))
-"""Rates of the draws that the first policy alone crosses, and the second alone [-]."""
+"""Rates at which only the first policy succeeds, and only the second [-]."""
 
 Sample = Callable[[np.random.Generator, tuple[int, int]], FloatArray]
 """Draws an array of values."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a table of coverages; leave with code 2 if an argument or a file is wrong."""
+    """Print a table of coverages; exit with code 2 if an argument or a file is wrong."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.coverage",
-        description="Simulate how often the 95 % intervals of evaluations contain the truth.",
+        description="Simulate how often the 95 % intervals of evaluations contain the true value.",
     )
     parser.add_argument(
         "files",
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError) as error:
         parser.error(f"files: {error}; an episodes.csv that eval --output wrote is allowed")
     print(_line("mean (Student's t)", [f"n={count}" for count in COUNTS]))
-    distributions = _made() | recorded
+    distributions = _distributions() | recorded
     for name, (truth, sample) in distributions.items():
         rng = np.random.default_rng(chosen.seed)
         found = [mean_coverage(truth, sample, n, chosen.repetitions, rng) for n in COUNTS]
@@ -101,7 +101,7 @@ def rate_coverage(rate: float, total: int) -> float:
 def paired_coverage(won: float, lost: float, total: int) -> float:
     """Return the probability that the interval of the difference of paired rates contains it.
 
-    ``won`` and ``lost``: rates of the draws that the first policy alone crosses, and the second.
+    ``won`` and ``lost``: rates at which only the first policy succeeds, and only the second.
     """
     either = won + lost
     share = won / either if either else 0.5
@@ -116,7 +116,7 @@ def paired_coverage(won: float, lost: float, total: int) -> float:
 def _contains(found: Interval, truth: float) -> float:
     if found.low is None or found.high is None:
         return math.nan
-    rounding = 1e-9  # of the ends, which may lie on the truth
+    rounding = 1e-9  # the ends may equal the true value
     return float(found.low - rounding <= truth <= found.high + rounding)
 
 
@@ -124,7 +124,7 @@ def _binomial(count: int, total: int, rate: float) -> float:
     return math.comb(total, count) * rate**count * (1 - rate) ** (total - count)
 
 
-def _made() -> dict[str, tuple[float, Sample]]:
+def _distributions() -> dict[str, tuple[float, Sample]]:
     """Return distributions with their means."""
     return {
         "normal": (0.0, lambda rng, shape: rng.normal(size=shape)),
@@ -152,12 +152,12 @@ def _values(files: Sequence[Path]) -> Mapping[str, list[float]]:
             for row in csv.DictReader(opened):
                 if row["outcome"] == Outcome.REACHED:
                     scene = played.setdefault(f"{row['scene']} {row['conditions_hash']}", {})
-                    swing = float(row["pitch_variation_100hz"])
-                    scene.setdefault(row["controller"], {})[row["seed"]] = swing
+                    variation = float(row["pitch_variation_100hz"])
+                    scene.setdefault(row["controller"], {})[row["seed"]] = variation
     found = {}
     for scene_name, methods in played.items():
-        for method, swings in methods.items():
-            found[f"{scene_name}, {method}"] = list(swings.values())
+        for method, variations in methods.items():
+            found[f"{scene_name}, {method}"] = list(variations.values())
         for one, other in combinations(methods, 2):
             pairs = methods[one].keys() & methods[other].keys()
             found[f"{scene_name}, {one} - {other}"] = [

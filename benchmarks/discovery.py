@@ -27,7 +27,7 @@ class Bench(Terrain):
 _BEFORE = """
 import os, sys, time
 from importlib import import_module
-os.environ.pop("FLIPPERCTL_PLUGINS", None)  # its plugins would be loaded too
+os.environ.pop("FLIPPERCTL_PLUGINS", None)  # otherwise its plugins are loaded too
 sys.path.insert(0, sys.argv[1])
 import flipperctl_plugins
 from flipperctl import plugins
@@ -43,7 +43,7 @@ assert sum(name.startswith("bench_") for _, name in registry) == len(sys.argv) -
 
 
 def measure(bench: Benchmark) -> dict[str, Any]:
-    """Measure the time of both [ms], round by round, and their difference.
+    """Measure the time of loading and of importing [ms] in each round, and their difference.
 
     Raises:
         FlipperctlError: a process failed.

@@ -1,6 +1,6 @@
 """Speed of the controller ``mpc`` at its defaults, and the accuracy of its prediction model.
 
-Whole episodes on several terrains: in turn, ``mpc`` drives an episode and the environment replays
+Whole episodes on several terrains: in turn, ``mpc`` plays an episode and the environment replays
 its actions. Times are CPU times of this process, which on an idle core are wall-clock times: the
 controller uses one thread.
 """
@@ -28,7 +28,7 @@ ABOUT = (
     "engine after one decision"
 )
 _PLAYING = 0.8
-"""Fraction of the progress for the episodes; the rest is for the prediction errors."""
+"""Fraction of the progress bar for the episodes; the prediction errors take the rest."""
 
 
 @dataclass
@@ -46,7 +46,7 @@ class TimedMpc:
         self.policy.reset(simulator)
 
     def act(self, p: Perception) -> int:
-        """Return the action and note what it cost."""
+        """Return the action and record its CPU time."""
         begun = time.process_time()
         action = self.policy.act(p)
         self.seconds.append(time.process_time() - begun)
@@ -94,7 +94,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
 
 
 def play_in_turn(policy: MpcPolicy, config: EnvConfig, seed: int) -> Round:
-    """Let ``mpc`` drive an episode, then replay its actions in the environment."""
+    """Play an episode with ``mpc``, then replay its actions in the environment."""
     env, timed = FlipperEnv(config=config), TimedMpc(policy)
     actions = [decision.action for decision in decisions(env, timed, seed)]
     env.reset(seed=seed)
@@ -124,7 +124,7 @@ def rates(rounds: list[Round]) -> dict[str, Any]:
 
 
 def _first_decision(policy: MpcPolicy, config: EnvConfig) -> float:
-    """Return the CPU time of the first decision [s]; functions are compiled, or read from cache."""
+    """Return the CPU time of the first decision [s], in which functions are compiled or loaded."""
     env, timed = FlipperEnv(config=config), TimedMpc(policy)
     for _ in decisions(env, timed, 0):  # the first step of an environment compiles too
         return timed.seconds[0]

@@ -1,8 +1,8 @@
 """Speed of the environment compared with its upper limit, Chipmunk alone on the same states.
 
 Episodes are recorded once. Then, in turn, the environment replays their actions, and a bare world
-is set to the state at the beginning of each decision and stepped as often as that decision was,
-with nothing else timed. The parts of a decision are timed in the same way.
+is set to the state at the start of each decision and stepped as often as in that decision, where
+only these steps are timed. The parts of a decision are timed in the same way.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (
     "decisions of the environment against the same substeps by Chipmunk's step alone "
-    "(same situations, one process, in turn), and what a decision's time is spent on"
+    "(same states, one process, in turn), and the parts of a decision's time"
 )
 
 
@@ -78,7 +78,7 @@ def _world(env: FlipperEnv) -> PlanarWorld:
     """Return the environment's planar world.
 
     Raises:
-        TypeError: the environment's engine is another one.
+        TypeError: the environment has another engine.
     """
     world = env.drive.world
     if isinstance(world, GuardedWorld):

@@ -1,4 +1,4 @@
-"""The planar engine's settings, for measures of this engine alone."""
+"""Settings of the planar engine, for benchmarks of this engine alone."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from flipperctl.sim.planar import Planar
 
 
 def planar(chosen: Engine) -> Planar:
-    """Return the settings as those of the planar engine.
+    """Return the engine if it is the planar one.
 
     Raises:
         ConfigError: another engine was chosen.

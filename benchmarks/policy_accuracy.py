@@ -1,4 +1,4 @@
-"""Accuracy of the physics with a policy at the controls: single episodes at finer substeps.
+"""Accuracy of the physics with a policy: single episodes at finer substeps.
 
 A policy near its limits amplifies small differences, and a rule that follows the ground does not.
 Therefore the shipped policy and a rule play the same episodes, each at the configured substep and
@@ -22,16 +22,16 @@ from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
 
 SHIPPED = "generalist"
-"""The shipped policy that drives."""
+"""The shipped policy that is measured."""
 FINER = 0.25
 """The finer substep as a multiple of the configured one [-]."""
 _KEY = "pitch_variation_100hz"
 
 
 def measure_policies(bench: Benchmark, begun: float) -> dict[str, Any]:
-    """Measure relative changes of θ̂_R and changed outcomes [-] by policy, and by terrain too.
+    """Measure relative changes of θ̂_R and changed outcomes [-], by policy and by terrain.
 
-    ``begun``: fraction of the whole measure that is done before this part.
+    ``begun``: fraction of the whole benchmark that is finished before this part.
     """
     sources = {
         bench.settings.controller: PolicySource.of_plugin(
@@ -69,7 +69,7 @@ def measure_policies(bench: Benchmark, begun: float) -> dict[str, Any]:
 
 
 def changes(pairs: Sequence[tuple[Row, Row]]) -> list[float]:
-    """Return |θ̂_R / θ̂_R at the finer substep − 1| of each episode that reaches at both [-]."""
+    """Return |θ̂_R / θ̂_R at the finer substep − 1| of each episode that reaches with both [-]."""
     return [
         abs(coarse[_KEY] / fine[_KEY] - 1)
         for coarse, fine in pairs

@@ -1,7 +1,7 @@
 """Errors of ``mpc``'s prediction model against the engine, one decision ahead.
 
-The model knows the true ground, robot and state before each decision, so that its error is that of
-its simplifications alone: a rigid robot with ideal servos, and long time steps.
+The model knows the true ground, robot and state before each decision, so that only its
+simplifications cause errors: a rigid robot with ideal servos, and long time steps.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ def _model(env: FlipperEnv) -> Model:
 
 
 def _errors(env: FlipperEnv, model: Model, decision: Decision) -> dict[str, float]:
-    """Return the error of each measure after a decision that the environment has just made."""
+    """Return the error of each measure after the environment's latest decision."""
     t = decision.transition
     targets = np.array([env.drive.targets])
     branch = model.expand(_state(model, t.before)[None], targets, env.config.robot.decision_period)
-    swing = np.abs(np.diff(t.path[:, 2])).sum()
+    variation = np.abs(np.diff(t.path[:, 2])).sum()
     return {
         "position": math.dist(branch.places[0], t.after.position),
         "pitch": abs(float(branch.states[0, 2]) - t.after.pitch),
-        "swing": abs(float(branch.pitch_variation[0] - swing)),
+        "swing": abs(float(branch.pitch_variation[0] - variation)),
     }
 
 

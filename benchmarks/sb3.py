@@ -1,4 +1,4 @@
-"""Stable-Baselines3's DQN, set up for this task; only this module imports it.
+"""Stable-Baselines3's DQN, configured for this task; only this module imports it.
 
 In: a training configuration. Out: a model on ``flipperctl/Flipper-v0`` whose ``q_net`` maps
 observations (B, N + 3) in SI units to Q-values (B, 9), as flipperctl's networks do.
@@ -42,11 +42,11 @@ SETTINGS: Mapping[str, Any] = {
 }
 """The best settings found on ``stair``, with the target network validated.
 
-They were tried one after another, beginning with the settings of flipperctl's agent, with
-validations of 100 episodes. Seconds are the training time without validations until three in a row
-were perfect. They were measured on two busy cores, so decisions are more significant than seconds.
-Runs above the empty line were validated every 2500 decisions, those below it every 1000. The seed
-is 1 unless stated otherwise.
+They were tried one after another, starting from the settings of flipperctl's agent, with
+validations of 100 episodes. Seconds are the training time, without validations, until three
+validations in a row were perfect. They were measured on two busy cores, so decisions are more
+reliable than seconds. Runs above the empty line were validated every 2500 decisions, those below it
+every 1000. The seed is 1 unless stated otherwise.
 
 =============================================================  ================  ==================
 change                                                         decisions         seconds
@@ -80,7 +80,7 @@ tau 0.01, reward_scale 1                                       11,005           
 
 
 class Scaled(BaseFeaturesExtractor):
-    """Divide each number by ``ObservationLayout.scale``, as flipperctl's networks do."""
+    """Divide observations by ``ObservationLayout.scale``, as flipperctl's networks do."""
 
     scale: torch.Tensor
 
@@ -108,7 +108,7 @@ def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
     s: dict[str, Any] = {**SETTINGS, **changes}
     reward_scale, net_arch = s.pop("reward_scale"), s.pop("net_arch")
     fused, (first, last) = s.pop("fused"), s.pop("learning_rate")
-    made = DQN(
+    dqn = DQN(
         "MlpPolicy",
         environment(config, reward_scale),
         learning_rate=LinearSchedule(first, last, 1.0),
@@ -122,15 +122,15 @@ def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
         device="cpu",
         **s,
     )
-    made.set_logger(Logger(None, []))
-    return made
+    dqn.set_logger(Logger(None, []))
+    return dqn
 
 
 def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
     """Train until the run is finished; validate between episodes, as flipperctl's trainer does."""
     torch.set_num_threads(config.train.threads)
-    made = model(config, config.seed)
-    made.learn(config.train.decisions, callback=_ValidationCallback(config, run, report))
+    dqn = model(config, config.seed)
+    dqn.learn(config.train.decisions, callback=_ValidationCallback(config, run, report))
 
 
 class _ValidationCallback(BaseCallback):
@@ -143,7 +143,7 @@ class _ValidationCallback(BaseCallback):
         self._last = 0
 
     def _on_step(self) -> bool:
-        """Validate after an episode if it is due; return False to stop learning."""
+        """Validate after an episode if a validation is due; return False to stop learning."""
         if not self.locals["dones"][0]:
             return True
         self._report()

@@ -1,4 +1,4 @@
-"""The sizes of the developers' measures."""
+"""The sizes of the developers' benchmarks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FAMILIES = (
     "pallet",
     "plum",
 )
-"""Terrains of the generalist's training, for measures over all kinds of ground."""
+"""Terrains of the generalist's training, for benchmarks over all kinds of ground."""
 
 SMALL: Mapping[str, Any] = {
     **COMMON_SMALL,
@@ -39,11 +39,11 @@ SMALL: Mapping[str, Any] = {
     "commands": 1,
     "modules": 3,
 }
-"""Replacements of the defaults with ``--small``, which checks in seconds that everything works."""
+"""Values that replace the defaults with ``--small``, for a check that takes seconds."""
 
 
 class BenchmarkSettings(CommonSettings):
-    """The sizes of the measures."""
+    """The sizes of the benchmarks."""
 
     episodes: int = Field(
         4,
@@ -80,6 +80,6 @@ class BenchmarkSettings(CommonSettings):
 
 
 Benchmark: TypeAlias = Bench[BenchmarkSettings]
-"""Inputs of a measure."""
+"""Inputs of a benchmark."""
 
 SUITE = Suite("benchmarks", MEASURES, BenchmarkSettings, SMALL)

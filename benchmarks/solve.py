@@ -1,4 +1,4 @@
-"""Time to solve: from the start until every unseen episode succeeds in three validations in a row.
+"""Time from the start until every unseen episode succeeds in three validations in a row.
 
 flipperctl's trainer with its configuration is compared with Stable-Baselines3's DQN with the best
 settings found for it (see ``sb3``). Both have the same environment and budget of decisions and are
@@ -25,7 +25,7 @@ from flipperctl.training.trainer import Trainer
 
 ABOUT = (
     "wall-clock from the start, validations included, until all unseen episodes of several "
-    "validations in a row succeed; training is the same without the time of the validations"
+    "validations in a row succeed; training is that time without validations"
 )
 
 

@@ -1,4 +1,4 @@
-"""One run of a learner until it solves the task: its clock, its validations and its end."""
+"""One run of a learner until it solves the task: clock, validations and termination."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from flipperctl.rollout.seeds import validation_seed
 
 @dataclass
 class SolveRun:
-    """Validations of one run, during the run and after it. Its clock starts at construction."""
+    """The validations of one run; its clock starts at construction."""
 
     seed: int
     settings: BenchmarkSettings
@@ -38,7 +38,7 @@ class SolveRun:
 
     @property
     def solved(self) -> bool:
-        """Whether the required number of last validations succeeded in every episode."""
+        """Whether every episode of the required number of last validations succeeded."""
         wanted = self.settings.in_a_row
         last = self.validations[-wanted:]
         return len(last) == wanted and all(v["success_rate"] == 1.0 for v in last)
@@ -73,7 +73,7 @@ class SolveRun:
 class ValidationRecorder:
     """Listen to a trainer and add its validations to a run.
 
-    The trainer validates directly after an episode, so a validation takes the time since then.
+    The trainer validates right after an episode, so a validation lasts from then on.
     """
 
     def __init__(self, run: SolveRun) -> None:
@@ -97,7 +97,7 @@ class ValidationRecorder:
 
 
 class Validation:
-    """Validate the policy of another learner on the episodes of the trainer's validation."""
+    """Validate another learner's policy on the trainer's validation episodes."""
 
     def __init__(self, config: TrainConfig) -> None:
         self._env = FlipperEnv(config=config.environment())

@@ -1,4 +1,4 @@
-"""Wall-clock time of short commands, each in a fresh process, which a user waits for."""
+"""Wall-clock time that a user waits for short commands, each in a fresh process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flipperctl.bench.process import output
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.cli.main import app
 
-ABOUT = "wall-clock of commands as processes of their own, in turn, beside Python's own start"
+ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"
 PYTHON = "python -c pass"
 
 Command = tuple[str, ...]
@@ -24,7 +24,7 @@ Command = tuple[str, ...]
 def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict[str, Any]:
     """Measure the time of each command [ms], and its ratio to the start of Python itself.
 
-    Without ``commands``, they are every subcommand's help and two short ones.
+    The default ``commands`` are every subcommand's help and two short ones.
 
     Raises:
         FlipperctlError: a command failed.
@@ -59,7 +59,7 @@ def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict
 
 
 def short_commands() -> list[Command]:
-    """Return every subcommand's help, in its order there, and two short views of ``inspect``."""
+    """Return every subcommand's help, in the order of help, and two short views of ``inspect``."""
     root = typer.main.get_command(app)
     helps = [(*path, "--help") for path in _paths(root, ())]
     return [*helps, ("inspect", "plugins"), ("inspect", "terrain", "stair", "--json")]

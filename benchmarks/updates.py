@@ -76,7 +76,7 @@ def rivals(
 
 
 def hidden_layers(module: torch.nn.Module, inputs: int) -> int:
-    """Return the number of linear layers on the longest path to the Q-values, without the last."""
+    """Return the number of linear layers on the longest path to the Q-values, minus the last."""
 
     @functools.cache
     def longest(node: Any) -> int:
@@ -87,10 +87,7 @@ def hidden_layers(module: torch.nn.Module, inputs: int) -> int:
 
 
 def equal_width(wanted: int, inputs: int, outputs: int, layers: int) -> int:
-    """Return the width at which a perceptron of ``layers`` hidden layers has ``wanted`` weights.
-
-    Of all integer widths, it is the one with the nearest number of weights.
-    """
+    """Return the width of ``layers`` hidden layers whose weights number closest to ``wanted``."""
 
     def weights(width: int) -> int:
         inner = (layers - 1) * (width + 1) * width

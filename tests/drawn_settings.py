@@ -19,7 +19,7 @@ NOT_DRAWN = {
     "train.workers": "mode exact has none",
     "train.decisions": "60",
     "device": "what this machine has",
-    "collector": "mode exact plays in the learner's process",
+    "collector": "mode exact plays episodes in the learner's process",
     "teacher.episodes": "a file",
     "terrain.path": "a file",
 }

@@ -1,8 +1,8 @@
 """The composed configuration as frozen pydantic models.
 
-``sections`` holds the settings, ``randomise`` the ranges sampled for each episode, ``models``
-whole configurations; ``resolver`` builds them from names and overrides, and ``identity`` says which
-plugins are the same.
+``sections`` defines the settings, ``randomise`` the ranges sampled for each episode, and ``models``
+whole configurations; ``resolver`` builds them from names and overrides, and ``identity`` compares
+plugins.
 """
 
 from flipperctl.config.identity import identity

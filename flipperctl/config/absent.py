@@ -1,8 +1,8 @@
-"""Stand-ins for the terrain and the reward terms of a training whose plugins are not there.
+"""Stand-ins for a training's terrain and reward terms whose plugins are missing.
 
-In: a plain configuration, and the files that its plugins came from. Out: the same, in which each
-terrain or reward term that cannot be made is a stand-in with its settings. A policy can be judged
-without them, on another terrain; a stand-in that is used raises.
+In: a plain configuration, and the files that its plugins came from. Out: the same, with a stand-in
+in place of each terrain or reward term whose plugin is missing. A policy can be evaluated without
+them on another terrain; a stand-in raises when it is used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Files = Mapping[tuple[str, str], str]
 
 
 class AbsentTerrain(Terrain):
-    """Keeps the settings of a terrain whose plugin, or that of a terrain inside it, is missing."""
+    """Keep the settings of a terrain whose plugin, or that of a terrain inside it, is missing."""
 
     model_config = ConfigDict(extra="allow")
     missing: ClassVar[str]
@@ -34,7 +34,7 @@ class AbsentTerrain(Terrain):
 
 
 class AbsentReward(RewardTerm):
-    """Keeps the settings of a reward term whose plugin is missing."""
+    """Keep the settings of a reward term whose plugin is missing."""
 
     model_config = ConfigDict(extra="allow")
     missing: ClassVar[str]
@@ -48,27 +48,29 @@ class AbsentReward(RewardTerm):
 def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     """Return a plain configuration with stand-ins where terrain or reward plugins are missing.
 
-    A teacher's controller and loggers that are missing are left out, since only a training needs
+    A missing teacher's controller and missing loggers are left out, since only a training needs
     them.
     """
     result = dict(settings)
-    result["terrain"] = _present(AbsentTerrain, settings["terrain"], files)
+    result["terrain"] = _or_stand_in(AbsentTerrain, settings["terrain"], files)
     if "rewards" in settings:
         terms = settings["rewards"]
-        result["rewards"] = {k: _present(AbsentReward, v, files) for k, v in terms.items()}
+        result["rewards"] = {k: _or_stand_in(AbsentReward, v, files) for k, v in terms.items()}
     teacher = settings.get("teacher") or {}
-    if any(_missing("controller", teacher.get("controller"))):
+    if any(_missing_names("controller", teacher.get("controller"))):
         result["teacher"] = {**teacher, "controller": None}
     loggers = settings.get("logger") or {}
     if "logger" in settings:
-        result["logger"] = {k: v for k, v in loggers.items() if not any(_missing("logger", v))}
+        result["logger"] = {
+            k: v for k, v in loggers.items() if not any(_missing_names("logger", v))
+        }
     return result
 
 
-def _present(family: type[AbsentTerrain | AbsentReward], settings: Any, files: Files) -> Any:
+def _or_stand_in(family: type[AbsentTerrain | AbsentReward], settings: Any, files: Files) -> Any:
     """Return the settings, or a stand-in if a plugin that they name is missing."""
     kind = family.kind
-    name = next(_missing(kind, settings), None)
+    name = next(_missing_names(kind, settings), None)
     if name is None:
         return settings
     text = missing_plugin(kind, name, files.get((kind, name)))
@@ -78,7 +80,7 @@ def _present(family: type[AbsentTerrain | AbsentReward], settings: Any, files: F
     return stand_in(**fields)
 
 
-def _missing(kind: str, settings: Any) -> Iterator[str]:
+def _missing_names(kind: str, settings: Any) -> Iterator[str]:
     """Yield the names of missing plugins in the settings of a plugin, at any depth."""
     if isinstance(settings, Mapping):
         name = settings.get("name")
@@ -88,4 +90,4 @@ def _missing(kind: str, settings: Any) -> Iterator[str]:
     elif not isinstance(settings, list | tuple):
         return
     for inner in settings:
-        yield from _missing(kind, inner)
+        yield from _missing_names(kind, inner)

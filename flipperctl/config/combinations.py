@@ -1,7 +1,7 @@
-"""Checks of settings of several sections that are impossible together.
+"""Checks for settings of several sections that are impossible together.
 
 In: the sections of a configuration. Out: an error that names the setting, its value and what is
-allowed beside the others.
+allowed with the others.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from flipperctl.errors import ConfigError
 
 
 def check_decisions(robot: Robot, sensor: Sensor, randomise: Randomise) -> None:
-    """Check that a decision takes a sample period or longer, and no delay is longer than it.
+    """Check that a decision lasts at least one sample period and that no delay exceeds it.
 
     Raises:
         ConfigError: the decision is too short, or a delay too long.
@@ -38,10 +38,10 @@ def check_decisions(robot: Robot, sensor: Sensor, randomise: Randomise) -> None:
 
 
 def check_episode(robot: Robot, episode: Episode, randomise: Randomise) -> None:
-    """Check that the flippers reach their start angle, and that a robot that drives is not stuck.
+    """Check that the flippers reach their start angle and that a moving robot is not stuck.
 
     Raises:
-        ConfigError: they do not, or every robot would be stuck.
+        ConfigError: the angle is beyond the limit, or every robot would be stuck.
     """
     if abs(episode.start_angle) > robot.angle_limit:
         raise ConfigError(

@@ -41,7 +41,7 @@ class Setting:
     section: str
     """Path of the section or plugin that the field belongs to; empty at the top level."""
     path: str
-    """Key used by overrides; items of a list, which are overridden as a whole, have ``[i]``."""
+    """Key used by overrides; items of a list, which is overridden as a whole, have ``[i]``."""
     value: Any
     """The value as plain data."""
     field: Field
@@ -66,7 +66,7 @@ def fields(cls: type[Settings]) -> list[Field]:
 
 
 def settings(config: Settings, path: str = "") -> Iterator[Setting]:
-    """Yield every setting of ``config``, which stands at ``path``.
+    """Yield every setting of ``config``, which is at ``path`` in the whole configuration.
 
     Its own fields come first, then those of the sections and plugins inside it, at any depth. A
     plugin or a collector begins with a setting that holds its name.
@@ -75,7 +75,7 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
     inside: list[tuple[str, Settings]] = []
     for field in fields(type(config)):
         if field.name == _CHOICE and not isinstance(config, Plugin):
-            continue  # the setting of the choice holds it
+            continue  # yielded by ``_choice``
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
         nested = list(_nested(value, where))
         if not nested or isinstance(value, tuple | list):
@@ -160,8 +160,10 @@ def _allowed(cls: type[Settings], name: str) -> str:
     """Return the bounds of a field, or its allowed values."""
     if issubclass(cls, Randomise) and name in SECTION_OF:
         section = SECTION_OF[name]
-        drawn_from = Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
-        return bounds(drawn_from, name)
+        sampled_from = (
+            Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
+        )
+        return bounds(sampled_from, name)
     info = cls.model_fields[name]
     lengths = [getattr(item, "min_length", None) for item in info.metadata]
     least = "".join(f"length ≥ {length}" for length in lengths if length is not None)

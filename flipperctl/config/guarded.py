@@ -1,8 +1,8 @@
-"""Guards the methods of plugins, once, where the core makes the plugins.
+"""Guard the methods of plugins once, where the core creates the plugins.
 
-In: the class of a plugin that the core has made. Out: the same class, whose methods name plugin,
-method, file and line when they fail. Only what the core calls is renamed: another plugin, or the
-author's own test, gets the error that the method raised, and may catch it.
+In: the class of a plugin that the core has created. Out: the same class, whose methods name plugin,
+method, file and line when they fail. Only errors in calls by the core are replaced: another plugin
+or the author's own test gets the original error and may catch it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from flipperctl.errors import (
 from flipperctl.guard import is_called_by_core, raise_named
 
 _CONTRACT = "flipperctl.api"
-_made: WeakSet[Callable[..., object]] = WeakSet()
+_guarded: WeakSet[Callable[..., object]] = WeakSet()
 """The guarded functions; an attribute would be copied by an author's ``functools.wraps``."""
 
 _RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
@@ -32,21 +32,21 @@ _RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
     ("network", "frames"): ConfigError,
     ("reward", "bounds"): PluginError,
 }
-"""(kind, method) → the error of a plugin that is refused before it is used."""
+"""(kind, method) → the error that rejects a plugin before it is used."""
 _REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
     ("terrain", "at"): TerrainError,
     ("terrain", "generate"): TerrainError,
     ("terrain", "labelled"): TerrainError,
 }
-"""(kind, method) → the error in place of a ValueError, by which the method refuses a request."""
-_WITH_MEANING = ("notices",)
-"""Methods whose ValueError means something to the caller, who therefore gets it unchanged."""
+"""(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
+_PASSED_ON = ("notices",)
+"""Methods whose ValueError is passed on unchanged because the caller interprets it."""
 _NAMES = {"labelled": "generate"}
 """Method of the contract → the author's method that it calls, which errors name."""
 
 
 def guard_class(cls: type[Plugin]) -> None:
-    """Guard each method and property of the contract, the inherited ones too; idempotent."""
+    """Guard each method and property of the contract, also inherited ones; idempotent."""
     for name in _contract(cls):
         found = next(vars(base)[name] for base in cls.__mro__ if name in vars(base))
         replaced = _guard_attribute(name, found)
@@ -62,7 +62,7 @@ def _contract(cls: type[Plugin]) -> Iterator[str]:
 
 
 def _guard_attribute(name: str, found: Any) -> object:
-    """Return a guarded method or property in place of one; a plain value stays."""
+    """Return a guarded version of a method or property; return a plain value unchanged."""
     if isinstance(found, property) and found.fget is not None:
         getter = _guard(name, found.fget)
         return found if getter is found.fget else property(getter, doc=found.__doc__)
@@ -86,7 +86,7 @@ def _guard_attribute(name: str, found: Any) -> object:
 
 
 def _bound(descriptor: Any) -> Callable[[Plugin], object]:
-    """Return a function that gets what a descriptor gives for a plugin."""
+    """Return a function that returns a descriptor's value for a plugin."""
 
     @functools.wraps(getattr(descriptor, "func", descriptor))
     def get(self: Plugin) -> object:
@@ -96,8 +96,8 @@ def _bound(descriptor: Any) -> Callable[[Plugin], object]:
 
 
 def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
-    """Return the function, which names its plugin if it fails in a call of the core."""
-    if function in _made:
+    """Return a version of the function that names its plugin if it fails in a call by the core."""
+    if function in _guarded:
         return function
     shown = _NAMES.get(name, name)
 
@@ -107,7 +107,7 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
             result = function(self, *given, **named)
         except BaseException as error:
             refuses = isinstance(error, ValueError)
-            if (refuses and name in _WITH_MEANING) or not is_called_by_core(error):
+            if (refuses and name in _PASSED_ON) or not is_called_by_core(error):
                 raise
             key = self.kind, name
             if refuses and (refusal := _REFUSALS.get(key)):
@@ -117,5 +117,5 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
             guard_class(type(result))
         return result
 
-    _made.add(guarded)
+    _guarded.add(guarded)
     return guarded

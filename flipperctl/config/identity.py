@@ -1,7 +1,7 @@
-"""What makes two plugins the same: names, settings that are not defaults, contents of files.
+"""The identity of a plugin: its name, non-default settings and the contents of its files.
 
-In: a plugin. Out: plain data that is equal wherever a file lies, however its path is written, and
-whatever settings with defaults a later version adds.
+In: a plugin. Out: plain data that does not depend on the place of a file, the notation of its path,
+or settings with defaults that a later version adds.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from flipperctl.config.resolver import container
 
 
 def identity(plugin: Plugin) -> dict[str, Any]:
-    """Return the plugin's registered name, its settings that differ from the defaults, its files.
+    """Return the plugin's registered name, non-default settings and files.
 
     A setting that names files that the plugin reads (same last component of the path) is left out;
-    the SHA-256 of each file enters instead. Plugins in settings are described in the same way.
+    the SHA-256 of each file is included instead. Plugins in settings are described in the same way.
 
     Raises:
         PluginError: a setting cannot be written as JSON.
@@ -42,9 +42,9 @@ def read_files(plugin: Plugin) -> tuple[Path, ...]:
     """Return the files that the plugin reads.
 
     Raises:
-        PluginFailedError: ``files_read`` failed, or returned something else than paths.
+        PluginFailedError: ``files_read`` failed, or returned anything but paths.
     """
-    with guard.naming(plugin, "files_read"):  # what it returned may fail as well
+    with guard.naming(plugin, "files_read"):  # iterating over the result may fail as well
         found = tuple(plugin.files_read())
     if not all(isinstance(file, Path) for file in found):
         text = f"returned {guard.short_repr(found)}; allowed: Paths"
@@ -53,7 +53,7 @@ def read_files(plugin: Plugin) -> tuple[Path, ...]:
 
 
 def content_digest(file: Path) -> str | None:
-    """Return the SHA-256 of a file's content; None if it cannot be read, which its reader says."""
+    """Return the SHA-256 of a file's content; None if it cannot be read, as its reader reports."""
     try:
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()

@@ -1,7 +1,7 @@
 """The composed configuration as frozen pydantic models.
 
 In: plain containers, through ``resolver.parse``. Out: validated models with plugin instances
-inside. The sections and their settings stand in ``sections``.
+inside. The sections and their settings are defined in ``sections``.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _rewards(value: object) -> object:
         raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
     complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
     for key in value:
-        if str(key) not in complete:  # a field of a term that does not exist
+        if str(key) not in complete:  # a field of an unknown term
             raise ConfigError(
                 f"rewards.{key}: there is no such term{close_match(str(key), complete)}; "
                 f"known: {', '.join(complete)}; a new one needs a name"
@@ -91,7 +91,7 @@ def _loggers(value: object) -> object:
                 f"logger.{key}: there is no such logger{close_match(key, complete)}; "
                 f"chosen: {', '.join(complete) or 'none'}; logger={key} chooses it"
             )
-        if not is_plugin_name(key):  # it is the name of the logger's folder, too
+        if not is_plugin_name(key):  # it also names the logger's folder
             raise ConfigError(f"logger.{key}: {NAME_RULE}")
     return {str(k): create("logger", v, f"logger.{k}") for k, v in found.items()}
 
@@ -120,7 +120,7 @@ class EnvConfig(Settings):
 
     terrain: ConfiguredTerrain
     rewards: AnyRewards = Field(
-        # names, which the validator turns into terms
+        # the validator turns names into terms
         default_factory=lambda: cast("dict[str, RewardTerm]", dict(PAPER_REWARDS))
     )
     robot: Robot = Robot()
@@ -162,7 +162,7 @@ class EvalConfig(EnvConfig):
     """The configuration of an evaluation: environment, episodes and the conditions' name."""
 
     conditions: str = Field(
-        "nominal", description="the named conditions to which overrides were applied [-]"
+        "nominal", description="name of the conditions to which overrides were applied [-]"
     )
     eval: Eval = Eval()
 
@@ -179,14 +179,14 @@ class TrainConfig(EnvConfig):
     logger: AnyLoggers = Field(
         default_factory=lambda: cast("dict[str, Logger]", {DEFAULT_LOGGER: DEFAULT_LOGGER})
     )
-    seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of everything random [-]")
+    seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
     @model_validator(mode="after")
     def _check_collector(self) -> TrainConfig:
         if self.train.mode == "exact" and self.collector.name != "local":
             raise ConfigError(
-                "train.mode: exact plays in the learner's process; "
+                "train.mode: exact plays episodes in the learner's process; "
                 f"collector={self.collector.name} needs train.mode=fast"
             )
         return self
@@ -210,13 +210,13 @@ class TrainConfig(EnvConfig):
             if term.gamma != agent.gamma:
                 raise ConfigError(
                     f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
-                    "shaping would change which policy is best; set "
+                    "shaping would change the optimal policy; set "
                     f"rewards.{name}.gamma={agent.gamma}"
                 )
             if agent.bootstrap_outcomes:
                 raise ConfigError(
                     f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
-                    f"so the value must too; set agent.bootstrap_outcomes=[] or drop the term with "
-                    f"~rewards.{name}"
+                    "so the value must end too; set agent.bootstrap_outcomes=[] or drop the term "
+                    f"with ~rewards.{name}"
                 )
         return self

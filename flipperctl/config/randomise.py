@@ -1,7 +1,7 @@
-"""Randomisation of an episode's physics and sensing: which settings are sampled, in which range.
+"""Randomisation of an episode's physics and sensing: the sampled settings and their ranges.
 
 In: the section ``randomise`` of a configuration. Out: the sampled settings in the order in which
-their values are sampled; ``sampled`` samples them and puts the values into the sections.
+their values are sampled; the module ``sampled`` samples them and applies them to the sections.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ SECTION_OF = {
 """Section of each setting with a short form; their values are sampled in this order."""
 
 SWITCHES = {"occlusion": "perception"}
-"""Section of each short form that is on with a probability; sampled after those with a range."""
+"""Section of each short form of a switch with a probability; sampled after those with a range."""
 
 PATH_SECTIONS = ("sim", "robot", "perception")
 """Sections whose settings are sampled by path, after all short forms and in this order."""
@@ -104,7 +104,7 @@ class Sampled:
     name: str
     """Short form or path below ``randomise``, which is also the name of the column in files."""
     value: tuple[float, float] | float
-    """Range, or one number: the value of a setting with numbers, the probability of a switch."""
+    """Range, or one number: the value of a numeric setting or the probability of a switch."""
 
     @property
     def key(self) -> str:
@@ -127,12 +127,12 @@ def target(name: str) -> tuple[str, str]:
 
 
 class Randomise(Settings):
-    """The settings that are sampled anew for every episode of a training or an evaluation.
+    """The settings that are sampled for every episode of a training or an evaluation.
 
     ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
-    ``robot`` and ``perception``, also one of a plugin; the other names are short forms. Each range
-    has the unit of its setting and must lie within its bounds, and all combinations must be
-    possible; a setting that is on or off has a probability. The start is sampled by
+    ``robot`` and ``perception``, including those of plugins; other names are short forms. Each
+    range has the unit of its setting and must lie within its bounds, and all combinations must be
+    possible; a switch has a probability. The start is sampled by
     ``episode.start_noise`` and ``episode.start_angle_noise``.
     """
 
@@ -142,7 +142,7 @@ class Randomise(Settings):
     track_speed: Range = Field(None, description="of robot.track_speed [m/s]")
     flipper_speed: Range = Field(
         None,
-        description="of robot.flipper_speed; the decision period stays that of the robot [rad/s]",
+        description="of robot.flipper_speed; the decision period stays the robot's [rad/s]",
     )
     actuator_delay: Range = Field(None, description="of robot.actuator_delay [s]")
     noise: Range = Field(None, description="of perception.noise [m]")
@@ -155,10 +155,10 @@ class Randomise(Settings):
     delay: Range = Field(None, description="of perception.delay [s]")
     flipper_torque: Range = Field(None, description="of robot.flipper_torque [N m]")
     flipper_length: Range = Field(
-        None, description="of robot.flipper_length; policies still believe in their own robot [m]"
+        None, description="of robot.flipper_length; policies still assume the configured robot [m]"
     )
     track_radius: Range = Field(
-        None, description="of robot.track_radius; policies still believe in their own robot [m]"
+        None, description="of robot.track_radius; policies still assume the configured robot [m]"
     )
     substep: Range = Field(
         None, description="of sim.substep, as the nearest divisor of the sampling time [s]"
@@ -183,23 +183,23 @@ class Randomise(Settings):
         for one in self.sampled():
             if (other := seen.get((one.section, one.field))) is not None:
                 raise ConfigError(
-                    f"{one.key}: it is the setting that randomise.{other} samples; drop one of the "
-                    f"two, as with {one.key}=null"
+                    f"{one.key}: randomise.{other} samples the same setting; drop one of the "
+                    f"two, for example with {one.key}=null"
                 )
             seen[one.section, one.field] = one.name
         return self
 
     @model_serializer(mode="wrap")
     def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out sections without a path, so that files and hashes stay those of version 0.2."""
+        """Leave out sections without a path, so that files and hashes stay as in version 0.2."""
         plain = serialize(self).items()
         return {name: value for name, value in plain if value or name not in PATH_SECTIONS}
 
     def sampled(self) -> Iterator[Sampled]:
         """Yield each sampled setting, in the order in which values are sampled.
 
-        The order of the paths in a file does not matter, and a path leaves the samples of the
-        short forms as they are.
+        The order of the paths in a file does not matter, and a path does not change the samples of
+        the short forms.
         """
         for name, section in (*SECTION_OF.items(), *SWITCHES.items()):
             if (found := getattr(self, name)) is not None:
@@ -209,7 +209,7 @@ class Randomise(Settings):
                 yield Sampled(section, field, f"{section}.{field}", value)
 
     def find(self, section: str, field: str) -> Sampled | None:
-        """Return how a setting is sampled, None if it is not."""
+        """Return the sampled setting at this place, or None if it is not sampled."""
         found = (s for s in self.sampled() if (s.section, s.field) == (section, field))
         return next(found, None)
 

@@ -120,7 +120,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         ):  # an empty mapping replaces the terms instead of merging into them
             result[key] = {}
             continue
-        if key == "logger" and not isinstance(value, Mapping):  # names replace the loggers there
+        if key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
             result[key] = by_name(value)
             continue
         *parents, leaf = key.split(".")
@@ -128,7 +128,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         for parent in parents:
             node = node.setdefault(parent, {})
             if not isinstance(node, dict):
-                raise ConfigError(f"{key}: {parent} is a value, no section; it is {node!r}")
+                raise ConfigError(f"{key}: {parent} is a value, not a section; it is {node!r}")
         _merge(node, leaf, value)
     if isinstance(rewards := result.get("rewards"), dict):
         result["rewards"] = {name: term for name, term in rewards.items() if term is not None}

@@ -1,7 +1,7 @@
-"""Sections of a configuration with sampled values, validated like every other setting.
+"""Apply sampled values to the sections of a configuration, validated like other settings.
 
 In: the sections ``sim``, ``robot`` and ``perception``, and sampled values or the ranges of these.
-Out: the sections of one episode, or an error before any episode if some would be impossible.
+Out: the sections of one episode, or an error before any episode if a sample may be impossible.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from flipperctl.messages import close_match, explain
 Sections = Mapping[str, Settings]
 """Section's name → its settings."""
 _MOST = 2**16
-"""Largest number of combinations of the ranges' ends in one section, each of which is checked."""
+"""Largest number of combinations of range ends in one section, all of which are checked."""
 
 
 def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -> dict[str, float]:
@@ -59,10 +59,10 @@ def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[s
 
 
 def check_ranges(sections: Sections, randomise: Randomise) -> None:
-    """Check that each setting can be sampled, and that the ranges' ends are possible together.
+    """Check that each setting can be sampled and that all combinations of range ends are valid.
 
     Raises:
-        ConfigError: one is not, or a section has no such setting; the text names the ranges.
+        ConfigError: a setting is unknown or cannot be sampled, or a combination is not valid; the
     """
     ends: dict[str, dict[str, list[float]]] = {}
     for one in randomise.sampled():
@@ -86,7 +86,7 @@ def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
     """Return the ends of the samples of a setting that exists and can be sampled.
 
     Raises:
-        ConfigError: it does not exist, cannot be sampled, or has no such probability.
+        ConfigError: it does not exist or cannot be sampled, or a probability is not within 0 and 1.
     """
     cls, known = type(settings), sorted(type(settings).model_fields)
     chosen = f"{one.section}={cls.plugin_name}" if issubclass(cls, Plugin) else one.section
@@ -97,10 +97,10 @@ def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
         )
     kind = _kind(cls, one.field)
     if one.field in cls.not_sampled or kind is None:
-        what = "policies rely on it" if kind else "it is no number and no switch"
+        what = "policies rely on it" if kind else "it is neither a number nor a switch"
         names = [n for n in known if n not in cls.not_sampled and _kind(cls, n)]
         raise ConfigError(
-            f"{one.key}: {what}, so that it is not sampled; settings of {chosen} that can be "
+            f"{one.key}: {what}, so it cannot be sampled; settings of {chosen} that can be "
             f"sampled: {', '.join(names)}"
         )
     if kind is bool:
@@ -138,7 +138,7 @@ def _types(annotation: Any) -> Iterator[Any]:
 
 
 def _allowed(cls: type[Settings], field: str, value: float) -> float:
-    """Return the value next to a sampled one that the setting can have."""
+    """Return the allowed value of the setting that is nearest to ``value``."""
     nearest = cls.nearest_allowed(field, value)
     return round(nearest) if _kind(cls, field) is int else float(nearest)
 
@@ -156,14 +156,14 @@ def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
 
 
 def _refusal(error: ValidationError, settings: Settings, values: Mapping[str, float]) -> Exception:
-    """Return the error that names the ranges without which the section would be possible."""
+    """Return an error that names the ranges that make the section impossible."""
     first = error.errors()[0]["loc"]
     for name in values:
         if first and first[0] == target(name)[1]:
             where = f"randomise.{name}".rpartition(".")[0]
             return ConfigError(explain(error, where, type(settings)))
-    to_blame = [name for name in values if _possible_without(name, settings, values)]
-    where = ", ".join(f"randomise.{name}" for name in to_blame or values)
+    culprits = [name for name in values if _possible_without(name, settings, values)]
+    where = ", ".join(f"randomise.{name}" for name in culprits or values)
     return ConfigError(explain(error, where, type(settings)))
 
 

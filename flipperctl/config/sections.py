@@ -20,10 +20,16 @@ class Episode(Settings):
     """Where an episode starts and how it ends."""
 
     run_up: float = Field(
-        1.0, ge=0, le=10, description="chassis centre before the first edge at the start [m]"
+        1.0,
+        ge=0,
+        le=10,
+        description="distance from the chassis centre at the start to the first edge [m]",
     )
     run_out: float = Field(
-        1.0, ge=0, le=10, description="chassis centre past the last edge at the finish [m]"
+        1.0,
+        ge=0,
+        le=10,
+        description="distance from the last edge to the chassis centre at the finish [m]",
     )
     start_noise: float = Field(
         0.05,
@@ -47,53 +53,54 @@ class Episode(Settings):
         math.pi / 3,
         gt=0,
         le=math.pi / 2,
-        description="absolute pitch that ends as overturned [rad]",
+        description="absolute pitch at which an episode ends as overturned [rad]",
     )
     clearance: float = Field(
         0.1,
         gt=0,
         le=1,
-        description="height of the chassis' higher end above the ground that still counts as close "
-        "to it at the finish; not given in the paper [m]",
+        description="largest height of the chassis' higher end above the ground at the finish; not "
+        "given in the paper [m]",
     )
     slack: float = Field(
         3.0,
         gt=1,
         le=100,
-        description="t_max in multiples of the time of a level drive; not given in the paper [-]",
+        description="t_max as a multiple of the time on level ground; not given in the paper [-]",
     )
     stuck_window: int = Field(
         _STUCK_WINDOW,
         ge=2,
         le=1000,
-        description="decisions over which progress is measured where stuck_time is null; not given "
-        "in the paper [-]",
+        description="decisions over which progress is measured if stuck_time is null; not given in "
+        "the paper [-]",
     )
     stuck_time: float | None = Field(
         None,
         gt=0,
         le=600,
-        description="time over which progress is measured, at least two decisions; null is that of "
+        description="time over which progress is measured, at least two decisions; null selects "
         "stuck_window [s]",
     )
     stuck_progress: float = Field(
         0.1,
         ge=0,
         le=10,
-        description="less progress than this in the window is stuck; not given in the paper [m]",
+        description="progress in the window below which a robot is stuck; not given in the "
+        "paper [m]",
     )
 
     @model_validator(mode="after")
     def _one_window(self) -> Self:
         if self.stuck_time is not None and self.stuck_window != _STUCK_WINDOW:
             raise ValueError(
-                f"stuck_window ({self.stuck_window} decisions) has no effect beside stuck_time "
+                f"stuck_window ({self.stuck_window} decisions) has no effect with stuck_time "
                 f"({self.stuck_time:g} s); give one of them"
             )
         return self
 
     def stuck_decisions(self, period: float) -> int:
-        """Return over how many decisions of ``period`` [s] progress is measured."""
+        """Return the number of decisions of ``period`` [s] over which progress is measured."""
         if self.stuck_time is None:
             return self.stuck_window
         return max(2, round(self.stuck_time / period))
@@ -116,7 +123,7 @@ class Agent(Settings):
         1000,
         ge=1,
         le=10_000_000,
-        description="decisions before the first update, with those of teacher.episodes [-]",
+        description="decisions before the first update, including those of teacher.episodes [-]",
     )
     update_every: int = Field(2, ge=1, le=1000, description="decisions per update [-]")
     updates_together: int = Field(
@@ -137,7 +144,7 @@ class Agent(Settings):
         ge=0,
         le=1,
         description="fraction of random actions at the start; 0, with epsilon_end=0, suits "
-        "networks that explore by their own noise [-]",
+        "networks that explore with their own noise [-]",
     )
     epsilon_end: float = Field(
         0.05, ge=0, le=1, description="fraction of random actions at the end [-]"
@@ -169,9 +176,9 @@ class Train(Settings):
 
     mode: Literal["fast", "exact"] = Field(
         "fast",
-        description="fast: workers play whole episodes while the learner learns, with weights that "
-        "are a few episodes old; exact: the learner's process plays decision by decision with the "
-        "newest weights [-]",
+        description="fast: workers play whole episodes while the learner updates, with weights a "
+        "few episodes old; exact: the learner's process plays decision by decision with the newest "
+        "weights [-]",
     )
     workers: int = Field(
         1, ge=1, le=1024, description="worker processes that play episodes in mode fast [-]"
@@ -222,7 +229,7 @@ class RayCollector(Settings):
         "was requested [-]",
     )
     patience: float = Field(
-        300.0, gt=0, description="longest time without an episode before the run fails [s]"
+        300.0, gt=0, description="longest time without a new episode before the run fails [s]"
     )
 
 
@@ -231,6 +238,8 @@ class Eval(Settings):
 
     episodes: int = Field(100, ge=1, le=1_000_000, description="episodes per scene [-]")
     seed: int = Field(
-        0, ge=0, description="seed of the terrains and starts, never those of training [-]"
+        0,
+        ge=0,
+        description="seed of the terrains and starts, which differ from those of training [-]",
     )
     jobs: int = Field(1, ge=1, le=1024, description="processes that play episodes [-]")

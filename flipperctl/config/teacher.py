@@ -1,4 +1,4 @@
-"""The section ``teacher``: who teaches, who drives, and what the labels count.
+"""The section ``teacher``: the teacher, its share of the episodes, and the loss of its labels.
 
 In: a controller's name or mapping with the settings of teaching. Out: frozen settings.
 """
@@ -28,8 +28,8 @@ AnyController = Annotated[Controller | None, BeforeValidator(_controller), Plain
 class Teacher(Settings):
     """A controller that labels every visited state with the actions that it would take.
 
-    Recorded episodes can teach beside it or alone. The network learns from the labels by ``loss``,
-    beside or instead of the temporal difference.
+    Recorded episodes can teach in addition or alone. The network learns the labels by ``loss``,
+    in addition to or instead of the temporal difference.
     """
 
     controller: AnyController = Field(
@@ -37,23 +37,23 @@ class Teacher(Settings):
     )
     privileged: bool = Field(
         False,
-        description="the teacher perceives ground and posture exactly and at once, and knows the "
-        "drawn robot and friction, while the student perceives as perception says [-]",
+        description="whether the teacher perceives ground and posture exactly, without delay, and "
+        "knows the sampled robot and friction, while the student perceives as configured [-]",
     )
     episodes: str | None = Field(
         None,
-        description="file of recorded episodes, as eval --record and train.record write it, to "
+        description="file of recorded episodes, as written by eval --record or train.record, to "
         "learn from as well; null for none [-]",
     )
     student_share: float = Field(
         0.6,
         ge=0,
         le=1,
-        description="fraction of the episodes that the student drives once it learns; the teacher "
-        "drives the others [-]",
+        description="fraction of episodes in which the student acts once it learns; the teacher "
+        "acts in the others [-]",
     )
     random: float = Field(
-        0.1, ge=0, le=1, description="fraction of random actions while the teacher drives [-]"
+        0.1, ge=0, le=1, description="fraction of random actions while the teacher acts [-]"
     )
     temperature: float = Field(
         0.3,
@@ -65,13 +65,16 @@ class Teacher(Settings):
     loss: Literal["cross_entropy", "margin"] = Field(
         "cross_entropy",
         description="cross_entropy: between the labels and softmax(Q / q_temperature); margin: the "
-        "most probable action's Q-value is to exceed all others by margin (DQfD) [-]",
+        "most probable action's Q-value should exceed all others by margin (DQfD) [-]",
     )
     weight: float = Field(
         1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
     )
     weight_end: float = Field(
-        1.0, ge=0, le=1000, description="its weight at the end, reached linearly [-]"
+        1.0,
+        ge=0,
+        le=1000,
+        description="weight of the labels' loss at the end, reached linearly [-]",
     )
     td_weight: float = Field(
         1.0,
@@ -90,7 +93,8 @@ class Teacher(Settings):
         0.8,
         gt=0,
         le=1000,
-        description="margin by which the teacher's action is to lead, in scaled rewards [-]",
+        description="margin between the Q-values of the teacher's action and others, in scaled "
+        "rewards [-]",
     )
 
     @property
@@ -115,12 +119,12 @@ class Teacher(Settings):
         ):
             raise ConfigError(
                 f"teacher.controller: {controller.plugin_name} plans whole episodes before "
-                "they begin and cannot label where others drive; set teacher.student_share=0 and "
-                "teacher.random=0"
+                "they begin and cannot label states that others reach; set teacher.student_share=0 "
+                "and teacher.random=0"
             )
         if not self.td_weight and not (self.weight and self.weight_end):
             raise ConfigError(
                 "teacher.td_weight: 0 needs teacher.weight and teacher.weight_end above 0, since "
-                "nothing else is learnt from"
+                "there is no other loss"
             )
         return self

@@ -44,7 +44,8 @@ def mean_heights(
 
     ``points``: (P, 2) in frame L within ``observation.reach`` [m], in any order. The height of an
     empty bin is interpolated linearly between its neighbours; beyond the outermost bins with
-    points it equals theirs. Without any points, every height is 0. ``sum_heights`` may be a compiled one.
+    points it equals theirs. Without any points, every height is 0. ``sum_heights``
+    may be a compiled one.
     """
     total, count = np.zeros(bins), np.zeros(bins)
     seen = sum_heights(points, observation.reach(bins, bin_width), bin_width, total, count)

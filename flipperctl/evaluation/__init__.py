@@ -1,1 +1,1 @@
-"""Evaluation: results of any policy on any scene, statistics, files and reward audits."""
+"""Evaluation of policies on scenes: episodes, conditions, statistics and files."""

@@ -1,6 +1,6 @@
-"""Corrects the tests of many comparisons that are shown together.
+"""Correct the p-values of comparisons that are shown together (Holm 1979).
 
-In: the differences of a policy to its baselines, on all scenes. Out: the same with ``p_holm``.
+In: the differences of a policy from its baselines, on all scenes. Out: the same with ``p_holm``.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from flipperctl.evaluation.results import Differences
 
 
 def correct_together(found: Sequence[Differences]) -> list[Differences]:
-    """Return the differences with ``p_holm`` corrected for all of them and all their parts."""
+    """Return the differences with ``p_holm`` corrected across all of them and their parts."""
     corrected = iter(holm([p for one in found for p in _p_values(one)]))
-    return [_with(one, corrected) for one in found]
+    return [_with_next_p(one, corrected) for one in found]
 
 
 def _p_values(one: Differences) -> Iterator[float]:
@@ -24,8 +24,10 @@ def _p_values(one: Differences) -> Iterator[float]:
         yield from _p_values(part)
 
 
-def _with(one: Differences, corrected: Iterator[float]) -> Differences:
+def _with_next_p(one: Differences, corrected: Iterator[float]) -> Differences:
     """Return the differences with the next p-values, in the order of ``_p_values``."""
     success = replace(one.success, p_holm=next(corrected))
-    parts: Mapping[str, Differences] = {k: _with(part, corrected) for k, part in one.parts.items()}
+    parts: Mapping[str, Differences] = {
+        k: _with_next_p(part, corrected) for k, part in one.parts.items()
+    }
     return replace(one, success=success, parts=parts)

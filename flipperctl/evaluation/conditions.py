@@ -1,4 +1,4 @@
-"""The conditions of an evaluation: the settings that decide ground and physics, and their hash.
+"""The conditions of an evaluation: the settings of ground and physics, and their hash.
 
 In: an evaluation's configuration. Out: plain data for files, a line of text, and a hash of eight
 digits that is equal for comparable evaluations.
@@ -25,10 +25,10 @@ _DIGITS = 8
 
 @dataclass(frozen=True)
 class Conditions:
-    """The settings under which the episodes of an evaluation are sampled and driven."""
+    """The settings that determine how an evaluation's episodes are sampled and simulated."""
 
     name: str
-    """The named conditions to which overrides were applied."""
+    """Name of the conditions to which overrides were applied."""
     settings: Mapping[str, Any]
     """``terrain`` with all its fields, ``robot``, ``sim``, ``perception``, ``episode`` and
     ``randomise``, without settings that have no influence; and, if plugins read files, the SHA-256
@@ -42,13 +42,13 @@ class Conditions:
         whole = container(config.environment())
         left_out = {
             "sim": config.sim.without_effect,
-            "perception": set(ObservationLayout.model_fields),  # the policy brings it
+            "perception": set(ObservationLayout.model_fields),  # set by the policy
         }
         sections = {
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
             for section in _SECTIONS
         }
-        for section in ("robot", "episode"):  # a null follows from the other settings
+        for section in ("robot", "episode"):  # a null is derived from other settings
             sections[section] = {k: v for k, v in sections[section].items() if v is not None}
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
@@ -77,7 +77,7 @@ class Conditions:
         return {"name": self.name, "hash": self.hash, **self.settings}
 
     def line(self) -> str:
-        """Return one line: the randomised settings and those that differ from the defaults.
+        """Return one line of text: the randomised settings and those that differ from the defaults.
 
         The terrain is left out, since the tables name it.
         """
@@ -99,7 +99,7 @@ class Conditions:
         return "; ".join(parts)
 
     def _randomised(self) -> Iterator[str]:
-        """Yield each sampled setting with its range; one sampled by path has its path."""
+        """Yield each sampled setting with its range; settings sampled by path include the path."""
         for name, value in self.settings["randomise"].items():
             if isinstance(value, Mapping):
                 model = type(self.defaults[name])
@@ -108,10 +108,10 @@ class Conditions:
             elif value is not None:
                 yield _format_setting(Randomise, name, value)
 
-    def _differences(self, section: str, *apart: str) -> str:
+    def _differences(self, section: str, *excluded: str) -> str:
         default, values = self.defaults[section], self.settings[section]
         plain = {"name": values.get("name"), **container(default)}
-        changed = [k for k, v in values.items() if v != plain[k] and k not in apart]
+        changed = [k for k, v in values.items() if v != plain[k] and k not in excluded]
         model = type(default)
         chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
         return ", ".join(
@@ -120,9 +120,9 @@ class Conditions:
 
 
 def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
-    """Return a name for each scene: its terrain; its conditions too where a terrain has several.
+    """Return a name for each scene: its terrain, and its conditions if a terrain has several.
 
-    Scenes that are equal in both, as those of several ``controller.width``, have numbers.
+    Scenes that are equal in both, such as those of several ``controller.width``, are numbered.
     """
     counts = Counter(terrain for terrain, _ in scenes)
     names = [
@@ -147,5 +147,5 @@ def _format_setting(model: type[Settings], name: str, value: Any) -> str:
         return f"{name} {'on' if value else 'off'}"
     ends = value if isinstance(value, list | tuple) else [value]
     number = " to ".join(f"{end:.4g}" if isinstance(end, int | float) else str(end) for end in ends)
-    of = unit(model, name)
-    return f"{name} {number}{'' if of in ('', '-') else f' {of}'}"
+    symbol = unit(model, name)
+    return f"{name} {number}{'' if symbol in ('', '-') else f' {symbol}'}"

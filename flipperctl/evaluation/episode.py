@@ -1,6 +1,6 @@
 """The result of one episode of an evaluation.
 
-In: the flat row that ``rollout.episode.play`` returns. Out: the same numbers, by name and type.
+In: the flat row that ``rollout.episode.play`` returns. Out: the same numbers as typed fields.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ class EpisodeResult:
     further: Mapping[str, float] = field(default_factory=dict)
     """Measures beyond those above, by name, in their own units."""
     search: Mapping[str, float | str] = field(default_factory=dict)
-    """What the policy reported about its search, by name; empty for policies without one."""
+    """Values that the policy reported about its search, by name; empty without a search."""
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
     recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
-    """The episode decision by decision, if that was asked for."""
+    """The episode decision by decision, if recording was requested."""
 
     @classmethod
     def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
@@ -90,7 +90,7 @@ class EpisodeResult:
         return self.outcome is Outcome.REACHED
 
     def row(self) -> dict[str, Any]:
-        """Return the flat row of ``episodes.csv``; its keys are in the order of the columns."""
+        """Return the flat row of ``episodes.csv``, with keys in the order of the columns."""
         return {
             "episode": self.episode,
             "seed": self.seed,

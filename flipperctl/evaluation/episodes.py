@@ -25,12 +25,12 @@ def play_episodes(
     report_progress: Callable[[float], None] = lambda fraction: None,
     record: bool = False,
 ) -> Iterator[EpisodeResult]:
-    """Yield the results of the episodes, in order, each as soon as it is known.
+    """Yield the results of the episodes in order, each as soon as it is available.
 
     ``episodes`` is their number, counted from 0, or their indices. ``workers`` play them if there
-    are several of both. ``report_progress`` is called with the finished fraction of an episode's
-    search if this process plays all episodes. ``record``: whether the results hold their decisions.
-    Fewer are played if ``workers.stop`` returns True.
+    are several workers and several episodes; otherwise this process does, and calls
+    ``report_progress`` with the finished fraction of an episode's search. ``record``: whether the
+    results include decisions. Fewer episodes are played if ``workers.stop`` returns True.
 
     Raises:
         FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.

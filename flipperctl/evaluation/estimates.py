@@ -12,7 +12,7 @@ class Interval:
 
     mean: float
     low: float | None
-    """Lower end; None if there are too few values for an interval, as the upper end then is."""
+    """Lower end; None, like ``high``, if there are too few values for an interval."""
     high: float | None
 
     def container(self) -> dict[str, Any]:
@@ -30,7 +30,7 @@ class Estimate(Interval):
 
 @dataclass(frozen=True)
 class PairedDifference(Interval):
-    """The mean difference, a policy's value minus its baseline's, over equal seeds."""
+    """The mean difference over equal seeds, a policy's value minus its baseline's."""
 
     episodes: int
     """Number of seeds with which both reached the finish."""
@@ -38,14 +38,14 @@ class PairedDifference(Interval):
 
 @dataclass(frozen=True)
 class PairedSuccess(Interval):
-    """The difference of two success rates on the same draws, a policy's minus its baseline's."""
+    """The difference of two success rates over equal seeds, a policy's minus its baseline's."""
 
     episodes: int
-    """Number of draws."""
+    """Number of seeds."""
     won: int
-    """Number of draws that the policy alone crossed."""
+    """Number of seeds with which only the policy reached the finish."""
     lost: int
-    """Number of draws that the baseline alone crossed."""
+    """Number of seeds with which only the baseline reached the finish."""
     p: float
     """Two-sided p-value of McNemar's exact test [-]."""
     p_holm: float

@@ -1,6 +1,6 @@
 """The files of an evaluation: ``episodes.csv`` with a row per episode, ``summary.json``, tables.
 
-The episodes themselves, decision by decision, are a file of recorded episodes.
+Recorded episodes, decision by decision, go to a file of their own.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flipperctl.files import write_csv, write_json
 
 SUMMARY = "summary.json"
 NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")
-"""What ``write`` writes."""
+"""Names of the files that ``write`` writes."""
 
 
 def write(folder: Path, result: EvaluationResult) -> None:
@@ -36,7 +36,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
-    """Yield a flat row per episode: for each scene the policy's, then its baselines'."""
+    """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
     for scene in result.scenes:
         conditions = {
             "conditions": scene.conditions.name,
@@ -51,7 +51,7 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
 
 
 def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResult) -> None:
-    """Write the policy's episodes on all scenes, which were evaluated with ``record``.
+    """Write the policy's recorded episodes on all scenes, evaluated with ``record``.
 
     The result may lack the last scenes.
 
@@ -68,6 +68,6 @@ def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResul
 
 
 def picture_names(scenes: Sequence[EvalConfig]) -> list[str]:
-    """Return a file name a scene: its terrain, and its conditions where a terrain has several."""
+    """Return a file name per scene: its terrain, and its conditions if a terrain has several."""
     named = scene_names([(c.terrain.plugin_name, Conditions.of(c)) for c in scenes])
     return ["_".join(re.findall(r"\w+", name)) + ".png" for name in named]

@@ -24,7 +24,7 @@ _HALVINGS = 60
 def interval(values: Sequence[float]) -> Interval:
     """Return the mean of (K,) values with the 95 % interval of Student's t (Student 1908).
 
-    It is exact for normal data; ``benchmarks/coverage.py`` says what it is for others. Fewer than
+    It is exact for normal data; ``benchmarks/coverage.py`` estimates it for others. Fewer than
     ``FEWEST`` values have no interval: its ends are None.
 
     Raises:
@@ -43,7 +43,7 @@ def interval(values: Sequence[float]) -> Interval:
 
 
 def mean_p(values: Sequence[float]) -> float:
-    """Return the two-sided p-value of a mean of 0 by Student's t; 1 for fewer than ``FEWEST``."""
+    """Return the two-sided p-value for a mean of 0 (Student's t); 1 below ``FEWEST`` values."""
     array = np.asarray(values, dtype=np.float64)
     if len(array) < FEWEST or not array.any():
         return 1.0
@@ -59,7 +59,7 @@ def mean_p(values: Sequence[float]) -> float:
 def proportion(count: int, total: int) -> Interval:
     """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
 
-    It is known from the first outcome on: that of five of five begins at 0.566.
+    It exists for any number of outcomes: five of five give a lower end of 0.566.
 
     Raises:
         ValueError: there are no outcomes.
@@ -69,23 +69,23 @@ def proportion(count: int, total: int) -> Interval:
     rate, spread = count / total, Z**2 / total
     centre = (rate + spread / 2) / (1 + spread)
     half = Z * math.sqrt(rate * (1 - rate) / total + spread / (4 * total)) / (1 + spread)
-    # The ends of 0 and 1 are exact; rounding would pass them by a last digit.
+    # Set 0 and 1 exactly, since rounding errors could exceed them.
     low = centre - half if count > 0 else 0.0
     high = centre + half if count < total else 1.0
     return Interval(rate, low, high)
 
 
 def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
-    """Return the success rate of a policy minus that of another, over ``total`` equal draws.
+    """Return the success rate of a policy minus that of another, over ``total`` equal seeds.
 
-    ``won`` and ``lost``: numbers of draws that the policy alone crossed, and the other alone. The
-    95 % interval is the score interval for paired proportions (Tango 1998), which is no point where
-    both are 0: that of five draws is [-0.434, 0.434]. ``p`` is that of McNemar's exact test: the
-    probability, if both are equally good, that the draws that one alone crossed are split as
-    unevenly as here, or more so. ``comparisons.correct_together`` corrects ``p_holm``.
+    ``won`` and ``lost``: numbers of seeds with which only the policy or only the other succeeded.
+    The 95 % interval is the score interval for paired proportions (Tango 1998). Its width is
+    positive even if both are 0: [-0.434, 0.434] for five seeds. ``p`` is that of McNemar's exact
+    test: the probability, if both are equally good, that the seeds with which only one succeeded
+    are split at least as unevenly. ``comparisons.correct_together`` corrects ``p_holm``.
 
     Raises:
-        ValueError: there are no draws.
+        ValueError: ``total`` is 0.
     """
     if total == 0:
         raise ValueError("a difference needs at least one pair")
@@ -105,9 +105,9 @@ def mcnemar_p(won: int, lost: int) -> float:
 
 
 def _difference_with_score(won: int, lost: int, total: int, score: float) -> float:
-    """Return the difference of paired rates at which the score statistic has this value.
+    """Return the difference of paired rates at which the score statistic equals ``score``.
 
-    The statistic falls with the difference, from above to below 0 at the difference that was found.
+    The statistic decreases with the difference and is 0 at the observed one.
     """
     low, high = (-1.0, (won - lost) / total) if score > 0 else ((won - lost) / total, 1.0)
     for _ in range(_HALVINGS):
@@ -121,7 +121,7 @@ def _difference_with_score(won: int, lost: int, total: int, score: float) -> flo
 
 def _score(won: int, lost: int, total: int, difference: float) -> float:
     """Return Tango's statistic (1998): the error of ``difference`` in standard errors."""
-    # The constrained maximum-likelihood estimate of the rate of draws that the other alone crosses.
+    # Constrained maximum-likelihood estimate of the rate at which only the other succeeds.
     b = -won - lost + (2 * total - won + lost) * difference
     c = -lost * difference * (1 - difference)
     rate = (math.sqrt(max(0.0, b * b - 8 * total * c)) - b) / (4 * total)
@@ -135,7 +135,7 @@ def _score(won: int, lost: int, total: int, difference: float) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values of M comparisons, each corrected for the others (Holm 1979).
 
-    Among those of 0.05 or less, the probability of any false one is at most 5 %.
+    The probability that any of those up to 0.05 is a false discovery is at most 5 %.
     """
     found, largest = [1.0] * len(p_values), 0.0
     order = sorted(range(len(p_values)), key=p_values.__getitem__)

@@ -1,4 +1,4 @@
-"""The results of an evaluation as typed values, each with its plain data for JSON.
+"""The results of an evaluation as typed values that convert to plain data for JSON.
 
 ``container()`` has the keys of ``eval --json`` and ``summary.json``, in their order.
 """
@@ -39,7 +39,7 @@ class Outcomes:
 
 @dataclass(frozen=True)
 class Passable:
-    """Success over the episodes that a reference crosses; the policy has no influence on which."""
+    """Success over the episodes that a reference crosses, independent of the policy."""
 
     episodes: int
     """Number of these episodes."""
@@ -47,7 +47,7 @@ class Passable:
     """Fraction of them that the policy crossed, 0 to 1; None if there is no such episode."""
     success: Interval | None
     beyond: int
-    """Number of further episodes, which the policy crossed and no reference did."""
+    """Number of further episodes that the policy crossed and no reference did."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -69,7 +69,7 @@ class NotReached:
     flipper_travel: Estimate
     """Angle that both flipper pairs turned [rad]."""
     further: Mapping[str, Estimate] = field(default_factory=dict)
-    """Further measures that are compared where the finish was reached, by name."""
+    """Further measures with ``reached_only``, by name."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -108,12 +108,12 @@ class Summary:
     further: Mapping[str, Estimate | None]
     """Further measures by name, in their own units."""
     parts: Mapping[str, Summary]
-    """Where several kinds of terrain were sampled, the summary of each by label; else empty."""
+    """Summary of each kind of terrain by label; empty unless several kinds were sampled."""
     not_reached: NotReached | None = None
     """Measures of the other episodes; None if all reached the finish."""
     search: Mapping[str, float | Mapping[str, int]] = field(default_factory=dict)
-    """What a policy reported about its searches, by name: the mean of numbers over all episodes,
-    and how often each word occurred."""
+    """Values that a policy reported about its searches, by name: the mean of numbers over episodes,
+    and the count of each word."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -139,7 +139,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class Differences:
-    """A policy minus its baseline, seed by seed; None if no seed let both reach the finish."""
+    """A policy minus its baseline over equal seeds; None if both reached with no seed."""
 
     success: PairedSuccess
     """Success over all seeds [-]."""
@@ -152,7 +152,7 @@ class Differences:
     further: Mapping[str, PairedDifference | None]
     """Further measures by name, in their own units."""
     parts: Mapping[str, Differences]
-    """Where several kinds of terrain were sampled, the differences of each by label; else empty."""
+    """Differences on each kind of terrain by label; empty unless several were sampled."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -168,7 +168,7 @@ class Differences:
 
 @dataclass(frozen=True)
 class BaselineResult:
-    """A baseline on the same episodes of a scene, and the policy's differences to it."""
+    """A baseline on a scene's episodes, and the policy's differences from it."""
 
     controller: str
     summary: Summary
@@ -176,7 +176,7 @@ class BaselineResult:
     episodes: tuple[EpisodeResult, ...]
 
     def container(self) -> dict[str, Any]:
-        """Return plain data, without the single episodes."""
+        """Return plain data, without individual episodes."""
         return {
             "controller": self.controller,
             **self.summary.container(),
@@ -204,7 +204,7 @@ class SceneResult:
 
     @property
     def is_one_drive(self) -> bool:
-        """Whether there are several episodes, equal to the last digit in what was measured."""
+        """Whether there are several episodes whose outcomes and measures are all identical."""
         measured = {
             (e.outcome, e.t_cost, e.pitch_variation_100hz, e.max_pitch, e.episode_return)
             for e in self.episodes
@@ -217,7 +217,7 @@ class SceneResult:
         return len(self.episodes) + sum(len(other.episodes) for other in self.baselines)
 
     def container(self) -> dict[str, Any]:
-        """Return plain data, without the single episodes."""
+        """Return plain data, without individual episodes."""
         return {
             **self.summary.container(),
             "controller": self.controller,
@@ -229,12 +229,12 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class Interruption:
-    """What an evaluation that was interrupted has finished; baselines count too."""
+    """The finished part of an interrupted evaluation, baselines included."""
 
     finished: int
     """Number of finished episodes."""
     planned: int
-    """Number of episodes that were asked for."""
+    """Number of episodes that were planned."""
     not_begun: tuple[str, ...]
     """Terrains of the scenes without a finished episode."""
 
@@ -256,10 +256,10 @@ class Interruption:
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """Policies on their scenes; mostly one policy on several."""
+    """Results of policies on their scenes, usually of one policy on several."""
 
     scenes: tuple[SceneResult, ...]
-    """Those with a finished episode."""
+    """Scenes with a finished episode."""
     interruption: Interruption | None = None
     """None if every episode was played."""
 
@@ -269,7 +269,7 @@ class EvaluationResult:
         return ", ".join(dict.fromkeys(scene.controller for scene in self.scenes))
 
     def container(self) -> dict[str, Any]:
-        """Return plain data, without the single episodes."""
+        """Return plain data, without individual episodes."""
         stopped = self.interruption
         return {
             "controller": self.controller,

@@ -35,7 +35,7 @@ class EpisodeRunner:
         """Build the environment and the policy.
 
         ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
-        fraction of an episode's search. ``record``: whether results hold their decisions.
+        fraction of an episode's search. ``record``: whether results include decisions.
 
         Raises:
             FlipperctlError: the policy cannot be built (see ``PolicySource.build``).

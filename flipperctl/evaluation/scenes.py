@@ -29,8 +29,9 @@ from flipperctl.policies.source import PolicySource
 Scene = tuple[EvalConfig, PolicySource]
 """``config.eval`` holds the number of episodes and the seed."""
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
-"""Opens the progress of some episodes, from a label and their number. The context manager yields a
-function of the number of finished episodes; a search counts as a fraction of its episode."""
+"""Opens a progress display from a label and a number of episodes. Its context manager yields a
+function of the number of finished episodes, in which a search counts as a fraction of its episode.
+"""
 
 
 @contextmanager
@@ -50,21 +51,23 @@ def evaluate(
 ) -> EvaluationResult:
     """Evaluate a policy on each scene, in as many processes as the scene asks for.
 
-    ``baselines`` play the same episodes for comparison. ``references`` find out which episodes can
+    ``baselines`` play the same episodes for comparison. ``references`` determine which episodes can
     be crossed at all: each tries those that no earlier one crossed, whatever the policy did.
-    ``record``: whether the policy's results hold its decisions. Once ``stop``, called before each
-    episode, returns True, the evaluation ends with what is finished.
+    ``record``: whether the policy's results include decisions. Once ``stop``, called before each
+    episode, returns True, the evaluation ends with the finished episodes.
 
     Raises:
         FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
-        InterruptedRunError: it was stopped before an episode was finished.
+        InterruptedRunError: it was stopped before any episode was finished.
         ValueError: there are no scenes.
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
     with EpisodeWorkers(stop=stop) as workers:
         results = [
-            _evaluate_scene(_Stage(config, workers, progress), s, baselines, references, record)
+            _evaluate_scene(
+                _SceneEpisodes(config, workers, progress), s, baselines, references, record
+            )
             for config, s in scenes
         ]
     interruption = None
@@ -77,7 +80,7 @@ def evaluate(
 def _interruption(
     configs: Sequence[EvalConfig], results: Sequence[SceneResult | None], players: int
 ) -> Interruption:
-    """Return what is finished of the episodes of the policy and its baselines."""
+    """Return the finished and planned episodes of the policy and its baselines."""
     planned = players * sum(config.eval.episodes for config in configs)
     finished = sum(result.finished for result in results if result is not None)
     if not finished:
@@ -87,8 +90,8 @@ def _interruption(
     return Interruption(finished, planned, tuple(missing))
 
 
-class _Stage:
-    """A scene's episodes, played by one policy after the other and by none of them twice."""
+class _SceneEpisodes:
+    """The episodes of a scene, played by several policies, and by equal ones only once."""
 
     def __init__(self, config: EvalConfig, workers: EpisodeWorkers, progress: Progress) -> None:
         self.config = config
@@ -111,7 +114,7 @@ class _Stage:
     def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
         """Return the first reference that crosses each episode, by index; empty if none does.
 
-        None if the references were stopped: an episode that none has tried tells nothing.
+        Return None if the references were stopped, since untried episodes are then unknown.
         """
         found = dict.fromkeys(range(self.config.eval.episodes), "")
         for reference in references:
@@ -119,7 +122,7 @@ class _Stage:
             left = [index for index, label in found.items() if not label]
             played = self._known(reference)
             if played is None:
-                label = f"{self.terrain}, {name} on what no reference crossed yet"
+                label = f"{self.terrain}, {name} on episodes not crossed yet"
                 played = play_scene(
                     self.config, reference, label, self._workers, self._progress, left
                 )
@@ -131,32 +134,32 @@ class _Stage:
 
 
 def _evaluate_scene(
-    stage: _Stage,
+    scene: _SceneEpisodes,
     source: PolicySource,
     baselines: Sequence[PolicySource],
     references: Sequence[PolicySource],
     record: bool,
 ) -> SceneResult | None:
-    """Return the result of a scene; None if it was stopped before an episode was finished."""
-    terrain = stage.terrain
-    episodes = stage.play(source, terrain, record=record)
+    """Return the result of a scene; None if it was stopped before any episode was finished."""
+    terrain = scene.terrain
+    episodes = scene.play(source, terrain, record=record)
     if not episodes:
         return None
-    others = [(b.label(), stage.play(b, f"{terrain}, {b.label()}")) for b in baselines]
-    if references and (crossed_by := stage.crossed_by(references)) is not None:
+    others = [(b.label(), scene.play(b, f"{terrain}, {b.label()}")) for b in baselines]
+    if references and (crossed_by := scene.crossed_by(references)) is not None:
         episodes = [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
     return SceneResult(
         source.label(),
         summarise(terrain, episodes),
-        stage.config.eval.seed,
-        Conditions.of(stage.config),
+        scene.config.eval.seed,
+        Conditions.of(scene.config),
         tuple(compare(terrain, episodes, label, played) for label, played in others if played),
         tuple(episodes),
     )
 
 
 def _corrected(scenes: Sequence[SceneResult]) -> Iterator[SceneResult]:
-    """Yield the scenes with the tests of all their comparisons corrected for each other."""
+    """Yield the scenes with the p-values of all their comparisons corrected together."""
     every = [baseline.difference for scene in scenes for baseline in scene.baselines]
     corrected = iter(correct_together(every))
     for scene in scenes:
@@ -167,10 +170,10 @@ def _corrected(scenes: Sequence[SceneResult]) -> Iterator[SceneResult]:
 def compare(
     terrain: str, ours: Sequence[EpisodeResult], label: str, theirs: Sequence[EpisodeResult]
 ) -> BaselineResult:
-    """Return the summary of a baseline's episodes, and how ours differ from them.
+    """Return the summary of a baseline's episodes, and our differences from them.
 
     Raises:
-        ValueError: there are none.
+        ValueError: there are no episodes.
     """
     return BaselineResult(
         label, summarise(terrain, theirs), differences(ours, theirs), tuple(theirs)
@@ -187,7 +190,7 @@ def play_scene(
     *,
     record: bool = False,
 ) -> list[EpisodeResult]:
-    """Let ``config.eval.jobs`` workers play the episodes with these indices, or all.
+    """Let ``config.eval.jobs`` workers play the episodes at ``indices``, or all of them.
 
     The progress is shown under the label. There are fewer results, and ``workers.interrupted`` is
     set, if ``workers.stop`` returns True.

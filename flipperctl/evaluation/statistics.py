@@ -70,7 +70,7 @@ def _summary(
 
 
 def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str, int]]:
-    """Return the mean of each number that the searches reported, and the counts of each word."""
+    """Return the mean of each number that searches reported, and the counts of each word."""
     found: dict[str, float | Mapping[str, int]] = {}
     for name in episodes[0].search:
         values = [e.search[name] for e in episodes if name in e.search]
@@ -118,7 +118,7 @@ def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
 
 
 def measure(values: Sequence[float]) -> Estimate:
-    """Return the interval of (K,) values, and their range.
+    """Return the mean, interval and range of (K,) values.
 
     Raises:
         ValueError: there are no values.
@@ -132,12 +132,10 @@ def _measure(values: Sequence[float]) -> Estimate | None:
 
 
 def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
-    """Return the mean differences of success and of the paper's measures, ours minus theirs.
-
-    Episodes of equal seeds are compared.
+    """Return the mean differences of success and measures at equal seeds, ours minus theirs.
 
     Raises:
-        ValueError: no seeds are equal.
+        ValueError: the episodes have no seed in common.
     """
     parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
     return _differences(paired(ours, theirs), parts)

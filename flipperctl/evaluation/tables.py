@@ -1,4 +1,4 @@
-"""The tables of an evaluation for papers: ``table.csv`` and ``table.tex``.
+"""Tables of an evaluation for papers: ``table.csv`` and ``table.tex``.
 
 In: the result of an evaluation. Out: a row for each scene and method, where the methods of a scene
 are the policy and then its baselines.
@@ -57,7 +57,7 @@ def interval_text(found: Interval | None, digits: int = 2, *, sign: str = "") ->
     """Return ``mean [low, high]``.
 
     A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
-    ``sign`` is that of a format specification: ``+`` shows the sign of positive numbers, too.
+    ``sign`` as in a format specification: ``+`` shows the sign of positive numbers too.
     """
     if found is None:
         return "–"
@@ -79,7 +79,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 
 
 def latex(result: EvaluationResult) -> str:
-    """Return a tabular for LaTeX with the package booktabs."""
+    """Return a LaTeX tabular, which needs the package booktabs."""
     stopped = result.interruption
     further = [_escape(heading(measure)) for measure in further_measures()]
     headings = (*_HEADINGS, *further, _LAST)
@@ -101,7 +101,7 @@ def latex(result: EvaluationResult) -> str:
         for method, summary in _methods(scene):
             texts = [interval_text(c.mean, c.digits) for c in _cells(summary)]
             numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
-            # A dash that every font has; the names may hold others.
+            # LaTeX's own dash, which every font has; names keep theirs.
             numbers = [number.replace("–", "--") for number in numbers]
             lines.append(_latex_row([*map(_escape, (*names, method)), *numbers]))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])

@@ -28,10 +28,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Task:
-    """Whose episodes a worker plays, and where."""
+    """The policy, environment and seed of the episodes that a worker plays."""
 
     number: int
-    """A worker that has played for this number goes on with what it built."""
+    """Identifies the task; a worker reuses the environment and policy that it built for it."""
     config: dict[str, Any]
     source: PolicySource
     seed: int
@@ -43,7 +43,7 @@ class EpisodeWorkers:
     """``count`` processes, which start with the first episodes; a process that dies is replaced."""
 
     def __init__(self, count: int = 1, stop: Callable[[], bool] = lambda: False) -> None:
-        """``stop`` is called before each episode; once it returns True, no further one begins."""
+        """``stop`` is called before each episode; once it returns True, no other episode begins."""
         self.count = count
         self.stop = stop
         self.interrupted = False
@@ -73,7 +73,7 @@ class EpisodeWorkers:
     ) -> Iterator[EpisodeResult]:
         """Yield the results of these episodes, in order; see ``play_episodes``.
 
-        After a stop, those that are finished are yielded up to the first that is not.
+        After a stop, finished results are yielded up to the first unfinished one.
         """
         document = container(config.environment())
         paths = plugins.configured_paths()
@@ -88,7 +88,7 @@ class EpisodeWorkers:
             yield _result(pool, task, waiting.popleft(), index)
 
     def use(self, count: int) -> None:
-        """Change the number of processes; those of another number are stopped."""
+        """Change the number of processes; if it differs, running ones are stopped."""
         if count != self.count:
             self.close()
             self.count = count
@@ -101,14 +101,14 @@ class EpisodeWorkers:
 
 
 def _result(pool: WorkerPool, task: _Task, job: Future[EpisodeResult], index: int) -> EpisodeResult:
-    """Wait for an episode; play it again if its worker died, since equal seeds repeat it."""
+    """Wait for an episode; replay it, which its seed makes exact, if its worker died."""
     for _ in range(pool.count + 2):  # all may have died at once
         try:
             return job.result()
         except WorkerDiedError:
             _log.warning("a worker died and is replaced; episode %d is played again", index)
             job = pool.submit(_play_in_worker, task, index)
-    raise FlipperctlError(f"episode {index} of the evaluation killed its worker again and again")
+    raise FlipperctlError(f"episode {index} of the evaluation repeatedly killed its worker")
 
 
 _runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process

@@ -1,7 +1,7 @@
-"""Films of an episode in an engine that draws pictures of itself.
+"""Film an episode in an engine that draws its own pictures.
 
 In: an evaluation's configuration, a policy, a seed. Out: an animated file. The pictures are taken
-between samples, so that the episode is the one that an evaluation plays, bit for bit.
+between samples, so that the episode equals that of an evaluation bit for bit.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ SIZE = 640, 480
 """Width and height [pixels]."""
 
 _EVERY = 20
-"""Samples between two pictures, so that 5 are shown a second [-]."""
+"""Samples between two pictures: 5 per second [-]."""
 
 
 def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> None:
     """Play the episode with this ``seed`` and write its film.
 
     Raises:
-        OutputError: ``path`` is not a possible film.
+        OutputError: ``path`` cannot be the path of a film.
         RequestError: the engine draws no pictures, or the machine cannot.
         FlipperctlError: the policy failed, or the file cannot be written.
     """
@@ -51,7 +51,7 @@ def film_episode(config: EvalConfig, source: PolicySource, episode: int, path: P
 
 
 class Shots(Observer):
-    """Takes pictures of a world that draws itself, at the start and at equal intervals."""
+    """Take pictures of a world that can draw itself, at the start and at equal intervals."""
 
     every = _EVERY
 

@@ -39,9 +39,9 @@ def episode_figure(
 ) -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
-    Poses are drawn at the start, at the end and evenly between. Along the path of the chassis'
+    Poses are drawn at the start, at the end and evenly in between. Along the path of the chassis'
     centre they are a little less than the robot's length apart, or a twelfth of the path if that is
-    longer. The heights of very long ground are scaled up, which the axis label says.
+    longer. The heights of very long ground are scaled up, as the axis label states.
 
     Raises:
         ValueError: the trace is empty.
@@ -75,7 +75,7 @@ def episode_figure(
 
 
 def pose_indices(path: FloatArray, spacing: float) -> list[int]:
-    """Return indices into a path (T, 2) [m]: first, last and evenly between, ``spacing`` apart."""
+    """Return indices into a path (T, 2) [m]: first, last and those ``spacing`` apart."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)

@@ -1,7 +1,7 @@
 """A film of one episode: the robot on the ground, and its angles over time, as a GIF.
 
 In: the transitions of an episode in order, the profile and the robot. Out: an animated GIF, three
-times as fast as the drive. Equal episodes give equal files.
+times as fast as real time. Equal episodes give equal files.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ SUFFIX = ".gif"
 """Suffix of a film's file."""
 
 _PERIOD = 0.12
-"""Time of the drive between two frames [s]."""
+"""Simulated time between two frames [s]."""
 _SHOWN = 0.04
 """Time that a frame is shown [s]; players treat less than 0.02 s as 0.1 s."""
 _LAST = 1.5
 """Time that the last frame is shown before the film begins again [s]."""
 _COLOURS = 63
-"""Number of colours, the one that marks unchanged pixels left out [-]."""
+"""Number of colours, without the one that marks unchanged pixels [-]."""
 _DPI = 100
 
 
@@ -72,10 +72,10 @@ def save_film(
 ) -> None:
     """Write the film of an episode, completely or not at all.
 
-    ``report_progress`` is called with the fraction of the frames that are drawn.
+    ``report_progress`` is called with the fraction of frames drawn so far.
 
     Raises:
-        OutputError: ``path`` is not a possible film, see ``check_film``.
+        OutputError: ``path`` cannot be the path of a film, see ``check_film``.
         ValueError: there are no transitions.
         WriteError: writing failed half way.
     """
@@ -91,7 +91,7 @@ def save_film(
 
 
 def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) -> None:
-    """Write frames as a GIF that begins again after the last; ``shown``: time of each [s]."""
+    """Write frames as a GIF that repeats; ``shown``: time of each frame [s]."""
     durations = [round(1000 * time) for time in shown]  # [ms]
     buffer = io.BytesIO()
     frames[0].save(
@@ -101,9 +101,9 @@ def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) ->
 
 
 def instants(transitions: Sequence[Transition], period: float = _PERIOD) -> Iterator[RobotState]:
-    """Yield the robot every ``period`` [s], at the start and at the end.
+    """Yield the robot's state at the start, every ``period`` [s], and at the end.
 
-    Velocities are those at the decision's begin, since poses have none.
+    Velocities are those at the start of the decision, since poses have none.
 
     Raises:
         ValueError: there are no transitions.
@@ -124,7 +124,7 @@ def instants(transitions: Sequence[Transition], period: float = _PERIOD) -> Iter
 
 
 class _Picture:
-    """One figure, of which each frame draws again only what moves."""
+    """One figure of which each frame redraws only the moving parts."""
 
     def __init__(
         self, states: Sequence[RobotState], profile: Profile, robot: Robot, title: str
@@ -153,12 +153,12 @@ class _Picture:
         self._moving = [*self._artist.artists, self._clock, self._now]
         self._moving += [line for line, _ in self._lines]
         for artist in self._moving:
-            artist.set_animated(True)  # and so left out of the still part
+            artist.set_animated(True)  # excludes it from the background
         self._canvas: Any = FigureCanvasAgg(figure)
-        self._still = self._draw_still(figure)
+        self._background = self._draw_background(figure)
 
     def draw(self, index: int, state: RobotState, colours: Image | None) -> Image:
-        """Return the frame of ``state``; ``colours`` has the palette, None: its own."""
+        """Return the frame of ``state``, with the palette of ``colours`` or else its own."""
         from PIL import Image
 
         self._artist.show(state, self._robot, self._robot.track_speed * state.time)
@@ -166,7 +166,7 @@ class _Picture:
         self._now.set_xdata([state.time, state.time])
         for line, angles in self._lines:
             line.set_data(self._times[: index + 1], angles[: index + 1])
-        self._canvas.restore_region(self._still)
+        self._canvas.restore_region(self._background)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
         pixels = np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
@@ -175,7 +175,7 @@ class _Picture:
             return picture.quantize(_COLOURS, dither=Image.Dither.NONE)
         return picture.quantize(palette=colours, dither=Image.Dither.NONE)
 
-    def _draw_still(self, figure: Figure) -> Any:
+    def _draw_background(self, figure: Figure) -> Any:
         self._canvas.draw()
         return self._canvas.copy_from_bbox(figure.bbox)
 

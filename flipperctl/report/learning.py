@@ -31,8 +31,8 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     Episode rows have the keys decision, outcome, return, pitch_variation_100hz, epsilon and loss;
     validation rows have decision, success_rate, pitch_variation_100hz and pitch_variation. An empty
     or missing cell is a gap, and so is the loss before the first update. Curves are means over the
-    last 100 episodes, drawn thin where there are fewer; each dot is one episode. The panel of θ̂_R
-    shows it at 100 Hz, and of the validations at decisions too, as in the paper.
+    last 100 episodes, drawn thin where there are fewer; a dot is one episode. The panel of θ̂_R
+    shows it at 100 Hz and, for validations, also at decisions, as in the paper.
 
     Raises:
         ValueError: a cell is neither empty nor a number; the text names the cell.

@@ -1,7 +1,7 @@
-"""Draws the scene from the side as a picture centred on the robot.
+"""Draw a scene from the side as a picture centred on the robot.
 
 In: a scene. Out: an (H, W, 3) picture of the terrain, the robot, its perception and the candidate
-angle of its front flippers. Agg draws it, without a screen and without matplotlib's global state;
+angle of its front flippers. Agg draws without a screen and without matplotlib's global state;
 equal scenes give equal pictures.
 """
 
@@ -24,7 +24,7 @@ from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, candi
 from flipperctl.env.scene import HEIGHT, WIDTH, Perceived, Scene
 from flipperctl.sim.outline import axles, belt_marks, outlines
 
-# Colours that colour-blind readers can distinguish (Okabe and Ito's; the purple is Paul Tol's).
+# Colours for colour-blind readers (Okabe and Ito's; the purple is Paul Tol's).
 # The reports use the same colour for the same object.
 CHASSIS, FRONT, REAR, HEIGHTS = "#0072B2", "#D55E00", "#009E73", "#AA4499"
 GROUND, EARTH, BELT = "#6E6356", "#E4DED4", "#2B2B2B"
@@ -60,12 +60,12 @@ class RobotArtist:
 
     @property
     def artists(self) -> list[Artist]:
-        """Everything that it draws, from the lowest to the highest."""
+        """All artists of the robot, from the lowest to the highest."""
         found = [*self._belts, *self._bodies, *self._marks, self._hinges]
         return sorted(found, key=lambda artist: artist.get_zorder())
 
     def show(self, state: RobotState, robot: RobotGeometry, travel: float | None = None) -> None:
-        """Draw the robot; the belts have marks if their distance run ``travel`` [m] is given."""
+        """Draw the robot, and marks on its belts if their ``travel`` [m] is given."""
         ends, radius, depth = axles(state, robot), robot.track_radius, 0.28 * robot.track_radius
         outer, inner = outlines(state, robot), outlines(state, robot, inset=depth)
         for i, parts in enumerate((slice(0, 1), slice(1, 3))):
@@ -78,7 +78,7 @@ class RobotArtist:
 
 
 class Renderer:
-    """Draws one picture per call into the same figure."""
+    """Draw one picture per call into the same figure."""
 
     def __init__(self) -> None:
         figure = self._figure = Figure((WIDTH / _DPI, HEIGHT / _DPI), _DPI, facecolor="white")

@@ -1,4 +1,4 @@
-"""A picture of each scene of an evaluation, or a film: the policy's first episode on it."""
+"""Pictures or films of the policy's first episode on each scene of an evaluation."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def draw_scenes(
     progress: Progress = no_progress,
     stop: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Play the first episode of each scene again and write its picture into the folder.
+    """Replay the first episode of each scene and write its picture into the folder.
 
-    A picture that fails costs none of the others.
+    If a picture fails, the others are still drawn.
 
     Raises:
-        FlipperctlError: a picture could not be drawn or written; the text names all of these.
+        FlipperctlError: a picture could not be drawn or written; the text names all that failed.
         InterruptedRunError: ``stop``, called before each picture, returned True.
     """
     names = picture_names([config for config, _ in scenes])
@@ -41,7 +41,7 @@ def draw_scenes(
     if failed:
         others = ", ".join(name for name, _ in failed[1:])
         first = failed[0][1]
-        raise type(first)(f"{first}; nor were drawn: {others}") if others else first
+        raise type(first)(f"{first}; also not drawn: {others}") if others else first
 
 
 def _draw(path: Path, scene: Scene, progress: Progress) -> None:
@@ -57,7 +57,7 @@ def _draw(path: Path, scene: Scene, progress: Progress) -> None:
 
 
 def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
-    """Play the first episode of the scene again and write its film.
+    """Replay the first episode of the scene and write its film.
 
     Raises:
         OutputError: the film cannot be written.

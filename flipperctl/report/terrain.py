@@ -31,10 +31,10 @@ def terrain_figure(
     robot: RobotGeometry,
     labels: Sequence[str] | None = None,
 ) -> Figure:
-    """Draw the first profile large with the robot before it, and up to twelve others small.
+    """Draw the first profile large with the robot in front of it, and up to twelve others small.
 
     x and z have equal scales, but the heights of very long ground are scaled up, which the axis
-    label says. The small pictures share one scale; the figure states how many profiles are left
+    label states. The small pictures share one scale; the figure states how many profiles are left
     out. ``labels`` replace the numbers of the profiles.
 
     Raises:
@@ -57,18 +57,21 @@ def terrain_figure(
     _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, scale)
     for i, profile in enumerate(others):
         axes = figure.add_subplot(grid[1 + i // columns, i % columns])
-        name = labels[i + 1] if labels else f"draw {i + 2}"
+        name = labels[i + 1] if labels else f"sample {i + 2}"
         _draw_small(axes, profile, extent, name, scale)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
-        figure.supxlabel(f"{left_out} more draws are not shown", fontsize=8, color=FAINT)
+        figure.supxlabel(f"{left_out} more samples are not shown", fontsize=8, color=FAINT)
     return figure
 
 
 def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
     draw_ground(axes, profile)
     stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
-    RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
+    state = RobotState(
+        stand, pitch=0.0, front=0.0, rear=0.0, velocity=np.zeros(2), pitch_rate=0.0, time=0.0
+    )
+    RobotArtist(axes).show(state, robot)
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
     if right > left:
         above = top + _HEADROOM
@@ -106,7 +109,7 @@ def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float],
 
 
 def _run_up(robot: RobotGeometry) -> float:
-    """Return the distance of the drawn robot from the first edge [m]."""
+    """Return the distance between the drawn robot and the first edge [m]."""
     return max(1.0, robot.hinge_offset + robot.flipper_axle + robot.track_radius + 0.2)
 
 
@@ -125,7 +128,7 @@ def _extent(profile: Profile) -> FloatArray:
 
 
 def _margin(profile: Profile) -> float:
-    """Return the factor by which the dimension lines of long ground need more room [-]."""
+    """Return the factor by which long ground needs more room for dimension lines [-]."""
     return max(1.0, (profile.end - profile.start) / 12)
 
 

@@ -1,1 +1,1 @@
-"""Studies that play episodes to answer a question: transfer, engines, rewards, conventions."""
+"""Studies of policies and engines: transfer, engine comparison, rewards, conventions."""

@@ -1,4 +1,4 @@
-"""Audit a reward: what each term pays over rollouts.
+"""Audit a reward: the contribution of each term over rollouts.
 
 The audit reveals two common mistakes: a term that is too weak to matter, and a term that saturates
 at most steps.
@@ -24,7 +24,7 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 
 @dataclass(frozen=True)
 class TermAudit:
-    """The weighted values of one term at all decisions [-]."""
+    """Statistics of one term's weighted values over all decisions [-]."""
 
     weight: float
     mean: float
@@ -75,7 +75,7 @@ def audit(
     episodes: int,
     report: Callable[[float], None] = lambda done: None,
 ) -> AuditResult:
-    """Play the first episodes of an evaluation and sum up each term.
+    """Play the first episodes of an evaluation and summarise each reward term.
 
     ``report`` is called with the number of finished episodes; a controller's search before an
     episode counts as a fraction of it.
@@ -86,7 +86,7 @@ def audit(
     env = FlipperEnv(config=config)
     policy = source.build(config)
     seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
-    paid: dict[str, list[float]] = {name: [] for name in config.rewards}
+    collected: dict[str, list[float]] = {name: [] for name in config.rewards}
     for index in range(episodes):
 
         def search(fraction: float, before: int = index) -> None:
@@ -94,9 +94,9 @@ def audit(
 
         for decision in decisions(env, policy, seeds(index), report_progress=search):
             for name, value in decision.rewards.items():
-                paid[name].append(value)
+                collected[name].append(value)
         report(index + 1.0)
-    values = {name: np.array(column) for name, column in paid.items()}  # each (D,)
+    values = {name: np.array(column) for name, column in collected.items()}  # each (D,)
     total = sum(float(np.abs(column).sum()) for column in values.values())
     return AuditResult(
         source.label(),
@@ -111,7 +111,7 @@ def audit(
 
 
 def _term(term: RewardTerm, values: FloatArray, total: float) -> TermAudit:
-    """Sum up the (D,) weighted values of a term; ``total`` is the absolute sum of all terms."""
+    """Summarise the (D,) weighted values of a term; ``total`` is the absolute sum of all terms."""
     floor, sign = term.bounds[0] * term.weight, np.sign(term.weight)
     floored = math.isfinite(floor) and sign != 0
     return TermAudit(

@@ -1,8 +1,8 @@
 """Probe the signs, frames, units and timing of engines, sensing and exported policies.
 
-In: a configuration, and an exported file. Out: what each probe measures, beside what the contract
-(``flipperctl.api``) says. A flipped sign or frame is the usual cause of a policy that fails without
-an error in another engine, so each probe is far from passing with the opposite sign.
+In: a configuration, and an exported file. Out: the measured value of each probe and the one that
+the contract (``flipperctl.api``) states. A flipped sign or frame is the usual cause of a policy
+that fails without an error in another engine, so no probe passes with the opposite sign.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _STEP, _EDGE = 0.3, 0.6
 
 @dataclass(frozen=True)
 class Probe:
-    """One measurement and what the contract says about it."""
+    """One measurement and the value that the contract states."""
 
     of: str
-    """What was probed: an engine, a sensor or a file."""
+    """Probed object: an engine, a sensor or a file."""
     meaning: str
     unit: str
     found: float
@@ -85,7 +85,7 @@ def require_conventions(found: Sequence[Probe]) -> None:
 def probe_world(config: EnvConfig) -> Iterator[Probe]:
     """Yield the probes of the configured engine with the configured robot.
 
-    It drives on the level, turns each pair of flippers, and drives up a ramp.
+    The robot drives on level ground, turns each flipper pair, and drives up a ramp.
     """
     robot, name = config.robot, f"sim={config.sim.plugin_name}"
 
@@ -98,12 +98,12 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     world = place(_FLAT, 0.0)
     world.advance(200)
     state = world.state()
-    drive = 2 * robot.track_speed
-    yield probe("x after 2 s of belts, forward", "m", state.position[0], drive, 0.1 * drive)
+    distance = 2 * robot.track_speed  # in 2 s [m]
+    yield probe("x after driving forward for 2 s", "m", state.position[0], distance, 0.1 * distance)
     yield probe(
-        "z of the chassis on the level, up", "m", state.position[1], robot.track_radius, 0.01
+        "z of the chassis on level ground, up", "m", state.position[1], robot.track_radius, 0.01
     )
-    yield probe("velocity along x", "m/s", state.velocity[0], drive / 2, 0.1 * drive)
+    yield probe("velocity along x", "m/s", state.velocity[0], distance / 2, 0.1 * distance)
     yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
     step = min(robot.angle_step, robot.angle_limit)
     samples = round(100 * (robot.angle_step / robot.flipper_speed))
@@ -115,8 +115,10 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
         yield probe(
             f"{pair} flippers turned up by one action", "rad", angles[index], step, 0.15 * step
         )
-        yield probe(f"the other pair, {pair} turned", "rad", angles[1 - index], 0.0, 0.15 * step)
-        yield from _lifted(probe, place(_FLAT, 0.0), pair, index, robot)
+        yield probe(
+            f"other flippers while the {pair} ones turn", "rad", angles[1 - index], 0.0, 0.15 * step
+        )
+        yield from _lifting(probe, place(_FLAT, 0.0), pair, index, robot)
     run = 3.0
     ramp = Profile([(0.0, 0.0), (run, run * math.tan(_SLOPE))])
     world = place(ramp, -0.9)
@@ -124,10 +126,10 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     yield probe("pitch on a ramp up of 15°, nose up", "rad", world.pitch, _SLOPE, 0.05)
     x, z = world.position
     above = z - ramp.height(x) - robot.track_radius / math.cos(_SLOPE)
-    yield probe("z above the ramp, beside the track's radius", "m", above, 0.0, 0.02)
+    yield probe("z above the ramp, less the track's radius", "m", above, 0.0, 0.02)
 
 
-def _lifted(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
+def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
     """Yield probes of the pitch while one pair presses on the ground and still turns."""
     samples = math.ceil(100 * min(0.5, 0.8 * robot.angle_limit / robot.flipper_speed))
     turned = samples / 100 * robot.flipper_speed
@@ -135,23 +137,33 @@ def _lifted(probe: Any, world: World, pair: str, index: int, robot: Robot) -> It
     before = world.advance(samples)[-1, 2]
     rate = world.state().pitch_rate
     pitch = world.advance(2)[-1, 2]
-    # The robot turns about the level tip at its other end: rise and distance of the pressing tip.
+    # The robot turns about the level tip at its other end; the pressing tip is ``ahead`` of it.
     reach = robot.flipper_axle
     ahead = 2 * robot.hinge_offset + reach + reach * math.cos(turned)
     sign = 1.0 if index == 0 else -1.0
-    lifted = sign * math.atan2(reach * math.sin(turned), ahead)
-    near, change = 0.3 * abs(lifted), (pitch - before) / 0.02
-    yield probe(f"pitch, {pair} flippers pressed down", "rad", before, lifted, near)
-    yield probe(f"pitch rate meanwhile ({pair})", "rad/s", rate, change, 0.5 * abs(change) + 0.02)
+    expected = sign * math.atan2(reach * math.sin(turned), ahead)
+    tolerance, change = 0.3 * abs(expected), (pitch - before) / 0.02
+    yield probe(f"pitch, {pair} flippers pressed down", "rad", before, expected, tolerance)
+    yield probe(
+        f"pitch rate, {pair} flippers pressed down", "rad/s", rate, change, 0.5 * abs(change) + 0.02
+    )
 
 
 def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
-    """Yield the probes of the observation before a step; noise, bias and delay are left out."""
+    """Yield the probes of the observation in front of a step, without noise, bias and delay."""
     plain = type(config.perception)(**dict(config.perception.layout))
     layout, radius = plain.layout, config.robot.track_radius
     rngs = np.random.default_rng(0), np.random.default_rng(0)
     ground = Profile([(_EDGE, 0.0), (_EDGE, _STEP)])
-    state = RobotState(np.array([0.0, radius]), 0.3, 0.2, -0.1, np.zeros(2), 0.0, 0.0)
+    state = RobotState(
+        np.array([0.0, radius]),
+        pitch=0.3,
+        front=0.2,
+        rear=-0.1,
+        velocity=np.zeros(2),
+        pitch_rate=0.0,
+        time=0.0,
+    )
     world = place_guarded(config.sim, ground, config.robot, Start(0.0), rngs[0])
     mounting = Mounting(config.robot, ground, layout.reach + 3.0, world, rngs[1])
     perceiver = Perceiver(plain, mounting, config.robot, rngs)
@@ -162,7 +174,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     def probe(meaning: str, unit: str, index: int, expected: float) -> Probe:
         return Probe(name, meaning, unit, float(seen[index]), expected, 0.02)
 
-    # In frame L, which is level whatever the pitch
+    # In frame L, which stays level at any pitch
     yield probe("first height, behind the robot", "m", 0, -radius)
     yield probe("last height, on the step ahead", "m", layout.bins - 1, _STEP - radius)
     yield probe("front flippers", "rad", layout.bins, 0.2)
@@ -171,7 +183,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
-    """Yield the probes of an exported policy's actions, targets and timing beside a robot's."""
+    """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
     turns = robot.actions.turns(robot.angle_step)
     for index, row in enumerate(turns.tolist()):
         for side, (pair, expected) in enumerate(zip(robot.actions.joints, row, strict=True)):
@@ -181,7 +193,9 @@ def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Prob
             )
     rule = interface.targets
     if math.isfinite(rule.limit):  # a file of version 0.1 may not state it
-        yield Probe(file, "largest target, both ways", "rad", rule.limit, robot.angle_limit, 1e-6)
+        yield Probe(
+            file, "largest target, in both directions", "rad", rule.limit, robot.angle_limit, 1e-6
+        )
     if interface.states_targets:
         held = "distance between target and angle"
         yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)

@@ -1,8 +1,8 @@
-"""Compare two engines by the same commanded actions.
+"""Compare two engines on the same commanded actions.
 
 In: an evaluation's configuration in one engine, and a policy. Out: for each episode, the outcomes,
-times and pitches of both engines. The policy drives in the default engine, that of the side plane;
-the other engine repeats its actions, whatever they lead to, so that only physics differs.
+times and pitches of both engines. The policy acts in the default engine, that of the side plane;
+the other engine repeats its actions regardless of their effect, so that only physics differs.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 
 PITCH_TOLERANCE = 0.05
-"""Largest root mean square of the pitches' difference at equal times that counts as equal [rad]."""
+"""Largest RMS difference of the pitches at equal times that counts as equal [rad]."""
 TIME_TOLERANCE = 0.03
-"""Largest difference of the times to the finish that counts as equal, as a fraction [-]."""
+"""Largest relative difference of the times to the finish that counts as equal [-]."""
 _ALONG = 0.002
-"""Distance between the places at which pitches are compared [m], one sample's way."""
+"""Distance between places at which pitches are compared, as driven in one sample [m]."""
 
 _SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
-"""Settings that the default engine takes over from the other one."""
+"""Settings that the default engine takes from the other one."""
 Config = TypeVar("Config", bound=EnvConfig)
 
 
 @dataclass(frozen=True)
 class EngineEpisode:
-    """One episode, driven in the default engine and repeated in the other one."""
+    """One episode, played in the default engine and repeated in the other one."""
 
     episode: int
     """Index of the episode in the evaluation, from 0."""
@@ -53,15 +53,15 @@ class EngineEpisode:
     terrain: str
     """Label of the sampled profile."""
     outcomes: tuple[Outcome, Outcome]
-    """In the default engine, and in the other one."""
+    """Outcomes in the default engine and in the other one."""
     times: tuple[float, float]
     """Times to the end of the episode [s]."""
     swings: tuple[float, float]
     """θ̂_R at 100 Hz [rad]."""
     pitch_rms: float
-    """Root mean square of the pitches' difference at equal times, while both drive [rad]."""
+    """RMS difference of the pitches at equal times, until the first one ends [rad]."""
     pitch_rms_along: float
-    """The same at equal x, each reached for the first time: a delay alone leaves it 0 [rad]."""
+    """The same at equal x, each at its first crossing; a mere delay does not change it [rad]."""
     parts_at: tuple[float, float] | None
     """Time [s] and x [m] from which the pitches differ by more than ``PITCH_TOLERANCE``; None if
     they never do."""
@@ -78,7 +78,7 @@ class EngineEpisode:
 
     @property
     def time_ratio(self) -> float:
-        """Time in the other engine, in times of the default one's, minus 1 [-]."""
+        """Time in the other engine divided by that in the default one, minus 1 [-]."""
         return self.times[1] / self.times[0] - 1.0
 
     @property
@@ -103,7 +103,7 @@ class EngineComparison:
     seed: int
     """Seed of the evaluation."""
     conditions: Conditions
-    """Those of the other engine."""
+    """Conditions of the other engine."""
     episodes: tuple[EngineEpisode, ...]
 
     @property
@@ -135,16 +135,16 @@ def mean(values: Any) -> float | None:
 
 
 def in_default_engine(config: Config) -> Config:
-    """Return the configuration in the default engine, with friction and gravity as they are.
+    """Return the configuration in the default engine, with the same friction and gravity.
 
     Raises:
-        ConfigError: the configuration is of that engine already.
+        ConfigError: the configuration already uses that engine.
     """
     sim = config.sim
     if sim.plugin_name == DEFAULT_ENGINE:
         raise ConfigError(
-            f"sim: sim={DEFAULT_ENGINE} is what the other engine is compared with; "
-            "choose another one, as in sim=mujoco"
+            f"sim: sim={DEFAULT_ENGINE} is the engine to compare with; "
+            "choose another one, such as sim=mujoco"
         )
     known = {name: sim.shared_setting(name) for name in _SHARED}
     shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
@@ -162,7 +162,7 @@ def compare_engines(
     ``report`` is called with the number of finished episodes.
 
     Raises:
-        ConfigError: ``config`` is of the default engine.
+        ConfigError: ``config`` uses the default engine.
         FlipperctlError: the policy cannot be built or failed.
     """
     first, second = FlipperEnv(config=in_default_engine(config)), FlipperEnv(config=config)
@@ -170,8 +170,8 @@ def compare_engines(
     seeds, found = EvaluationSeeds.of(config.eval.seed, config.terrain), []
     for index in range(config.eval.episodes):
         seed = seeds(index)
-        actions, ours, row = _drive(first, policy, seed)
-        _, theirs, other = _drive(second, _Repeat(actions), seed)
+        actions, ours, row = _play(first, policy, seed)
+        _, theirs, other = _play(second, _Repeat(actions), seed)
         found.append(_episode(index, (row, other), (ours, theirs)))
         report(index + 1.0)
     return EngineComparison(
@@ -185,7 +185,7 @@ def compare_engines(
 
 
 class _Repeat:
-    """A policy that repeats actions, and then holds the flippers."""
+    """A policy that repeats given actions and then holds the flippers."""
 
     def __init__(self, actions: Sequence[int]) -> None:
         self._actions = actions
@@ -197,7 +197,7 @@ class _Repeat:
         return next(self._next, action_index(0, 0))
 
 
-def _drive(env: FlipperEnv, policy: Policy, seed: int) -> tuple[list[int], FloatArray, Row]:
+def _play(env: FlipperEnv, policy: Policy, seed: int) -> tuple[list[int], FloatArray, Row]:
     """Play an episode; return its actions, its poses at 100 Hz, (S, 5), and its result."""
     actions, poses, ending = [], [], None
     for decision in decisions(env, policy, seed):
@@ -234,11 +234,11 @@ def _episode(
 
 
 def _pitch_rms_along(first: FloatArray, second: FloatArray) -> float:
-    """Return the RMS of the pitches' difference at equal x, both (S, 5) [rad]."""
-    ways = [np.maximum.accumulate(poses[:, 0]) for poses in (first, second)]
-    begin, end = max(way[0] for way in ways), min(way[-1] for way in ways)
+    """Return the RMS difference of the pitches at equal x; both arrays are (S, 5) [rad]."""
+    distances = [np.maximum.accumulate(poses[:, 0]) for poses in (first, second)]
+    begin, end = max(d[0] for d in distances), min(d[-1] for d in distances)
     x = np.arange(begin, end, _ALONG)
     ours, theirs = (
-        poses[np.searchsorted(way, x), 2] for way, poses in zip(ways, (first, second), strict=True)
+        poses[np.searchsorted(d, x), 2] for d, poses in zip(distances, (first, second), strict=True)
     )
     return math.sqrt(float(((ours - theirs) ** 2).mean())) if len(x) else 0.0

@@ -1,9 +1,9 @@
-"""Rank policies by return and by θ̂_R at 100 Hz on the same draws, and find contradictions.
+"""Rank policies by return and by θ̂_R at 100 Hz on the same episodes, and find contradictions.
 
 In: the episodes that each policy played with equal seeds, and one or several sets of reward terms.
-Out: a ``SceneRanking``. A reward contradicts the measure if it pays a policy more than another that
-swings less, with both paired differences beyond noise; ``decide`` corrects the tests of all pairs
-of policies, rewards and scenes for each other.
+Out: a ``SceneRanking``. A reward contradicts the measure if a policy has a higher return than
+another but also a larger θ̂_R, with both paired differences beyond noise; ``decide`` corrects the
+tests of all pairs of policies, rewards and scenes together.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ Played = Mapping[str, Sequence[EpisodeResult]]
 
 
 class Verdict(StrEnum):
-    """Whether a reward's ranking fits that by θ̂_R."""
+    """Whether a reward's ranking agrees with the one by θ̂_R."""
 
     AGREES = "agrees"
-    """No contradiction was found; a small one may need more draws."""
+    """No contradiction was found; a small one may need more episodes."""
     CONTRADICTS = "contradicts"
     UNDECIDED = "undecided"
-    """Fewer than ``FEWEST`` draws were crossed by every policy, or ``decide`` was not called."""
+    """Every policy crossed fewer than ``FEWEST`` common seeds, or ``decide`` was not called."""
 
 
 @dataclass(frozen=True)
 class PolicyMeasures:
-    """A policy's measures over the draws that every policy crossed; None if there is no draw."""
+    """A policy's measures over the seeds that every policy crossed; None if there are none."""
 
     success_rate: float
-    """Fraction of all draws that the policy crossed, 0 to 1."""
+    """Fraction of all episodes in which the policy reached the finish, 0 to 1."""
     pitch_variation_100hz: Interval | None
     """θ̂_R at 100 Hz [rad]."""
     pitch_variation: Interval | None
@@ -62,20 +62,20 @@ class PolicyMeasures:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A policy that is paid more than another and swings more."""
+    """A policy whose return and θ̂_R both exceed those of another."""
 
     paid: str
     """Label of the policy with the higher return."""
     calm: str
     """Label of the policy with the smaller θ̂_R."""
     return_difference: Interval
-    """Return of ``paid`` minus that of ``calm``, draw by draw [-]."""
+    """Return of ``paid`` minus that of ``calm``, paired by seed [-]."""
     pitch_variation_100hz_difference: Interval
-    """θ̂_R at 100 Hz of ``paid`` minus that of ``calm``, draw by draw [rad]."""
+    """θ̂_R at 100 Hz of ``paid`` minus that of ``calm``, paired by seed [rad]."""
     terms: Mapping[str, float]
-    """Each term's part of the mean difference of the returns, largest first [-]."""
+    """Contribution of each term to the mean difference of returns, largest first [-]."""
     p: float
-    """The larger p-value of both differences, by paired t-tests [-]."""
+    """The larger p-value of the paired t-tests of both differences [-]."""
     p_holm: float
     """The same, corrected for all pairs of policies, rewards and scenes (Holm) [-]."""
 
@@ -100,7 +100,7 @@ class RewardRanking:
     """Label of the set: the preset with its changes."""
     verdict: Verdict
     returns: Mapping[str, Interval | None]
-    """Return by policy, highest first, without potential-based shaping [-]; None without draws."""
+    """Return by policy, highest first, without potential-based shaping; None without seeds [-]."""
     contradictions: tuple[Contradiction, ...]
     """Largest difference of θ̂_R first."""
     tests: int
@@ -119,16 +119,16 @@ class RewardRanking:
 
 @dataclass(frozen=True)
 class SceneRanking:
-    """Policies on the same draws of one terrain, ranked by each set of reward terms."""
+    """Policies on the same episodes of one terrain, ranked by each set of reward terms."""
 
     terrain: str
     seed: int
     """Seed of the evaluation."""
     conditions: Conditions
     episodes: int
-    """Number of draws that each policy played."""
+    """Number of episodes that each policy played."""
     common: int
-    """Number of draws that every policy crossed; the measures are taken over these."""
+    """Number of seeds that every policy crossed; measures are taken over these."""
     policies: Mapping[str, PolicyMeasures]
     """Measures by policy, smallest θ̂_R at 100 Hz first."""
     rankings: tuple[RewardRanking, ...]
@@ -148,7 +148,7 @@ class SceneRanking:
 
 
 def common_draws(played: Played) -> dict[str, list[EpisodeResult]]:
-    """Return each policy's episodes of the draws that every policy crossed."""
+    """Return each policy's episodes with the seeds that every policy crossed."""
     crossed = [{e.seed for e in episodes if e.reached} for episodes in played.values()]
     seeds = set.intersection(*crossed)
     return {label: [e for e in own if e.seed in seeds] for label, own in played.items()}
@@ -160,27 +160,27 @@ def measures(played: Played) -> dict[str, PolicyMeasures]:
     found = {
         label: PolicyMeasures(
             success_rate=sum(e.reached for e in episodes) / len(episodes),
-            pitch_variation_100hz=_mean(common[label], _swing),
+            pitch_variation_100hz=_mean(common[label], _pitch_variation),
             pitch_variation=_mean(common[label], lambda e: e.pitch_variation),
             t_cost=_mean(common[label], lambda e: e.t_cost),
         )
         for label, episodes in played.items()
     }
 
-    def swing(label: str) -> float:
+    def pitch_variation(label: str) -> float:
         known = found[label].pitch_variation_100hz
         return known.mean if known else 0.0
 
-    return {label: found[label] for label in sorted(found, key=swing)}
+    return {label: found[label] for label in sorted(found, key=pitch_variation)}
 
 
 def rank(
     label: str, terms: Mapping[str, RewardTerm], played: Played, prefix: str = ""
 ) -> RewardRanking:
-    """Rank the policies by the return of ``terms`` and compare with θ̂_R at 100 Hz.
+    """Rank the policies by their return from ``terms`` and compare with θ̂_R at 100 Hz.
 
     The contradictions are candidates until ``decide`` has corrected their p-values.
-    ``prefix`` stands before the terms' names in the episodes' rewards. Potential-based shaping is
+    ``prefix`` precedes the terms' names in the episodes' rewards. Potential-based shaping is
     left out: its discounted sum is the same for every behaviour, but the plain sum is not.
     """
     common = common_draws(played)
@@ -191,8 +191,8 @@ def rank(
 
     returns = {label: _mean(episodes, paid) for label, episodes in common.items()}
     ordered = sorted(returns.items(), key=lambda item: -item[1].mean if item[1] else 0.0)
-    draws = len(next(iter(common.values())))
-    if draws < FEWEST:
+    common_seeds = len(next(iter(common.values())))
+    if common_seeds < FEWEST:
         return RewardRanking(label, Verdict.UNDECIDED, dict(ordered), (), 0)
     pairs = list(combinations(common, 2))
     tested = (_contradiction(pair, common, paid, names, prefix) for pair in pairs)
@@ -204,9 +204,9 @@ def rank(
 
 
 def decide(scenes: Sequence[SceneRanking]) -> list[SceneRanking]:
-    """Return the rankings with verdicts; contradictions that may be noise are left out.
+    """Return the rankings with verdicts, without contradictions that may be noise.
 
-    Their p-values are corrected for all tests of all scenes together. A pair whose differences have
+    The p-values are corrected for all tests of all scenes together. A pair whose differences have
     opposite signs has a p-value of 1.
     """
     rankings = [ranking for scene in scenes for ranking in scene.rankings]
@@ -233,29 +233,29 @@ def _contradiction(
     names: Sequence[str],
     prefix: str,
 ) -> Contradiction | None:
-    """Return the contradiction if one of two policies is paid more on average and swings more."""
+    """Return the contradiction if one policy has the larger mean return and the larger θ̂_R."""
 
     def differences(value: Callable[[EpisodeResult], float]) -> list[float]:
-        return [value(one) - value(other) for one, other in drawn]
+        return [value(one) - value(other) for one, other in paired]
 
-    drawn = list(zip(*(common[label] for label in pair), strict=True))
-    if sum(differences(_swing)) < 0:
-        pair, drawn = pair[::-1], [(other, one) for one, other in drawn]
-    swing, gain = differences(_swing), differences(paid)
-    if not (sum(swing) > 0 and sum(gain) > 0):
+    paired = list(zip(*(common[label] for label in pair), strict=True))
+    if sum(differences(_pitch_variation)) < 0:
+        pair, paired = pair[::-1], [(other, one) for one, other in paired]
+    variation, gain = differences(_pitch_variation), differences(paid)
+    if not (sum(variation) > 0 and sum(gain) > 0):
         return None
     parts = {
-        name: sum(a.rewards[prefix + name] - b.rewards[prefix + name] for a, b in drawn)
-        / len(drawn)
+        name: sum(a.rewards[prefix + name] - b.rewards[prefix + name] for a, b in paired)
+        / len(paired)
         for name in names
     }
     terms = dict(sorted(parts.items(), key=lambda item: -item[1]))
-    # Both differences must be beyond noise, so the less certain one decides.
-    p = max(mean_p(swing), mean_p(gain))
-    return Contradiction(*pair, interval(gain), interval(swing), terms, p, p)
+    # Both differences must be significant, so the larger p-value counts.
+    p = max(mean_p(variation), mean_p(gain))
+    return Contradiction(*pair, interval(gain), interval(variation), terms, p, p)
 
 
-def _swing(episode: EpisodeResult) -> float:
+def _pitch_variation(episode: EpisodeResult) -> float:
     return episode.pitch_variation_100hz
 
 

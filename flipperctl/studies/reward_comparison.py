@@ -1,7 +1,7 @@
-"""Play the same draws with several policies and rank these by each of several rewards.
+"""Play the same episodes with several policies and rank the policies by several rewards.
 
 In: an evaluation's configuration, sets of reward terms, and policies. Out: a ``SceneRanking``. The
-draws are played once, whatever the number of rewards: the environment computes the terms of all.
+episodes are played once for all rewards, since the environment computes the terms of all of them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def compare_rewards(
     workers: EpisodeWorkers,
     progress: Progress = no_progress,
 ) -> SceneRanking:
-    """Play the scene's draws with each policy; rank the policies by each of its rewards.
+    """Play the scene's episodes with each policy; rank the policies by each of its rewards.
 
     ``policies``: their sources by the labels that the result uses; ``workers`` play the episodes.
 

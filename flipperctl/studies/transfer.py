@@ -1,8 +1,8 @@
-"""Evaluate a policy in the default engine and in another one, and explain what fails there.
+"""Evaluate a policy in the default engine and in another one, and explain its failures there.
 
 In: an evaluation's configuration in the other engine, and a policy. Out: the summaries of both, the
-differences at equal seeds, and the cause of each failure. A failed episode is played again to watch
-it, which equal seeds repeat bit for bit.
+differences at equal seeds, and the cause of each failure. A failed episode is replayed to observe
+it; its seed repeats it bit for bit.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
 from flipperctl.studies.engines import in_default_engine
 
-_ASTRAY = math.radians(30)
-"""Heading beyond which a robot that came to a stop has lost its way [rad]."""
-_ASIDE = 1.0
-"""Distance beside the middle of the ground beyond which it has [m]."""
-_HIGHEST = 10.0
+_OFF_HEADING = math.radians(30)
+"""Heading beyond which a stopped robot is off course [rad]."""
+_OFF_SIDE = 1.0
+"""Lateral distance beyond which a stopped robot is off course [m]."""
+_MAX_FRICTION = 10.0
 """Largest friction that is tried [-]."""
-_FRICTION = 2.0
-"""Factor on the friction with which a lack of traction is told from an obstacle [-]."""
+_FRICTION_FACTOR = 2.0
+"""Factor on friction that distinguishes a lack of traction from an obstacle [-]."""
 
 
 class Cause(StrEnum):
@@ -50,9 +50,9 @@ class Cause(StrEnum):
     HEADING = "heading"
     """The robot turned away or left the ground sideways."""
     TRACTION = "traction"
-    """The robot stopped, and reaches the finish with twice the friction."""
+    """The robot stopped, but reaches the finish with twice the friction."""
     STUCK = "stuck"
-    """The robot stopped, and does not reach the finish with twice the friction either."""
+    """The robot stopped, even with twice the friction."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Failure:
     default_outcome: Outcome
     """Outcome of the same episode in the default engine."""
     time: float
-    """Time of the end [s]."""
+    """Time at the end [s]."""
     x: float
     """World x of the chassis centre at the end [m]."""
     pitch: float
@@ -76,7 +76,7 @@ class Failure:
     yaw: float
     """Posture at the end [rad]."""
     side: float
-    """Distance beside the middle of the ground at the end [m]."""
+    """Lateral distance from the middle of the ground at the end [m]."""
 
     def container(self) -> dict[str, Any]:
         """Return plain data."""
@@ -94,7 +94,7 @@ class TransferResult:
     seed: int
     """Seed of the evaluation."""
     conditions: Conditions
-    """Those of the other engine."""
+    """Conditions of the other engine."""
     default: Summary
     other: Summary
     kept: float | None
@@ -146,7 +146,7 @@ def transfer(
     ``workers`` play the episodes, those with the indices ``only``; None means all.
 
     Raises:
-        ConfigError: ``config`` is of the default engine.
+        ConfigError: ``config`` uses the default engine.
         FlipperctlError: the policy cannot be built or failed.
     """
     plane = in_default_engine(config)
@@ -185,7 +185,7 @@ def transfer_scenes(
 
 
 def correct_scenes(found: Sequence[TransferResult]) -> list[TransferResult]:
-    """Return the results with the tests of success corrected for the number of scenes."""
+    """Return the results with the p-values of success corrected across scenes."""
     gaps = correct_together([one.gap for one in found])
     return [replace(one, gap=gap) for one, gap in zip(found, gaps, strict=True)]
 
@@ -193,7 +193,7 @@ def correct_scenes(found: Sequence[TransferResult]) -> list[TransferResult]:
 def explain(
     config: EvalConfig, source: PolicySource, default: EpisodeResult, failed: EpisodeResult
 ) -> Failure:
-    """Return the cause of a failed episode, which is played again."""
+    """Replay a failed episode and return its cause."""
     end = _end(config, source, failed.seed)
     cause = _cause(end, failed.outcome, config)
     if cause is Cause.STUCK and _reached_with_friction(config, source, failed.seed):
@@ -216,14 +216,14 @@ def explain(
 
 def _end(config: EvalConfig, source: PolicySource, seed: int) -> RobotState:
     """Play an episode; return the state at its end."""
-    ends: list[RobotState] = []
+    states: list[RobotState] = []
 
     def watch(decision: Decision) -> None:
-        ends[:] = [decision.transition.after]
+        states[:] = [decision.transition.after]
 
     env = FlipperEnv(config=config)
     play(env, source.build(config), seed, watch=watch)
-    return ends[0]
+    return states[0]
 
 
 def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
@@ -234,7 +234,7 @@ def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
         limit = config.sim.shared_setting("roll_limit")
         rolled = abs(end.roll) >= (overturn if limit is None else limit)
         return Cause.ROLL if rolled else Cause.HEADING
-    astray = abs(end.yaw) > _ASTRAY or abs(end.side) > _ASIDE
+    astray = abs(end.yaw) > _OFF_HEADING or abs(end.side) > _OFF_SIDE
     return Cause.HEADING if astray else Cause.STUCK
 
 
@@ -244,12 +244,12 @@ def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) 
     if own is None:
         return False
     sampled = config.randomise.find("sim", "friction")
-    changed: dict[str, object] = {"sim.friction": min(_HIGHEST, _FRICTION * own)}
+    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
     if sampled is not None:
-        changed = {sampled.key: [min(_HIGHEST, _FRICTION * mu) for mu in sampled.ends]}
+        changed = {sampled.key: [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]}
     try:
         config = with_overrides(config, changed)
-    except ConfigError:  # beyond what the engine simulates
+    except ConfigError:  # beyond the engine's bounds
         return False
     env = FlipperEnv(config=config)
     row = play(env, source.build(config), seed)

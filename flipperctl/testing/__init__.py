@@ -1,4 +1,4 @@
-"""The conformance suite, with which plugin authors test that a plugin keeps to its contract.
+"""The conformance suite with which plugin authors test that a plugin fulfils its contract.
 
 Two lines in a test file are enough:
 

@@ -1,4 +1,4 @@
-"""A check of one plugin: a callable whose error says what is wrong, where, and with which value."""
+"""A check of one plugin: a callable whose error states the fault, its place and the value."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Check:
     plugin: type[Plugin]
     name: str
     run: Callable[[], None]
-    """Performs the check; its errors do not name the plugin yet."""
+    """Performs the check; its errors do not name the plugin."""
 
     def __call__(self) -> None:
         """Run the check.
@@ -72,7 +72,7 @@ def run_on_variants(variants: Sequence[Variant], test: Callable[[Any], None]) ->
     if failed:
         label, first = failed[0]
         others = ", ".join(label for label, _ in failed[1:])
-        more = f" (it fails too with {others})" if others else ""
+        more = f" (it also fails with {others})" if others else ""
         raise ConformanceError(f"with {label}: {first}{more}") from first.__cause__
 
 
@@ -87,7 +87,7 @@ def require(holds: bool, text: str) -> None:
 
 
 def _describe(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
-    """Return the error in one line, with file and line unless it is one of the core's own."""
+    """Return the error in one line, with file and line unless the core raised it."""
     where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
     return f"{error_line(error)}{where}"
 

@@ -1,4 +1,4 @@
-"""Checks of plugins of every kind: registered, documented, and unchanged by a checkpoint."""
+"""Checks of plugins of every kind: registration, documentation and serialisation."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def registered(cls: type[Plugin]) -> None:
     name = cls.__dict__.get("plugin_name")
     require(name is not None, f"has no name; decorate {cls.__name__} with @{cls.kind}(<name>)")
     found = registry.get((cls.kind, str(name)))
-    require(found is cls, f"is not what is registered under its name, which is {found}")
+    require(found is cls, f"is not the class registered under its name, which is {found}")
 
 
 def documented(cls: type[Plugin]) -> None:
     """Check that the plugin has a docstring, and each field a description, a unit and bounds."""
     own = cls.__dict__.get("__doc__")
-    require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; say what it is")
+    require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; describe it")
     for field, info in cls.model_fields.items():
         text = info.description or ""
         require(
@@ -41,10 +41,10 @@ def documented(cls: type[Plugin]) -> None:
 
 
 def survives_a_checkpoint(plugin: Plugin) -> None:
-    """Check that the plugin is equal after it was written as JSON and read again."""
+    """Check that the plugin is unchanged after it is written as JSON and read again."""
     written = resolver.container(plugin)
     again = resolver.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
     require(
         again == plugin and type(again) is type(plugin),
-        f"it is not the same after a checkpoint: {written} becomes {resolver.container(again)}",
+        f"it changes in a checkpoint: {written} becomes {resolver.container(again)}",
     )

@@ -1,4 +1,4 @@
-"""Checks of a controller while it drives: valid actions, repeatable and in time."""
+"""Checks of a controller in episodes: valid, repeatable and timely actions."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
 
 DECISIONS = 20
-"""Largest number of decisions on each scene; an episode may end before [-]."""
+"""Largest number of decisions on each scene; an episode may end earlier [-]."""
 ENOUGH = 0.1
-"""Computing time after which each scene is left after one decision [s]."""
+"""Computing time after which only one decision is made on each further scene [s]."""
 
 
 def actions(controller: Controller) -> None:
     """Check that every action is an index into ``ACTIONS``."""
     left = ENOUGH
     for index in range(len(_scenes(controller))):
-        _, times = _drive(controller, index, left)
+        _, times = _play(controller, index, left)
         left -= sum(times)
 
 
 def repeats(controller: Controller) -> None:
     """Check that equal episodes give equal actions, with random numbers from ``p.rng`` only."""
     for index in range(len(_scenes(controller))):
-        (one, _), (other, _) = (_drive(controller, index, ENOUGH) for _ in range(2))
+        (one, _), (other, _) = (_play(controller, index, ENOUGH) for _ in range(2))
         require(
             all(a == b for a, b in zip(one, other, strict=False)),  # one may have been slower
-            f"two equal episodes on scene {index} get unequal actions; "
-            "it may depend on nothing but what it perceives, and draw only from p.rng",
+            f"equal episodes on scene {index} get unequal actions; "
+            "they may depend only on what it perceives and on random numbers from p.rng",
         )
 
 
@@ -41,16 +41,15 @@ def in_time(controller: Controller) -> None:
     """Check that the median decision takes at most one period, without the search before it."""
     period = SCENES[0].environment().robot.decision_period
     count = len(_scenes(controller))
-    times = [t for index in range(count) for t in _drive(controller, index, ENOUGH)[1]]
+    times = [t for index in range(count) for t in _play(controller, index, ENOUGH)[1]]
     require(
         median(times) <= period,
-        f"a decision takes it {median(times):.2f} s at the median; "
-        f"the next one is due after {period:g} s",
+        f"its median decision takes {median(times):.2f} s; the next one is due after {period:g} s",
     )
 
 
 def looks_ahead(cls: type[Plugin]) -> bool:
-    """Return whether the controller searches the scene before an episode, which may take long."""
+    """Return whether the controller searches before an episode, which may take long."""
     return issubclass(cls, Controller) and cls.searches_first
 
 
@@ -58,15 +57,15 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
     return (SHORT,) if looks_ahead(type(controller)) else SCENES
 
 
-def _drive(controller: Controller, scene: int, enough: float) -> tuple[list[int], list[float]]:
-    """Drive on a scene; return the actions and the time that each of them took [s].
+def _play(controller: Controller, scene: int, enough: float) -> tuple[list[int], list[float]]:
+    """Play a scene; return the actions and the computing time of each [s].
 
-    It ends early after ``enough`` of that time [s].
+    The episode is left once these times exceed ``enough`` [s].
     """
     env = _scenes(controller)[scene].environment()
     recorder = _ActionRecorder(controller, scene)
     for _ in islice(decisions(env, recorder, scene), DECISIONS):
-        if sum(recorder.times) > enough:  # one that plans takes long at its outermost settings
+        if sum(recorder.times) > enough:  # planners are slow at their outermost settings
             break
     return recorder.actions, recorder.times
 

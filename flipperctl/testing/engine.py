@@ -1,4 +1,4 @@
-"""Checks of an engine: it drives, repeats, stops, restores snapshots, casts rays if it can."""
+"""Checks of an engine: motion, repeatability, limits, snapshots, and rays if it casts them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flipperctl.api import (
 from flipperctl.testing.check import require
 
 SAMPLES = 100
-"""Number of samples of a run: one second, in which the robot drives about 0.2 m [-]."""
+"""Number of samples in a run: one second, in which the robot drives about 0.2 m [-]."""
 LEVEL = Profile([(0.0, 0.0)])
 GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
 START = Start(-0.8)
@@ -26,7 +26,7 @@ START = Start(-0.8)
 _TARGET = 0.3
 """Commanded angle of both flipper pairs [rad]."""
 _BEYOND = 0.05
-"""Distance past its limit that a flipper may give way [rad]."""
+"""Angle by which a flipper may yield past its limit [rad]."""
 
 
 def drives(engine: Engine) -> None:
@@ -47,11 +47,11 @@ def drives(engine: Engine) -> None:
 
 
 def end_stops(engine: Engine) -> None:
-    """Check that the flippers turn no farther than their limit, whatever is commanded."""
+    """Check that no command turns the flippers past their limit."""
     limit = Robot().angle_limit
     for sign in (1, -1):
         begun = sign * (limit - _TARGET)
-        world = _place(engine, LEVEL, Start(START.x, begun, begun))
+        world = _place(engine, LEVEL, Start(START.x, front=begun, rear=begun))
         world.command(sign * (limit + _TARGET), sign * (limit + _TARGET))
         angles = world.advance(2 * SAMPLES)[:, 3:]
         require(
@@ -72,7 +72,7 @@ def samples(engine: Engine) -> None:
 
 
 def repeats(engine: Engine) -> None:
-    """Check that equal worlds advance equally, bit for bit, and no other randomness is used."""
+    """Check that equal worlds advance bit for bit equally, without other randomness."""
     before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
     one, other = (_run(_place(engine, GROUND)) for _ in range(2))
     require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
@@ -106,7 +106,12 @@ def rays(engine: Engine) -> None:
     side = world.state().side
     directions = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
     found = world.cast_rays(np.array([-1.5, side, 0.06]), directions, 2.0)
-    expected = [0.06, 1.5, np.inf, 0.075]  # below, the face at x = 0, the level, sloping down
+    expected = [
+        0.06,
+        1.5,
+        np.inf,
+        0.075,
+    ]  # down, to the face at x = 0, over level ground, sloping down
     require(
         bool(np.allclose(found, expected, atol=0.005)),
         f"casts rays to {found} m; {expected} m are expected",
@@ -114,7 +119,7 @@ def rays(engine: Engine) -> None:
 
 
 def _place(engine: Engine, ground: Profile, start: Start = START) -> World:
-    """Return a world of the paper's robot, with a new generator of the same seed each time."""
+    """Return a world of the paper's robot with a new generator, seeded equally each time."""
     return engine.place(ground, Robot(), start, np.random.default_rng(0))
 
 

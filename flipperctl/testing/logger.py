@@ -1,4 +1,4 @@
-"""Checks of a logger on the rows of a training that is stopped and resumed."""
+"""Checks of a logger on the rows of a stopped and resumed training."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ROW: dict[str, Any] = {
 
 
 def records(logger: Logger) -> None:
-    """Check that it records a run that goes on, and leaves the other files of the run alone."""
+    """Check that it records a resumed run and writes only to its own folder."""
     with TemporaryDirectory() as name:
         directory = Path(name)
         for resume_at, decisions in ((None, (20, 40)), (20, (40, 60))):

@@ -13,25 +13,25 @@ from flipperctl.testing.recorded import transitions
 
 
 def named(measure: Measure) -> None:
-    """Check that no other column has its name, and that tables can show its unit."""
+    """Check that its name is unique among columns, and that tables can show its unit."""
     require(measure.plugin_name in measures(), "is not among the measures of an episode")
     require(bool(measure.unit.strip()), f"has the heading {heading(type(measure))!r}; give a unit")
 
 
 def finite(measure: Measure) -> None:
-    """Check that the value of every episode, and of its first decision alone, is finite."""
+    """Check that the values of every episode and of its first decision alone are finite."""
     for episode in _episodes():
         for part in (episode, episode[:1]):
             value = measure(part)
             require(
                 isinstance(value, Real) and math.isfinite(value),
-                f"of {len(part)} decisions ({part[-1].outcome or 'running'}) it returns {value!r}; "
-                "a finite number is what it must return",
+                f"for {len(part)} decisions ({part[-1].outcome or 'running'}) it returns "
+                f"{value!r}; it must return a finite number",
             )
 
 
 def pure(measure: Measure) -> None:
-    """Check that the value depends on the episode alone, which it does not change."""
+    """Check that the value depends only on the episode, and that the episode is unchanged."""
     for episode in _episodes():
         before = [t.path.tobytes() for t in episode]
         first, again = measure(tuple(episode)), measure(episode)

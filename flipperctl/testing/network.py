@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
 _BATCH = 64
-"""Batch size, large enough that no working unit is inactive on the whole batch [-]."""
+"""Batch size at which no working unit stays inactive on the whole batch [-]."""
 
 
 @contextmanager
@@ -119,7 +119,7 @@ def _built(network: Network) -> torch.nn.Module:
     module = network.build(LAYOUTS[-1], len(ACTIONS))
     for part in module.modules():
         draw: Any = getattr(part, "draw_noise", None)
-        if draw is not None:  # without noise the weights of the noise have no gradient
+        if draw is not None:  # without noise, its weights have no gradient
             draw(np.random.default_rng(0))
     return module
 

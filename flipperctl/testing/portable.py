@@ -1,4 +1,4 @@
-"""What the code of a class needs beside Python, numpy and ``flipperctl.core``.
+"""Find what the code of a class needs beyond Python, numpy and ``flipperctl.core``.
 
 In: a class. Out: the names of modules and objects that a robot's computer may lack.
 """
@@ -14,7 +14,7 @@ _PRESENT = (*sys.stdlib_module_names, "numpy", "flipperctl.core")
 
 
 def foreign_names(cls: type) -> set[str]:
-    """Return what the class's methods, and what they use of its module, take from elsewhere."""
+    """Return the foreign names that the class's methods use, directly or via its module."""
     return set(_foreign(cls, cls.__module__, set()))
 
 
@@ -38,19 +38,19 @@ def _foreign(value: object, home: str, seen: set[int]) -> Iterator[str]:
 
 
 def _globals(code: CodeType) -> set[str]:
-    """Return the names that a function, or one inside it, looks up in its module."""
+    """Return the global names that a function and those inside it use."""
     found = {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
     return found.union(*(_globals(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
 def _imports(code: CodeType) -> set[str]:
-    """Return the modules that a function, or one inside it, imports."""
+    """Return the modules that a function and those inside it import."""
     found = {i.argval for i in dis.get_instructions(code) if i.opname == "IMPORT_NAME"}
     return found.union(*(_imports(c) for c in code.co_consts if isinstance(c, CodeType)))
 
 
 def _function(part: object) -> object:
-    """Return the function of a property, a static or a class method; else the part itself."""
+    """Return the function of a property, static or class method; other parts unchanged."""
     if isinstance(part, property):
         return part.fget
     return getattr(part, "__func__", part)

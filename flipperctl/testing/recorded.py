@@ -1,6 +1,6 @@
-"""Recorded episodes of every outcome, played once by simple rules.
+"""Episodes of every outcome, played once by simple rules and kept.
 
-They need no registered plugin. Out: scenes, and the transitions recorded on them.
+They need no registered plugin. Out: scenes, and the transitions of an episode on each.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Ground(Terrain):
 
 
 class NoReward(RewardTerm):
-    """A reward that is always 0, for checks that only drive."""
+    """A reward that is always 0, for checks of other plugins."""
 
     plugin_name: ClassVar[str] = "no_reward"
 
@@ -59,7 +59,7 @@ def hold(p: Perception) -> int:
 
 
 def follow(p: Perception) -> int:
-    """Turn the front flippers to the candidate angle and the rear ones level."""
+    """Return the action that turns front flippers to the candidate angle and rear ones level."""
     wanted = (candidate_angle(p.points, p.pitch, p.robot) - p.front, -p.rear)
     return action_index(*(max(-1, min(1, round(w / p.robot.angle_step))) for w in wanted))
 

@@ -17,14 +17,14 @@ def finite(reward: RewardTerm) -> None:
         value = reward(t)
         require(
             isinstance(value, float) and math.isfinite(value),
-            f"{_at(t)} it returns {value!r}; a finite float is what it must return",
+            f"{_at(t)} it returns {value!r}; it must return a finite float",
         )
 
 
 def bounded(reward: RewardTerm) -> None:
     """Check that every reward lies within ``bounds``."""
     low, high = reward.bounds
-    require(low <= high, f"bounds are {reward.bounds}; the lower one comes first")
+    require(low <= high, f"bounds are {reward.bounds}; the lower one must come first")
     for t in transitions():
         value = reward(t)
         require(
@@ -34,7 +34,7 @@ def bounded(reward: RewardTerm) -> None:
 
 
 def pure(reward: RewardTerm) -> None:
-    """Check that the reward depends on the transition alone and does not change it."""
+    """Check that the reward depends only on the transition and does not change it."""
     pitches = [t.pitches.tobytes() for t in transitions()]
     first = [reward(t) for t in transitions()]
     again = [reward(t) for t in reversed(transitions())][::-1]
@@ -42,7 +42,7 @@ def pure(reward: RewardTerm) -> None:
         require(
             one == other,
             f"{_at(t)} it returns {one!r} and, called again, {other!r}; "
-            "it may depend on nothing but the transition",
+            "it may depend only on the transition",
         )
         require(t.pitches.tobytes() == before, f"{_at(t)} it changes the transition's pitches")
 

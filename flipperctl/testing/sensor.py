@@ -1,4 +1,4 @@
-"""Checks of a sensor: perceptions, sampling, randomness, snapshots, and what a robot can run."""
+"""Checks of a sensor: perceptions, sampling, randomness, snapshots and portability."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from flipperctl.testing.portable import foreign_names
 GROUND = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0)])
 START = Start(-0.8)
 _MARGIN = 5.0
-"""Length of the level ground on both sides of ``GROUND`` that may come into view [m]."""
+"""Length of the level ground before and past ``GROUND`` that may come into view [m]."""
 _PERIOD = 0.6
 """Time of a decision [s]."""
 _RAISE = action_index(1, 0)
 
 
 def senses(sensor: Sensor) -> None:
-    """Check perceptions of a drive: shapes, finite numbers, points in order of x."""
-    for p in _driven(sensor)[0]:
+    """Check perceptions in an episode: shapes, finite numbers, points in order of x."""
+    for p in _decided(sensor)[0]:
         require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
 
 
 def samples(sensor: Sensor) -> None:
     """Check that instruments measure plain data, at the start and at multiples of their period."""
-    _, taken = _driven(sensor)
+    _, taken = _decided(sensor)
     instruments = sensor.instruments(_mounting(_drive(sensor))) or {}
     for name, instrument in instruments.items():
         found = [measured for measured in taken if measured.instrument == name]
@@ -66,14 +66,14 @@ def samples(sensor: Sensor) -> None:
 def repeats(sensor: Sensor) -> None:
     """Check that equal generators give equal perceptions and no other randomness is used."""
     before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
-    one, other = (_driven(sensor)[0] for _ in range(2))
+    one, other = (_decided(sensor)[0] for _ in range(2))
     require(_equal(one, other), "equal generators give unequal perceptions")
     after = np.random.get_state(legacy=False)  # noqa: NPY002
     require(str(before) == str(after), "draws from numpy's global generator; only rng is allowed")
 
 
 def returns(sensor: Sensor) -> None:
-    """Check that a snapshot restores the sensor: what it measures, estimates and draws."""
+    """Check that a snapshot restores the sensor's measurements, estimates and random draws."""
     first, *rest = _states()
     perceiver = _perceiver(sensor, _drive(sensor))
     _perceived(perceiver, [first])
@@ -82,13 +82,13 @@ def returns(sensor: Sensor) -> None:
     perceiver.load(saved)
     require(
         _equal(before, _perceived(perceiver, rest)),
-        "it perceives otherwise after its snapshot was loaded; each part that remembers needs save "
-        "and load, and later calls may not change what was saved",
+        "its perceptions differ after its snapshot is loaded; each part with a memory needs save "
+        "and load, and later calls must not change a saved snapshot",
     )
 
 
 def portable(sensor: Sensor) -> None:
-    """Check that the estimator's code needs nothing but Python, numpy and ``flipperctl.core``."""
+    """Check that the estimator needs only Python, numpy and ``flipperctl.core``."""
     if sensor.instruments(_mounting(_drive(sensor))) is None:
         return
     estimator = sensor.estimator(Robot())
@@ -116,7 +116,7 @@ def _perceiver(sensor: Sensor, drive: Drive) -> Perceiver:
     return Perceiver(sensor, _mounting(drive), drive.robot, rngs)
 
 
-def _driven(sensor: Sensor) -> tuple[list[Perception], list[Measured]]:
+def _decided(sensor: Sensor) -> tuple[list[Perception], list[Measured]]:
     """Return the perceptions and the measurements of two decisions."""
     drive = _drive(sensor)
     perceiver, taken = _perceiver(sensor, drive), list[Measured]()
@@ -130,7 +130,7 @@ def _driven(sensor: Sensor) -> tuple[list[Perception], list[Measured]]:
 
 @cache
 def _states() -> list[RobotState]:
-    """Return the states of a drive, one decision apart."""
+    """Return states one decision apart."""
     drive = _drive(EnvConfig(terrain="flat").perception)
     found = [drive.state]
     for _ in range(3):
@@ -161,7 +161,7 @@ def _filled(p: Perception) -> NDArray[np.bool_]:
 
 
 def _require_plain(name: str, value: object) -> None:
-    """Check that a measurement is a frozen dataclass of numbers, arrays, names and the like."""
+    """Check that a measurement is a frozen dataclass of numbers, arrays and strings."""
     if not getattr(getattr(value, "__dataclass_params__", None), "frozen", False):
         text = f"instrument {name!r} returned {short_repr(value)}; a frozen dataclass is allowed"
         raise ConformanceError(text)

@@ -20,10 +20,10 @@ SEEDS = range(5)
 MAX_LENGTH, MAX_HEIGHT = 100.0, 20.0
 """Largest length of a profile, and largest height above or below its first edge [m]."""
 DECISIONS = 5
-"""Number of decisions with held flippers: 0.6 m, the last third with the front flippers on the
+"""Number of decisions with held flippers: 0.6 m, the last third with front flippers on the
 terrain [-]."""
 MIN_DRIVEN, MAX_DEPTH = 0.15, 0.02
-"""Smallest distance driven meanwhile, and largest penetration that contact explains [m]."""
+"""Smallest distance driven in these decisions, and largest penetration by contact [m]."""
 
 
 def draws(terrain: Terrain) -> None:
@@ -40,7 +40,7 @@ def repeats(terrain: Terrain) -> None:
         for instance in (terrain, again):
             require(
                 _draw(instance, seed).points.tobytes() == first[seed],
-                f"two draws from generators of seed {seed} differ; "
+                f"two profiles from generators of seed {seed} differ; "
                 "every random choice must come from rng",
             )
 
@@ -56,7 +56,7 @@ def leaves_global_randomness(terrain: Terrain) -> None:
 
 
 def graded(terrain: Terrain) -> None:
-    """Check that any difficulty from 0 to 1 works and leads to another from 0 to 1."""
+    """Check that difficulties from 0 to 1 work and are followed by ones from 0 to 1."""
     for difficulty in (0.0, terrain.first_difficulty, 1.0):
         for reached in (False, True):
             following = terrain.next_difficulty(difficulty, reached)
@@ -68,7 +68,7 @@ def graded(terrain: Terrain) -> None:
 
 
 def extent(terrain: Terrain) -> None:
-    """Check that a profile is neither longer nor higher than a robot could ever cross."""
+    """Check that a profile is not too long or too high for any robot."""
     for seed in SEEDS:
         profile = _draw(terrain, seed)
         length = profile.end - profile.start
@@ -79,12 +79,12 @@ def extent(terrain: Terrain) -> None:
         highest = float(np.abs(heights).max())
         require(
             highest <= MAX_HEIGHT,
-            f"it leads {highest:g} m above or below its first edge; {MAX_HEIGHT:g} m is allowed",
+            f"it reaches {highest:g} m above or below its first edge; {MAX_HEIGHT:g} m is allowed",
         )
 
 
 def starts(terrain: Terrain) -> None:
-    """Check that the robot starts before the terrain and drives off without penetrating it."""
+    """Check that the robot starts ahead of the terrain and drives off without penetrating it."""
     env = environment(terrain)
     for seed in SEEDS[:2]:
         try:
@@ -96,7 +96,7 @@ def starts(terrain: Terrain) -> None:
             observation, *_ = env.step(HOLD)
             require(
                 env.observation_space.contains(observation),
-                f"the heights perceived {decision + 1} decisions after the start lie outside of "
+                f"the heights perceived {decision + 1} decisions after the start lie outside "
                 "the observation space, ± 100 m",
             )
             x, z = env.state.position.tolist()
@@ -108,7 +108,7 @@ def starts(terrain: Terrain) -> None:
         require(
             driven >= MIN_DRIVEN,
             f"the robot drove {driven:.2f} m in its first {DECISIONS} decisions; "
-            f"on a start that it can cross it drives {MIN_DRIVEN:g} m or more",
+            f"on ground that it can cross it drives {MIN_DRIVEN:g} m or more",
         )
 
 
@@ -145,7 +145,7 @@ def _draw(terrain: Terrain, seed: int) -> Profile:
         raise ConformanceError(f"generate raises with seed {seed}: {error}") from error
     require(
         isinstance(profile, Profile),
-        f"generate returns a {type(profile).__name__}; a Profile is what it must return",
+        f"generate returns a {type(profile).__name__}; it must return a Profile",
     )
     return profile
 

@@ -1,4 +1,4 @@
-"""Variants of a plugin: its defaults, and the outermost values of each of its fields.
+"""Variants of a plugin: its defaults and the outermost values of each field.
 
 In: a plugin's class. Out: instances, each labelled with the setting that differs.
 """
@@ -31,7 +31,7 @@ class Variant:
 
 
 def at_defaults(cls: type[Plugin]) -> Variant:
-    """Return the plugin that ``flipperctl`` creates from its name alone.
+    """Return the plugin that its name alone creates.
 
     Raises:
         ConformanceError: a field has no default, or the defaults are not valid.
@@ -45,10 +45,10 @@ def at_defaults(cls: type[Plugin]) -> Variant:
 def variants(cls: type[Plugin]) -> list[Variant]:
     """Return the defaults, then each bound and each choice of each of the plugin's own fields.
 
-    A value that the plugin's validator refuses beside the other fields' defaults is left out.
+    Values that the plugin's validator rejects with other fields at their defaults are left out.
 
     Raises:
-        ConformanceError: a field's type refuses a value that its bounds allow.
+        ConformanceError: a field's type rejects a value that its bounds allow.
     """
     found = [at_defaults(cls)]
     default = found[0].plugin
@@ -66,7 +66,7 @@ def variants(cls: type[Plugin]) -> list[Variant]:
 
 
 def own_fields(cls: type[Plugin]) -> list[str]:
-    """Return the fields that the base classes of the plugin's kind do not have."""
+    """Return the fields that the plugin adds to those of its kind's base classes."""
     shared: set[str] = set()
     for base in cls.__mro__[1:]:
         if base.__module__.startswith(_CONTRACT):
@@ -94,7 +94,7 @@ def edges(cls: type[Plugin], field: str) -> Iterator[Any]:
 
 
 def numbers(annotation: Any) -> set[type]:
-    """Return the number types that a field takes, alone or beside None: ``int``, ``float``."""
+    """Return the number types, ``int`` or ``float``, in a field's annotation or union."""
     union = get_origin(annotation) in (Union, types.UnionType)
     parts = get_args(annotation) if union else (annotation,)
     return {part for part in parts if part in (int, float)}

@@ -7,17 +7,23 @@ from flipperctl.api import Controller, Perception, action_index, candidate_angle
 
 @controller("okada")
 class Okada(Controller):
-    """Follow the terrain: front flippers along the ground ahead, rear ones along that behind.
+    """Turn front flippers along the ground ahead and rear flippers along the ground behind.
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
-    terrain. Both pairs do so here, each at the largest angle to the inflated terrain.
+    terrain. Here each pair takes the largest angle to the inflated terrain.
     """
 
     near: float = Field(
-        0.1, ge=0, le=1, description="smallest distance of considered terrain from the hinge [m]"
+        0.1,
+        ge=0,
+        le=1,
+        description="distance from the hinge at which the considered terrain begins [m]",
     )
     far: float = Field(
-        0.45, gt=0, le=3, description="largest distance of considered terrain from the hinge [m]"
+        0.45,
+        gt=0,
+        le=3,
+        description="distance from the hinge at which the considered terrain ends [m]",
     )
     rear_gain: float = Field(
         0.5,

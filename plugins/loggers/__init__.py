@@ -1,4 +1,4 @@
-"""Built-in loggers; importing them imports no tracker, opening one does."""
+"""Built-in loggers; a tracker's library is imported only when its logger is opened."""
 
 from . import tensorboard, trackio, wandb
 

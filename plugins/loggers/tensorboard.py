@@ -14,17 +14,17 @@ from flipperctl.api import Listener, Logger, RunInfo, logger, scalars
 
 @logger("tensorboard")
 class TensorBoard(Logger):
-    """Writes TensorBoard events to ``tensorboard/`` in the run directory."""
+    """Write TensorBoard events to ``tensorboard/`` in the run directory."""
 
     def open(self, run: RunInfo) -> Listener:
-        """Begin a new file of events."""
+        """Open a new event file."""
         return Events(run.folder, run.resume_at)
 
 
 class Events:
-    """Writes scalars under ``episode/`` and ``validation/``, with decisions as steps.
+    """Write scalars under ``episode/`` and ``validation/``, with decisions as steps.
 
-    The events are those of torch's SummaryWriter, but they are written in this thread: the thread
+    The events equal those of torch's SummaryWriter, but they are written in this thread: the thread
     of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
     """
 

@@ -1,7 +1,7 @@
-"""What ``wandb`` and ``trackio`` share: a library with ``init``, ``log`` and ``finish``.
+"""Logging to a tracker with ``init``, ``log`` and ``finish``, shared by ``wandb`` and ``trackio``.
 
 In: the rows of a training. Out: their numbers in the tracker, with decisions as steps. The library
-works in a thread of its own, so that a slow one does not hold up the training.
+runs in its own thread, so that a slow tracker does not delay the training.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from uuid import uuid4
 from flipperctl.api import RunInfo, scalars
 
 _STATE = "run.json"
-"""File in the logger's folder: id of the run in the tracker, and the last decision of each kind of
-row that it has."""
+"""File in the logger's folder with the tracker's run id and the last decision logged for each kind
+of row."""
 
 
 class TrackedRun(Protocol):
@@ -28,18 +28,18 @@ class TrackedRun(Protocol):
         """Record values by name."""
 
     def finish(self) -> object:
-        """Send what is left."""
+        """Send the remaining values."""
 
 
 Begin = Callable[[str], TrackedRun]
-"""Function of a run's id that begins the run in the tracker, or goes on with it if it is there."""
+"""Starts the run with the given id in the tracker, or resumes it if the tracker has it."""
 
 
 def require(package: str) -> None:
     """Check that a tracker's package is installed.
 
     Raises:
-        ImportError: it is not.
+        ImportError: it is not installed.
     """
     if find_spec(package) is None:
         raise ImportError(
@@ -48,7 +48,7 @@ def require(package: str) -> None:
 
 
 class Tracker:
-    """Records a training in a tracker; what fails in its thread is raised at the next call."""
+    """Record a training in a tracker; an error in its thread is raised by the next call."""
 
     def __init__(self, begin: Begin, run: RunInfo, patience: float) -> None:
         """``patience``: longest time that ``close`` waits for the tracker [s]."""
@@ -78,7 +78,7 @@ class Tracker:
         """Wait until the tracker has finished.
 
         Raises:
-            TimeoutError: it has not within ``patience``.
+            TimeoutError: it has not finished within ``patience``.
         """
         self._rows.put(None)
         self._thread.join(self._patience)
@@ -98,11 +98,11 @@ class Tracker:
 
     def _work(self) -> None:
         try:
-            self._save()  # before the run begins there, so that no killed training loses its id
+            self._save()  # before the tracker has the run, so that a killed training keeps its id
             tracked = self._begin(self._id)
             while (row := self._rows.get()) is not None:
                 kind, decision, values = row
-                if decision > self._logged[kind]:  # a resumed run repeats the rest exactly
+                if decision > self._logged[kind]:  # a resumed run repeats logged rows exactly
                     tracked.log(values, step=decision)
                     self._logged[kind] = decision
                     if kind == "validation":
@@ -113,7 +113,7 @@ class Tracker:
             self._error = error
 
     def _restore(self) -> None:
-        """Read the state of the run's earlier start; without a readable one, a new run begins."""
+        """Restore the state of an earlier start; without a readable one, keep the new id."""
         try:
             found = json.loads(self._state.read_text())
             run_id, logged = str(found["id"]), {k: int(found[k]) for k in self._logged}

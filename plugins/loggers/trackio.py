@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @logger("trackio")
 class Trackio(Logger):
-    """Records a training in Trackio's database on this machine, or in a Hugging Face Space."""
+    """Record a training in Trackio's database on this machine, or in a Hugging Face Space."""
 
     remote: ClassVar[bool] = True
     project: str = Field("flipperctl", min_length=1, description="project of the run [-]")
@@ -29,7 +29,7 @@ class Trackio(Logger):
     )
 
     def open(self, run: RunInfo) -> Listener:
-        """Begin the run in a thread of its own.
+        """Start the run in its own thread.
 
         Raises:
             ImportError: trackio is not installed.
@@ -41,7 +41,7 @@ class Trackio(Logger):
 
             tracked: TrackedRun = trackio.init(
                 project=self.project,
-                name=f"{run.directory.resolve().name}_{run_id}",  # by which it is found again
+                name=f"{run.directory.resolve().name}_{run_id}",  # identifies the run on resume
                 group=self.group or None,
                 space_id=self.space or None,
                 config=dict(run.config),

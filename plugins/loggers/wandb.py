@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @logger("wandb")
 class WeightsAndBiases(Logger):
-    """Sends a training to Weights & Biases, or keeps it in the run directory for later."""
+    """Send a training to Weights & Biases, or keep it in the run directory for later."""
 
     remote: ClassVar[bool] = True
     project: str = Field("flipperctl", min_length=1, description="project of the run [-]")
@@ -32,7 +32,7 @@ class WeightsAndBiases(Logger):
     )
 
     def open(self, run: RunInfo) -> Listener:
-        """Begin the run in a thread of its own.
+        """Start the run in its own thread.
 
         Raises:
             ImportError: wandb is not installed.
@@ -55,7 +55,7 @@ class WeightsAndBiases(Logger):
                 group=self.group or None,
                 name=run.directory.resolve().name,
                 id=run_id,
-                resume="allow" if self.mode == "online" else None,  # files are joined by their id
+                resume="allow" if self.mode == "online" else None,  # offline files merge by id
                 dir=run.folder,
                 config=dict(run.config),
                 mode=self.mode,

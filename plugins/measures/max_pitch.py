@@ -9,7 +9,7 @@ from flipperctl.api import Measure, Transition, measure
 
 @measure("max_pitch")
 class MaxPitch(Measure):
-    """Largest absolute pitch of the poses, 10 ms apart [rad]."""
+    """Largest absolute pitch over poses 10 ms apart [rad]."""
 
     unit = "rad"
     better = "lower"

@@ -1,6 +1,6 @@
 """The pitch variation of an episode, at decisions and at 100 Hz.
 
-The sums are loops, since ``sum`` rounds floats otherwise from Python 3.12 on.
+The sums are loops because ``sum`` rounds floats differently from Python 3.12 on.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class PitchVariation(Measure):
 
 @measure("pitch_variation_100hz")
 class PitchVariation100Hz(Measure):
-    """θ̂_R from pose to pose, 10 ms apart, which includes motion within decisions [rad]."""
+    """θ̂_R between poses 10 ms apart, which includes motion within decisions [rad]."""
 
     unit = "rad"
     reached_only = True

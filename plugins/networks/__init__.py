@@ -1,4 +1,4 @@
-"""Built-in Q-networks; importing them does not import torch, building one does."""
+"""Built-in Q-networks; torch is imported only when one is built."""
 
 from . import (
     at_d3qn,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @network("conv")
 class Conv(Network):
-    """AT-D3QN with 1-D convolutions as terrain layers, which detect an edge alike in any bin."""
+    """AT-D3QN with 1-D convolutions as terrain layers, which detect edges equally in all bins."""
 
     channels: tuple[PositiveInt, ...] = Field(
         (16, 16), min_length=1, description="channels of the convolutions [-]"

@@ -19,7 +19,7 @@ Linear = Callable[[int, int], nn.Module]
 
 
 class Normalise(nn.Module):
-    """Divide each number of F observations in SI units by its typical magnitude, to order one."""
+    """Scale F observations in SI units to order one, each entry by its typical magnitude."""
 
     scale: torch.Tensor
 
@@ -34,27 +34,27 @@ class Normalise(nn.Module):
 
     @torch.no_grad()
     def folded_into(self, layer: nn.Linear) -> nn.Linear:
-        """Return a layer of what ``layer`` gives for normalised observations."""
+        """Return ``layer`` with this normalisation folded into its weights."""
         joined = copy.deepcopy(layer)
         joined.weight.div_(self.scale)
         return joined
 
 
 class Dropout(nn.Module):
-    """Sets numbers to 0 at random while the network learns (Srivastava et al. 2014).
+    """Set features to 0 at random while the network learns (Srivastava et al. 2014).
 
-    The numbers that remain are scaled up by as much as were lost. Unlike torch's layer it acts only
-    where gradients are recorded: never in a decision, nor in a target.
+    The remaining features are divided by ``1 - rate``. Unlike torch's layer, it acts only where
+    gradients are recorded: neither in decisions nor in targets.
     """
 
     def __init__(self, rate: float) -> None:
-        """``rate`` is the fraction of the numbers that are set to 0, below 1."""
+        """``rate`` is the fraction of the features that are set to 0, below 1."""
         super().__init__()
         self.rate = rate
         self._seed = 0
 
     def draw_noise(self, rng: np.random.Generator) -> None:
-        """Draw from ``rng`` which numbers are set to 0."""
+        """Draw from ``rng`` which features are set to 0."""
         self._seed = int(rng.integers(2**62))
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
@@ -69,7 +69,7 @@ class Dropout(nn.Module):
 def perceptron(
     sizes: Sequence[int], linear: Linear = nn.Linear, dropout: float = 0.0
 ) -> nn.Sequential:
-    """Return linear layers of the given widths, each with a Leaky ReLU and ``dropout`` after it."""
+    """Return linear layers of the given widths, each followed by Leaky ReLU and ``dropout``."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [linear(inputs, outputs), nn.LeakyReLU(SLOPE)]
@@ -104,9 +104,9 @@ class Dueling(nn.Module):
 
     @torch.no_grad()
     def folded(self) -> nn.Module:
-        """Return two layers of the same Q-values, which are linear in what both heads hide.
+        """Return an equivalent module of two linear layers, the first for both heads together.
 
-        Heads of other layers than ``nn.Linear`` stay as they are.
+        Heads with layers other than ``nn.Linear`` are returned unchanged.
         """
         linear = [layer for layer in self.modules() if isinstance(layer, nn.Linear)]
         if len(linear) != 4:  # a noisy layer holds two
@@ -212,10 +212,10 @@ class NoisyLinear(nn.Module):
 
 
 class Motion(nn.Module):
-    """Replace stacked observations by the newest one and the changes that led to it."""
+    """Replace stacked observations by the newest one and the changes before it."""
 
     def __init__(self, seen: Sequence[int], frames: int, size: int) -> None:
-        """``seen``: which of the F frames count, counted from 0, the oldest; the newest last.
+        """``seen``: ascending indices of the F frames that are used; 0 is the oldest.
 
         ``size`` is n, the length of one observation.
         """
@@ -230,7 +230,7 @@ class Motion(nn.Module):
 
     @torch.no_grad()
     def folded(self) -> nn.Module:
-        """Return one layer of the same results."""
+        """Return an equivalent linear layer."""
         inputs = self.frames * self.size
         layer = nn.Linear(inputs, len(self.seen) * self.size, bias=False)
         layer.weight.copy_(self(torch.eye(inputs)).T)

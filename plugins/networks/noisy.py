@@ -1,4 +1,4 @@
-"""A network that explores by learnt noise."""
+"""A network that explores with learnt noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network that sees the last few observations at once, and some earlier ones."""
+"""A network whose input is the last few observations and chosen earlier ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @network("stacked")
 class Stacked(Network):
-    """AT-D3QN over a window of observations, from which it can tell how the robot is moving.
+    """AT-D3QN over a window of observations, which show how the robot is moving.
 
     The changes between the last observations enter the fusion layer with the robot's own angles.
     """
@@ -24,8 +24,8 @@ class Stacked(Network):
     )
     earlier: tuple[Annotated[int, Field(ge=2, le=MAX_HISTORY - 1)], ...] = Field(
         (),
-        description="how many decisions before the newest observation further ones lie, by which "
-        "a robot that has stood for long is told from one that has just stopped [-]",
+        description="ages of further observations in decisions, counted from the newest one; they "
+        "distinguish a robot that has stood for long from one that has just stopped [-]",
     )
     terrain: tuple[PositiveInt, ...] = Field(
         (64, 64), min_length=1, description="widths of the terrain layers [-]"
@@ -36,13 +36,13 @@ class Stacked(Network):
         0.0,
         ge=0,
         le=0.9,
-        description="fraction of each layer's numbers that an update sets to 0 at random, so that "
-        "labels are not learnt by heart [-]",
+        description="fraction of each layer's outputs that an update sets to 0 at random, against "
+        "overfitting to labels [-]",
     )
 
     @property
     def frames(self) -> int:
-        """Number of observations that an input row holds, back to the earliest that is seen [-]."""
+        """Number of observations in an input row, back to the earliest one used [-]."""
         return max([self.window, *(lag + 1 for lag in self.earlier)])
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
@@ -57,13 +57,13 @@ class Stacked(Network):
             perceptron,
         )
 
-        lost = self.dropout
-        terrain = perceptron((layout.bins, *self.terrain), dropout=lost)
+        dropout = self.dropout
+        terrain = perceptron((layout.bins, *self.terrain), dropout=dropout)
         seen = sorted({*range(self.window), *self.earlier}, reverse=True)
         changes = (len(seen) - 1) * layout.size
         return nn.Sequential(
             Normalise(layout, self.frames),
             Motion([self.frames - 1 - lag for lag in seen], self.frames, layout.size),
-            Fusion(layout, terrain, self.terrain[-1], self.fused, changes, lost),
-            Dueling(self.fused, self.head, n_actions, dropout=lost),
+            Fusion(layout, terrain, self.terrain[-1], self.fused, changes, dropout),
+            Dueling(self.fused, self.head, n_actions, dropout=dropout),
         )

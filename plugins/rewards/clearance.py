@@ -20,7 +20,7 @@ class Clearance(RewardTerm):
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    enough: float = Field(0.05, gt=0, le=1, description="gap from which there is no penalty [m]")
+    enough: float = Field(0.05, gt=0, le=1, description="smallest gap without a penalty [m]")
     bump: float = Field(
         0.02, ge=0, le=1, description="smallest rise above the line between the hinges [m]"
     )

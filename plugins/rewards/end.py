@@ -7,7 +7,7 @@ from flipperctl.api import Outcome, RewardTerm, Transition, reward
 
 @reward("end")
 class End(RewardTerm):
-    """R_end (paper Eq. 7): +R when the finish is reached, -R at any other end of the episode."""
+    """R_end (paper Eq. 7): +R for reaching the finish, -R for any other end of the episode."""
 
     settlement: float = Field(10.0, gt=0, le=1e6, description="R; not given in the paper [-]")
 

@@ -15,21 +15,21 @@ class Flipper(RewardTerm):
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_1: float = Field(1.0, gt=0, le=100, description="slope of the penalty [1/rad]")
     tolerance: float = Field(
-        math.pi / 36, ge=0, le=1, description="deviation up to which there is no penalty [rad]"
+        math.pi / 36, ge=0, le=1, description="largest deviation without a penalty [rad]"
     )
     near: float = Field(
         0.1,
         ge=0,
         le=1,
-        description="smallest distance of considered terrain from the hinge; not given in the "
-        "paper [m]",
+        description="distance from the hinge at which the considered terrain begins; not given in "
+        "the paper [m]",
     )
     far: float = Field(
         0.45,
         gt=0,
         le=3,
-        description="largest distance of considered terrain from the hinge; not given in the "
-        "paper [m]",
+        description="distance from the hinge at which the considered terrain ends; not given in "
+        "the paper [m]",
     )
 
     def __call__(self, t: Transition) -> float:

@@ -12,15 +12,20 @@ from flipperctl.api import RewardTerm, Transition, reward
 class Impact(RewardTerm):
     """Penalise the largest vertical acceleration of the chassis' centre during the decision.
 
-    The acceleration is the difference at 100 Hz of the vertical velocity: that before the decision,
-    the mean over each sample period, and that after the decision. Thus no impact falls between two
-    decisions.
+    The acceleration is the change of the vertical velocity at 100 Hz: the velocity before the
+    decision, its mean over each sample period, and the velocity after the decision. Thus impacts
+    between two decisions are seen too.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    tolerance: float = Field(5.0, ge=0, le=1000, description="acceleration without penalty [m/s²]")
+    tolerance: float = Field(
+        5.0, ge=0, le=1000, description="largest acceleration without a penalty [m/s²]"
+    )
     worst: float = Field(
-        30.0, gt=0, le=10_000, description="excess over the tolerance that costs 1 [m/s²]"
+        30.0,
+        gt=0,
+        le=10_000,
+        description="excess over the tolerance at which the reward is -1 [m/s²]",
     )
 
     def __call__(self, t: Transition) -> float:

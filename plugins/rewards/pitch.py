@@ -11,25 +11,27 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("pitch")
 class Pitch(RewardTerm):
-    """R_pitch (paper Eq. 6): penalise the swing of the chassis, most of all at a steep pitch.
+    """R_pitch (paper Eq. 6): penalise pitch variation, most strongly at a steep pitch.
 
-    The paper averages the swing over the next k decisions. Here it is averaged over the last k
-    pitches, which are known when the reward is paid.
+    The paper averages the variation over the next k decisions. Here it is averaged over the last k
+    pitches, which are known when the reward is computed.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     lambda_2: float = Field(8.0, gt=0, le=1000, description="slope of the penalty [1/rad]")
-    window: int = Field(3, ge=2, le=100, description="k, last pitches; not given in the paper [-]")
+    window: int = Field(
+        3, ge=2, le=100, description="k, number of last pitches; not given in the paper [-]"
+    )
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0].
 
-        It is -1 if the mean swing exceeds 1/λ2, or if the pitch is beyond ±π/4 and still growing.
+        It is -1 if the mean variation exceeds 1/λ2, or if the pitch is beyond ±π/4 and growing.
         """
         rising = abs(t.after.pitch) > abs(t.before.pitch)
         if abs(t.after.pitch) > math.pi / 4 and rising:
             return -1.0
         pitches = t.pitches[-self.window :]
         changes = np.abs(pitches[1:] - pitches[:-1])
-        swing = float(np.add.reduce(changes)) / len(changes)  # faster than numpy's mean
-        return -min(1.0, self.lambda_2 * swing)
+        variation = float(np.add.reduce(changes)) / len(changes)  # faster than numpy's mean
+        return -min(1.0, self.lambda_2 * variation)

@@ -1,4 +1,4 @@
-"""Reward for distance gained."""
+"""Reward for progress along the track."""
 
 from typing import ClassVar
 
@@ -9,7 +9,7 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("progress")
 class Progress(RewardTerm):
-    """Reward the distance that the chassis moves forward; penalise moving back alike.
+    """Reward the distance that the chassis moves forward; penalise moving back equally.
 
     The sum over a crossing is proportional to its length and does not depend on the speed. This
     term changes which policy is optimal; ``shaped_progress`` does not.
@@ -17,7 +17,10 @@ class Progress(RewardTerm):
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)
     distance: float = Field(
-        0.2, gt=0.01, le=10, description="distance per decision that pays 1, the most [m]"
+        0.2,
+        gt=0.01,
+        le=10,
+        description="distance per decision at which the reward reaches its maximum, 1 [m]",
     )
 
     def __call__(self, t: Transition) -> float:

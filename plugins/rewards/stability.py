@@ -20,12 +20,15 @@ class Stability(RewardTerm):
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    enough: float = Field(0.2, gt=0, le=2, description="margin from which there is no penalty [m]")
+    enough: float = Field(0.2, gt=0, le=2, description="smallest margin without a penalty [m]")
     touch: float = Field(
         0.01, gt=0, le=0.1, description="largest gap to the ground that counts as contact [m]"
     )
     flipper_share: float = Field(
-        0.111, ge=0, lt=0.5, description="mass of each flipper pair over the robot's mass [-]"
+        0.111,
+        ge=0,
+        lt=0.5,
+        description="mass of each flipper pair as a fraction of the robot's [-]",
     )
 
     def __call__(self, t: Transition) -> float:
@@ -49,7 +52,7 @@ class Stability(RewardTerm):
         support = ground[gap <= self.touch, 0]
         if support.size == 0:
             return -math.inf
-        # Horizontal distance from the chassis' centre: each pair's mass is half way along its axle.
+        # Horizontal distance from the chassis' centre: each pair's mass lies halfway along it.
         centre = self.flipper_share * float(front[0] + rear[0]) / 2
         return min(centre - float(support[0]), float(support[-1]) - centre)
 

@@ -1,4 +1,4 @@
-"""Reward against the swing of the chassis at 100 Hz."""
+"""Reward against pitch variation at 100 Hz."""
 
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ from flipperctl.api import RewardTerm, Transition, reward
 class Swing(RewardTerm):
     """Penalise the sum of the absolute pitch changes within the decision, from poses at 100 Hz.
 
-    Up to the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
+    Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
     ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
     within a decision.
     """
@@ -29,5 +29,5 @@ class Swing(RewardTerm):
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]: 0 for a transition without a path."""
         pitch = t.path[:, 2]
-        swing = float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1])))  # [rad]
-        return -min(1.0, self.slope * swing)
+        variation = float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1])))  # [rad]
+        return -min(1.0, self.slope * variation)

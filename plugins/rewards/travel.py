@@ -7,7 +7,7 @@ from flipperctl.api import RewardTerm, Transition, reward
 
 @reward("travel")
 class Travel(RewardTerm):
-    """Penalise the angle by which both flipper pairs turn, which costs wear and energy.
+    """Penalise the angle by which both flipper pairs turn, since turning costs wear and energy.
 
     The term measures the motion, not the command: a command beyond the angle limit costs nothing,
     while a flipper that the ground pushes away does.

@@ -1,4 +1,4 @@
-"""Base class of the terrains that are made of other terrains."""
+"""Base class of terrains that are composed of other terrains."""
 
 from typing import Self
 
@@ -6,7 +6,7 @@ from flipperctl.api import Terrain
 
 
 class Combinator(Terrain):
-    """Pass the difficulty on to the terrains in the fields; all have the same difficulty."""
+    """Pass its difficulty on to each of the terrains in its fields."""
 
     def _inner(self) -> dict[str, Terrain | tuple[Terrain, ...]]:
         values = {name: getattr(self, name) for name in type(self).model_fields}

@@ -30,7 +30,7 @@ class Curriculum(Terrain):
     down: float = Field(0.03, ge=0, le=1, description="decrease of difficulty after a failure [-]")
 
     @model_validator(mode="after")
-    def _alike(self) -> Self:
+    def _check_interpolable(self) -> Self:
         self.at(0.5)
         return self
 
@@ -40,7 +40,7 @@ class Curriculum(Terrain):
         return self.start
 
     def next_difficulty(self, difficulty: float, reached: bool) -> float:
-        """Return the difficulty one step up after a success, or down, within 0 and 1."""
+        """Return the difficulty, raised after a success or else lowered, within 0 and 1."""
         return min(1.0, max(0.0, difficulty + (self.up if reached else -self.down)))
 
     def at(self, difficulty: float) -> Terrain:

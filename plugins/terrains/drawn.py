@@ -1,4 +1,4 @@
-"""Base classes of the terrains that draw their sizes anew each episode."""
+"""Base classes of terrains that draw new sizes each episode."""
 
 from typing import Self
 
@@ -30,7 +30,7 @@ class Drawn(Terrain):
 
 
 class DrawnRow(Drawn):
-    """Draw also the number of parts in a row."""
+    """Also draw the number of parts in a row."""
 
     fewest: int = Field(2, ge=1, le=50, description="smallest number of parts [-]")
     most: int = Field(4, ge=1, le=50, description="largest number of parts [-]")

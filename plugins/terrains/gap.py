@@ -10,7 +10,7 @@ from .drawn import Drawn
 
 @terrain("gap")
 class Gap(Drawn):
-    """A trench with vertical walls, narrower than the robot with level flippers is long."""
+    """A trench with vertical walls, shorter than the robot with level flippers."""
 
     width_low: float = Field(0.3, gt=0, le=3, description="narrowest trench [m]")
     width_high: float = Field(0.8, gt=0, le=3, description="widest trench [m]")

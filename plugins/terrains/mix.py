@@ -14,7 +14,7 @@ from .step import Step
 
 @terrain("mix")
 class Mix(Combinator):
-    """Draw one of several terrains each episode, which the episode's row names."""
+    """Draw one of several terrains each episode; the episode's row names it."""
 
     parts: tuple[AnyTerrain, ...] = Field(
         (Step(), Stair()),
@@ -26,10 +26,10 @@ class Mix(Combinator):
     )
 
     @model_validator(mode="after")
-    def _weighed(self) -> Self:
+    def _check_weights(self) -> Self:
         if self.weights and len(self.weights) != len(self.parts):
             raise ValueError(
-                f"weights are {len(self.weights)} for {len(self.parts)} parts; one each, or none"
+                f"{len(self.weights)} weights for {len(self.parts)} parts; give one each, or none"
             )
         if self.weights and (min(self.weights) < 0 or sum(self.weights) <= 0):
             raise ValueError(f"weights {self.weights} must not be negative, nor all 0")

@@ -12,20 +12,20 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recordings import cloud, height_map, polyline
-from ..recordings.height_map import HeightMap
-from ..recordings.layers import Choice
-from ..recordings.line import Line
-from ..recordings.mesh import Mesh, read_mesh
-from ..recordings.missing import without_missing
-from ..recordings.plausible import (
+from ..recorded_ground import cloud, height_map, polyline
+from ..recorded_ground.height_map import HeightMap
+from ..recorded_ground.layers import Choice
+from ..recorded_ground.line import Line
+from ..recorded_ground.mesh import Mesh, read_mesh
+from ..recorded_ground.missing import without_missing
+from ..recorded_ground.plausible import (
     remarks_on_extent,
     remarks_on_layers,
     remarks_on_missing,
     remarks_on_profile,
 )
-from ..recordings.quiet import quiet
-from ..recordings.surface import RecordedSurface
+from ..recorded_ground.quiet import quiet
+from ..recorded_ground.surface import RecordedSurface
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
@@ -38,7 +38,7 @@ MIN_POINTS = 10
 MAX_LENGTH = 10_000.0
 """Largest extent of a profile [m]; a larger one suggests a wrong unit."""
 BESIDE = 0.4
-"""Distance to each side of the line at which unknown ground is worth a remark [m]."""
+"""Distance to either side of the line within which unknown ground is reported [m]."""
 
 
 @terrain("profile_file")
@@ -68,10 +68,10 @@ class ProfileFile(Terrain):
         None, description="x and y at which that line ends; the robot drives towards it [m]"
     )
     spacing: float = Field(
-        0.02, ge=0.005, le=0.5, description="distance between two heights on the line [m]"
+        0.02, ge=0.005, le=0.5, description="distance between heights along the line [m]"
     )
     largest_gap: float = Field(
-        0.2, ge=0, le=5, description="longest distance without a height that is interpolated [m]"
+        0.2, ge=0, le=5, description="longest distance without heights that is interpolated [m]"
     )
     resolution: float | None = Field(
         None, gt=0, le=10, description="size of a map's cells, if the file does not contain it [m]"
@@ -91,42 +91,45 @@ class ProfileFile(Terrain):
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
     )
     quantile: float = Field(
-        0.9, ge=0, le=1, description="quantile of the cloud's heights at a place to take [-]"
+        0.9,
+        ge=0,
+        le=1,
+        description="quantile of the cloud's heights that is taken at each place [-]",
     )
     highest: bool = Field(
         False,
-        description="of several layers of a mesh or cloud, such as a floor and a ceiling, take the "
-        "highest as ground instead of the lowest [-]",
+        description="whether the highest of several layers of a mesh or cloud, such as a floor and "
+        "a ceiling, is the ground instead of the lowest [-]",
     )
     headroom: float = Field(
         1.0,
         gt=0,
         le=10,
-        description="free height above a layer of a mesh or cloud that the robot needs; where "
-        "there is less, the robot drives on what lies above [m]",
+        description="free height that the robot needs above a layer of a mesh or cloud; where "
+        "there is less, the robot drives on the next layer above [m]",
     )
     no_data: float | None = Field(
         None,
         ge=-1e308,
         le=1e308,
-        description="value of unknown heights in a map, in its unit; -9999, -99999, -32767, "
-        "-32768 and 1e20 or more always are, as is what a GeoTIFF states [-]",
+        description="value that marks unknown heights in a map, in its unit; -9999, -99999, "
+        "-32767, -32768, 1e20 or more and the value stated in a GeoTIFF always do [-]",
     )
     largest_mesh: int = Field(
         2_000_000, ge=1, le=100_000_000, description="largest number of faces of a mesh [-]"
     )
 
     @model_validator(mode="after")
-    def _stated(self) -> Self:
+    def _check_fields(self) -> Self:
         suffix = self._file.suffix.lower()
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
-        stated = [self.start is not None, self.end is not None]
-        if suffix == ".csv" and any(stated):
+        given = [self.start is not None, self.end is not None]
+        if suffix == ".csv" and any(given):
             raise ValueError(
-                "start and end belong to maps, meshes and clouds; a .csv is the line itself"
+                "start and end belong to maps, meshes and clouds; a .csv is itself a profile"
             )
-        if suffix != ".csv" and not all(stated):
+        if suffix != ".csv" and not all(given):
             raise ValueError(
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
@@ -158,7 +161,7 @@ class ProfileFile(Terrain):
             raise ValueError(f"path {self.path}: {error}") from error
 
     def notices(self) -> tuple[str, ...]:
-        """Return what is odd about the recording: its extent, faces, layers and missing values."""
+        """Return remarks on the recording's extent, faces, layers and missing values."""
         _, remarks = self._recorded
         return tuple(f"{self._file}: {remark}" for remark in (*remarks, *self._beside_remark()))
 
@@ -239,7 +242,7 @@ class ProfileFile(Terrain):
         return Choice(self.headroom, self.highest, self.largest_gap)
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
-        """Return the map or the mesh, which may be read anywhere."""
+        """Return the map or the mesh, which has heights beside the line too."""
         suffix, unit = file.suffix.lower(), UNITS[self.unit]
         if suffix in MESHES:
             return read_mesh(file, unit, self.up, self.largest_mesh, self._choice)
@@ -275,7 +278,7 @@ class ProfileFile(Terrain):
 
     @contextmanager
     def _naming_file(self) -> Iterator[Path]:
-        """Name the file in whatever its reader raises, as a ValueError."""
+        """Turn exceptions of the file's reader into a ValueError that names the file."""
         file = self._file
         try:
             with file.open("rb"):  # raises the system's own message if the file cannot be read

@@ -40,7 +40,7 @@ class Stair(Terrain):
         if self.fewest > self.most:
             raise ValueError(f"fewest ({self.fewest}) must not exceed most ({self.most})")
         if self.back and self.platform <= 0:
-            raise ValueError("a way back needs a platform longer than 0 m")
+            raise ValueError("back needs a platform longer than 0 m")
         if min(self.tread, self.tread_down) - self.tread_spread <= 0.05:
             raise ValueError(
                 f"treads of {self.tread:g} and {self.tread_down:g} m within ± "

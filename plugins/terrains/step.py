@@ -27,7 +27,7 @@ class Step(Terrain):
         if self.low > self.high:
             raise ValueError(f"low ({self.low:g}) must not exceed high ({self.high:g})")
         if self.back and self.platform <= 0:
-            raise ValueError("a way back needs a platform longer than 0 m")
+            raise ValueError("back needs a platform longer than 0 m")
         return self
 
     def generate(self, rng: np.random.Generator) -> Profile:

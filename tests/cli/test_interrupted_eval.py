@@ -111,7 +111,7 @@ def test_tables_of_baselines_that_not_every_scene_has(
 def test_references_that_were_stopped_tell_nothing(
     interrupt: Callable[..., None], tmp_path: Path
 ) -> None:
-    interrupt("plum, okada on what no reference crossed yet", 1, signal.SIGINT)
+    interrupt("plum, okada on episodes not crossed yet", 1, signal.SIGINT)
     done = play(tmp_path, "terrain=plum", "--passable", "okada", "--json", "--episodes", "12")
     assert done.code == 130, done.err
     assert "passable" not in json.loads(done.out)["scenes"][0]

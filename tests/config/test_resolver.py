@@ -51,7 +51,7 @@ def test_overrides_drop_terms_and_add_others() -> None:
 
 
 def test_an_override_inside_a_value_names_the_value() -> None:
-    with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, no section"):
+    with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, not a section"):
         with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1})
 
 

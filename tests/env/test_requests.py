@@ -106,7 +106,7 @@ def test_a_dropped_reward_term_is_gone_and_an_added_one_counts() -> None:
         (
             {"episode.stuck_window": 30, "episode.stuck_time": 3.0},
             "episode",
-            "stuck_window (30 decisions) has no effect beside stuck_time (3 s)",
+            "stuck_window (30 decisions) has no effect with stuck_time (3 s)",
         ),
         ({"robot.track_radius.x": 1.0}, "robot.track_radius", "track_radius"),
     ],

@@ -106,9 +106,9 @@ def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
     assert opened == [
         ("step", 2),
         ("step, okada", 2),
-        ("step, random on what no reference crossed yet", 2),
+        ("step, random on episodes not crossed yet", 2),
         ("flat", 2),
-        ("flat, okada on what no reference crossed yet", 0),
+        ("flat, okada on episodes not crossed yet", 0),
     ]
     assert [done for done in reported if done] == [[1, 2]] * 4
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flipperctl_plugins.recordings.layers import (
+from flipperctl_plugins.recorded_ground.layers import (
     Choice,
     Crossings,
     ground_of_faces,
@@ -135,7 +135,7 @@ def test_layers_and_a_large_extent_are_said_once(tmp_path: Path) -> None:
     [
         ("0,0\n1,0\n1,1.4\n1.5,1.4\n1.5,0\n", "a face at x = 1.00 m is 1.4 m high, more than 1 m"),
         ("10.00000,100\n10.00001,100.02\n", "the line is 1e-05 m long; terrain.unit=m is set, "),
-        ("0,0\n0.5,0\n0.6,-9999\n0.65,0\n1,0\n", "1 values such as -9999 are taken for unknown"),
+        ("0,0\n0.5,0\n0.6,-9999\n0.65,0\n1,0\n", "1 values such as -9999 are treated as unknown"),
     ],
 )
 def test_a_wrong_unit_and_missing_values_of_a_csv_are_said(

@@ -118,7 +118,7 @@ def test_faces_that_look_down_and_a_line_outside_are_refused(tmp_path: Path) -> 
     with pytest.raises(TerrainError, match="the mesh is inside out: it is closed and"):
         profile(file, **LINE)
     write(file, block())
-    with pytest.raises(TerrainError, match=r"\(5\.0, 2\.0\) lies outside of the mesh.* to 4\.00 m"):
+    with pytest.raises(TerrainError, match=r"\(5\.0, 2\.0\) lies outside the mesh.* to 4\.00 m"):
         profile(file, start=(1.0, 2.0), end=(5.0, 2.0))
 
 

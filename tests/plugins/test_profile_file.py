@@ -79,7 +79,7 @@ def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None
     line = {"start": (1.0, y), "end": (3.0, y)}
     assert_block(profile(file, resolution=0.05, unit="mm", rows=rows, **line), 0.02)
     other = {"start": (1.0, -y), "end": (3.0, -y)}
-    with pytest.raises(TerrainError, match=r"\(1\.0, .*\) lies outside of the map.* to 4\.00 m"):
+    with pytest.raises(TerrainError, match=r"\(1\.0, .*\) lies outside the map.* to 4\.00 m"):
         profile(file, resolution=0.05, rows=rows, **other)
 
 
@@ -112,7 +112,7 @@ def test_a_geotiff_contains_its_frame(tmp_path: Path) -> None:
     unknown = {"start": (500_001.0, 3_999_999.95), "end": (500_003.0, 3_999_999.95)}
     with pytest.raises(TerrainError, match="no height is known along the line"):
         profile(file, **unknown)
-    with pytest.raises(TerrainError, match="a resolution must not be stated"):
+    with pytest.raises(TerrainError, match="a resolution must not be set"):
         profile(file, resolution=0.05, **line)
 
 
@@ -123,7 +123,7 @@ def test_degrees_and_an_unknown_frame_are_refused(tmp_path: Path) -> None:
         profile(file, **LINE)
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         write_tiff(tmp_path / "bare.tif", np.zeros((50, 50)), transform=Affine.identity())
-    with pytest.raises(TerrainError, match="state the resolution"):
+    with pytest.raises(TerrainError, match="set the resolution"):
         profile(tmp_path / "bare.tif", **LINE)
     assert profile(tmp_path / "bare.tif", resolution=0.1, **LINE).end == pytest.approx(2.0)
 
@@ -178,7 +178,7 @@ def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
         ("bad.csv", "x;z\n0;0\n1.234,5;0\n", "line 3: x and z must be numbers"),
         ("bad.csv", "x,z,x\n0,0,0\n", "columns x and z is needed; it has ['x', 'z', 'x']"),
         ("bad.csv", "x,z\n0,0\n1e300,0\n", "it covers 1e+300 m in x"),
-        ("bad.csv", "x,z\n0\0,0\n", "it is no text"),
+        ("bad.csv", "x,z\n0\0,0\n", "it is not a text file"),
         ("bad.csv", "", "columns x and z is needed; it has []"),
         ("bad.npy", "no array", "bad.npy: "),
         ("bad.tif", "no picture", "bad.tif: "),

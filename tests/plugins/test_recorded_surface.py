@@ -126,5 +126,5 @@ def test_eval_drives_over_the_surface_in_3d_alone(tmp_path: Path) -> None:
 def test_a_profile_outside_the_map_is_one_clear_error(tmp_path: Path) -> None:
     for name, what in (("plane.npy", "map"), ("plane.stl", "mesh")):
         fields = plane(tmp_path / name)
-        with pytest.raises(ValueError, match=rf"lies outside of the {what}, which covers x from 0"):
+        with pytest.raises(ValueError, match=rf"lies outside the {what}, which covers x from 0"):
             generated(tmp_path / name, **fields, start=(1.0, 1.0), end=(1.0, 5.0))

@@ -76,8 +76,8 @@ def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
 def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> None:
     figure = terrain_figure([STEP] * 20, "step", ROBOT)
     assert len(figure.axes) == 13
-    assert figure.axes[1].get_title() == "draw 2: 2.00 × 0.30 m"
-    assert figure.get_supxlabel() == "7 more draws are not shown"
+    assert figure.axes[1].get_title() == "sample 2: 2.00 × 0.30 m"
+    assert figure.get_supxlabel() == "7 more samples are not shown"
     save(figure, tmp_path / "many.png")
 
 

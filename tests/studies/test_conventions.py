@@ -38,9 +38,9 @@ def test_a_flipped_pitch_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(MujocoWorld, "pitch", property(lambda self: -pitch(self)))
     assert wrong(probe_world(IN_3D)) == [
         "pitch, front flippers pressed down",
-        "pitch rate meanwhile (front)",
+        "pitch rate, front flippers pressed down",
         "pitch, rear flippers pressed down",
-        "pitch rate meanwhile (rear)",
+        "pitch rate, rear flippers pressed down",
         "pitch on a ramp up of 15°, nose up",
     ]
 
@@ -91,7 +91,7 @@ def test_an_export_s_actions_and_period_are_compared() -> None:
     interface.observation = names[::-1]
     assert wrong(probe_export(interface, robot, "policy.onnx")) == [
         "turn of the rear pair by action 0",
-        "largest target, both ways",
+        "largest target, in both directions",
         "distance between target and angle",
         "time between two actions",
         "order of the angles: front, rear, pitch",
@@ -122,13 +122,13 @@ def test_the_robot_and_the_observation_of_a_file_are_probed(tmp_path: Path) -> N
     assert done.code == 0, done.err
     probes = {(p["of"], p["meaning"]): p for p in json.loads(done.out)["probes"]}
     for engine in ("sim=planar", "sim=mujoco"):
-        assert probes[engine, "x after 2 s of belts, forward"]["expected"] == 0.8
-        assert probes[engine, "z of the chassis on the level, up"]["expected"] == 0.12
+        assert probes[engine, "x after driving forward for 2 s"]["expected"] == 0.8
+        assert probes[engine, "z of the chassis on level ground, up"]["expected"] == 0.12
         # The end stop holds a pair that one action would turn further.
         assert probes[engine, "front flippers turned up by one action"]["expected"] == 0.2
     assert probes["perception=planar", "first height, behind the robot"]["expected"] == -0.12
-    assert probes["p.onnx", "largest target, both ways"]["found"] == 0.2
+    assert probes["p.onnx", "largest target, in both directions"]["found"] == 0.2
     other = call(*probe, "robot.angle_limit=0.3", cwd=tmp_path)
     assert (other.code, json.loads(other.out)["holds"]) == (1, False)
     assert "error: 1 of " in other.err
-    assert "first p.onnx: largest target, both ways is 0.200 rad; 0.300" in other.err
+    assert "first p.onnx: largest target, in both directions is 0.200 rad; 0.300" in other.err

@@ -10,8 +10,8 @@ from flipperctl.config import EnvConfig, EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.source import PolicySource
-from flipperctl.studies.engines import _drive as drive
 from flipperctl.studies.engines import _episode as episode
+from flipperctl.studies.engines import _play as drive
 from flipperctl.studies.engines import compare_engines, in_default_engine
 
 OKADA = PolicySource.of_plugin("okada", "--controller")
@@ -40,7 +40,7 @@ def test_friction_and_gravity_are_shared_and_the_rest_is_not() -> None:
     plane = in_default_engine(config("step", friction=0.5, gravity=3.7, substep=0.0025))
     assert plane.sim.plugin_name == "planar"
     assert (plane.sim.friction, plane.sim.gravity, plane.sim.substep) == (0.5, 3.7, 0.005)
-    with pytest.raises(ConfigError, match="sim=planar is what the other engine is compared with"):
+    with pytest.raises(ConfigError, match="sim=planar is the engine to compare with"):
         in_default_engine(plane)
 
 

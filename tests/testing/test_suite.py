@@ -185,7 +185,11 @@ def driving(act: Callable[[api.Perception], object]) -> type[Controller]:
     [
         ("actions", lambda p: 9 if p.pitch > 0.2 else 4, ["returned 9", "0 to 8"]),
         ("actions", lambda p: np.float64(4), ["4.0"]),
-        ("repeats", lambda p: int(np.random.default_rng().integers(9)), ["only from p.rng"]),
+        (
+            "repeats",
+            lambda p: int(np.random.default_rng().integers(9)),
+            ["random numbers from p.rng"],
+        ),
         ("in time", lambda p: 4, ["1.00 s", "after 0.6 s"]),
     ],
 )
@@ -277,7 +281,7 @@ def sensing(instrument: type[api.Instrument], estimator: type[Level]) -> type[ap
     [
         ("samples", Loose, Level, ["'counter' returned [3]", "frozen dataclass"]),
         ("repeats", Drawn, Level, ["unequal perceptions"]),
-        ("returns", Counter, Level, ["after its snapshot was loaded", "save and load"]),
+        ("returns", Counter, Level, ["after its snapshot is loaded", "save and load"]),
         ("portable", Counter, Contract, ["Contract uses flipperctl.api;", "numpy"]),
     ],
 )
@@ -306,7 +310,11 @@ def described(**field: object) -> type[Terrain]:
     [
         ("documented", {"ge": 0, "le": 1, "description": "height"}, ["'height'", "unit", "[m]"]),
         ("documented", {"ge": 0, "description": "height [m]"}, ["'height'", "le= or lt="]),
-        ("checkpoint", {"ge": 0, "le": 1, "exclude": True}, ["height=0", "not the same"]),
+        (
+            "checkpoint",
+            {"ge": 0, "le": 1, "exclude": True},
+            ["height=0", "changes in a checkpoint"],
+        ),
         ("checkpoint", {"gt": 0.2, "le": 1}, ["with its defaults: height", "greater than 0.2"]),
     ],
 )

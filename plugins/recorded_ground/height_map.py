@@ -33,7 +33,7 @@ class HeightMap:
     to_cell: FloatArray
     """Affine map (2, 3): (row, column) = to_cell · (x, y, 1); integers are cell centres."""
     heights: Callable[[Part], tuple[FloatArray, str]]
-    """Reads the heights of a part of the grid [m], NaN where unknown, and a remark on those."""
+    """Returns the heights of a part of the grid [m], NaN where unknown, and a remark on those."""
 
     @property
     def extent(self) -> FloatArray:
@@ -54,11 +54,11 @@ class HeightMap:
         last = np.array(self.shape) - 1
         for end, cell in ((line.start, cells[0]), (line.end, cells[-1])):
             if not ((cell >= -1e-6) & (cell <= last + 1e-6)).all():
-                raise ValueError(f"{end} lies outside of the map, which covers {self._extent()}")
+                raise ValueError(f"{end} lies outside the map, which covers {self._extent()}")
         return self._at(cells, line)
 
     def beside(self, line: Line, along: FloatArray, left: FloatArray) -> FloatArray:
-        """Return the heights on a grid, (A, L) [m]; NaN where unknown and outside of the map.
+        """Return the heights on a grid, (A, L) [m]; NaN where unknown or outside the map.
 
         ``along``, (A,), are distances from the line's start in its direction and ``left``, (L,),
         distances to its left [m].
@@ -77,7 +77,7 @@ class HeightMap:
         return found.reshape(len(along), len(left))
 
     def _at(self, cells: FloatArray, line: Line) -> tuple[FloatArray, str]:
-        """Return the heights at places in the grid, (P, 2) of row and column, along a line."""
+        """Return the heights at cells (P, 2), fractional row and column; errors name the line."""
         last = np.array(self.shape) - 1
         cells = np.clip(cells, 0, last)
         low = np.minimum(cells.astype(int), np.maximum(last - 1, 0))
@@ -118,7 +118,7 @@ def read_npy(
     """Return a map whose cell [0, 0] lies at (0, 0), with columns along x and rows along y.
 
     ``resolution`` is the size of a cell [m] and ``unit`` the unit of the heights [m]. With ``rows``
-    of -1 the rows run against y, as in images. ``no_data`` stands for unknown heights, in the
+    of -1 the rows run against y, as in images. ``no_data`` marks unknown heights, in the
     file's unit.
 
     Raises:
@@ -136,7 +136,7 @@ def read_npy(
         found, remark = without_missing(np.asarray(grid[part], dtype=np.float64), no_data)
         return found * unit, remark
 
-    return HeightMap(shape, _stated(resolution, rows), heights)
+    return HeightMap(shape, _cells_from_resolution(resolution, rows), heights)
 
 
 def read_geotiff(
@@ -144,8 +144,8 @@ def read_geotiff(
 ) -> HeightMap:
     """Return a map of the file's first band, in the file's own frame.
 
-    A file without a frame needs a ``resolution`` [m], as an NPY file does. Beside ``no_data``, the
-    value that the file itself states stands for unknown heights, and its mask.
+    A file without a frame needs a ``resolution`` [m], as an NPY file does. Besides ``no_data``, the
+    value that the file itself states and its mask mark unknown heights.
 
     Raises:
         ValueError: the coordinates are degrees, or the frame is stated twice or not at all.
@@ -161,9 +161,9 @@ def read_geotiff(
         return found * unit, remark
 
     if transform.is_identity:
-        return HeightMap(shape, _stated(resolution, rows), heights)
+        return HeightMap(shape, _cells_from_resolution(resolution, rows), heights)
     if resolution is not None:
-        raise ValueError("the file says where its cells lie; a resolution must not be stated too")
+        raise ValueError("the file states where its cells lie; a resolution must not be set too")
     if crs is not None and crs.is_geographic:
         raise ValueError("its coordinates are degrees; project it to metres, as gdalwarp does")
     metres = crs.linear_units_factor[1] if crs is not None else 1.0
@@ -184,7 +184,7 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
 
 
-def _stated(resolution: float | None, rows: int) -> FloatArray:
+def _cells_from_resolution(resolution: float | None, rows: int) -> FloatArray:
     if resolution is None:
-        raise ValueError("it does not say how large its cells are; state the resolution")
+        raise ValueError("it does not state the size of its cells; set the resolution")
     return np.array([[0.0, rows / resolution, 0.0], [1.0 / resolution, 0.0, 0.0]])

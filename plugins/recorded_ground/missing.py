@@ -8,15 +8,15 @@ import numpy as np
 from flipperctl.api import FloatArray
 
 TYPICAL = (-9999.0, -99999.0, -32767.0, -32768.0)
-"""Values that programs for maps write where no height is known [the file's unit]."""
+"""Values that mapping programs write for unknown heights [the file's unit]."""
 _HUGE = 1e20
-"""Absolute value from which on a number is no height, such as 1e20 and 3.4e38 [the file's unit]."""
+"""Smallest absolute value that is no height, such as 1e20 and 3.4e38 [the file's unit]."""
 
 
 def without_missing(values: FloatArray, stated: float | None = None) -> tuple[FloatArray, str]:
-    """Return the values with NaN for those that are missing, and a remark on unstated ones.
+    """Return the values with NaN for missing ones, and a remark on those found unstated.
 
-    A ``stated`` value is missing as well as the typical ones; without these, the remark is empty.
+    Besides ``stated``, typical and huge values are missing; without these the remark is empty.
     """
     if stated is not None:
         values = np.where(values == np.float64(stated), np.nan, values)
@@ -24,5 +24,5 @@ def without_missing(values: FloatArray, stated: float | None = None) -> tuple[Fl
     if not found.any():
         return values, ""
     first = values[found].ravel()[0]
-    remark = f"{int(found.sum())} values such as {first:g} are taken for unknown heights"
+    remark = f"{int(found.sum())} values such as {first:g} are treated as unknown heights"
     return np.where(found, np.nan, values), remark

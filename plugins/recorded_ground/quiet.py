@@ -1,6 +1,6 @@
-"""What readers of files write to stderr or warn of, turned into errors or left out.
+"""Turn the warnings of file readers into errors and silence their logs.
 
-In: code that reads a file. Out: its errors alone.
+In: code that reads a file. Out: only its errors.
 """
 
 import logging
@@ -11,9 +11,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Make readers report faults as errors: raise their warnings and silence their logs.
+    """Raise the warnings of readers as errors and silence their logs.
 
-    A logger with a handler of its own does not write to stderr.
+    A logger that has a handler does not write to stderr.
     """
     for name in ("rasterio", "trimesh"):
         logger = logging.getLogger(name)

@@ -1,4 +1,4 @@
-"""The recorded ground beside a line, read when it is first asked for.
+"""The recorded ground beside a line, read on first use.
 
 In: a function that reads heights. Out: a ``Surface`` that remembers the heights it read last.
 """
@@ -11,7 +11,7 @@ from flipperctl.api import FloatArray, Surface
 
 
 class RecordedSurface(Surface):
-    """Heights from a file; each episode asks for the same ones, so that it is read once."""
+    """Heights from a file, read once, since each episode asks for the same ones."""
 
     def __init__(self, x: FloatArray, read: Callable[[FloatArray], FloatArray]) -> None:
         """Read heights (X, Y) at ``x`` (X,) and the asked y (Y,) by ``read`` [m]."""

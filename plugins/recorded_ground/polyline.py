@@ -13,11 +13,11 @@ from .missing import without_missing
 from .text import read_lines
 
 _DELIMITERS = ";\t,"
-"""In order of precedence: a comma may be the decimal sign if another one separates the columns."""
+"""Delimiters by precedence; a comma may be the decimal sign if another separates the columns."""
 _COMMENTS = ("#", "//")
 """Beginnings of lines that are comments."""
 _LARGE = 1 << 20
-"""Smallest size of a file that numpy's compiled reader tries to read first [bytes]."""
+"""Smallest size of a file that numpy's compiled reader tries first [bytes]."""
 
 
 def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, str]:
@@ -46,7 +46,7 @@ def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, str]:
 
 
 def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return x and z of each line, (R, 2), NaN where it says so, and the lines' numbers, (R,)."""
+    """Return x and z of each line, (R, 2), which may be NaN, and the lines' numbers, (R,)."""
     lines = read_lines(path)
     texts = [
         (number, line)
@@ -63,7 +63,7 @@ def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
         )
         rows = list(parsed)
     except csv.Error as error:
-        raise ValueError(f"it is no CSV: {error}") from error
+        raise ValueError(f"it is not a CSV file: {error}") from error
     columns = [name.strip().lower() for name in rows[0]] if rows else []
     if columns.count("x") != 1 or columns.count("z") != 1:
         raise ValueError(f"a header with columns x and z is needed; it has {columns}")
@@ -88,11 +88,11 @@ def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
 def _point(
     row: list[str], number: int, columns: int, places: tuple[int, int], delimiter: str
 ) -> tuple[float, float]:
-    """Return x and z of a line, NaN where it says so."""
+    """Return x and z of a line, which may be NaN."""
     if len(row) > columns and any(text.strip() for text in row[columns:]):
         raise ValueError(
             f"line {number}: it has {len(row)} values for {columns} columns; where the "
-            "decimal sign is a comma, semicolons must part the columns"
+            "decimal sign is a comma, semicolons must separate the columns"
         )
     found = tuple(row[at] if at < len(row) else "" for at in places)
     x, z = (_number(text, delimiter) for text in found)
@@ -104,7 +104,7 @@ def _point(
 def _check_gaps(
     x: FloatArray, known: NDArray[np.bool_], numbers: NDArray[np.int64], largest: float
 ) -> None:
-    """Refuse unknown lines over more than the largest gap between points that are known."""
+    """Raise if known points with unknown ones between them are more than ``largest`` apart."""
     at = np.flatnonzero(known)
     gaps = np.diff(x[at])
     wide = (np.diff(at) > 1) & (gaps > largest)
@@ -118,7 +118,7 @@ def _check_gaps(
 
 
 def _number(text: str, delimiter: str) -> float | None:
-    """Return the number that ``text`` spells, NaN included, or None if it is infinite or none."""
+    """Return the number in ``text``, which may be NaN, or None if it is infinite or no number."""
     if delimiter != "," and "." not in text:
         text = text.replace(",", ".")
     try:
@@ -129,7 +129,7 @@ def _number(text: str, delimiter: str) -> float | None:
 
 
 def _compiled(path: Path) -> FloatArray | None:
-    """Return the points of ``_rows`` for a plain table, or None where that must read the file.
+    """Return the points of ``_rows`` for a plain table, or None if ``_rows`` must read it.
 
     For plain tables this takes a fifth of the time and a tenth of the memory. Faulty files give
     None, so that ``read_csv`` names their first wrong line.

@@ -1,4 +1,4 @@
-"""Remarks on ground that a wrong unit or frame would explain.
+"""Remarks on recorded ground that a wrong unit or frame may explain.
 
 In: extents and a profile [m]. Out: sentences for the user.
 """
@@ -18,7 +18,7 @@ _SMALL = 0.1
 _HIGH = 1.0
 """Height of a vertical face above which the unit may be wrong [m]."""
 _STEEP = 5.0
-"""Slope from which on sampled ground is a vertical face: 79° [-]."""
+"""Smallest slope at which sampled ground counts as a vertical face: 79° [-]."""
 
 
 def remarks_on_extent(extent: FloatArray, what: str, remedy: str) -> Iterator[str]:
@@ -42,9 +42,9 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
 
 
 def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
-    """Yield what was done where surfaces lie above each other, at places along the line, (D,)."""
+    """Yield remarks on surfaces above each other at places along the line, (D,)."""
     covered, doubtful = ground.covered, ground.doubtful
-    # At a single place, two sheets that form a step meet.
+    # Single places are left out: there, two sheets that form a step meet.
     same = np.append(ground.raised[1:] & ground.raised[:-1], False)
     raised = same | np.roll(same, 1)
     if covered.any():
@@ -66,12 +66,12 @@ def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
     if doubtful.any() and not choice.highest:
         yield (
             f"at {int(doubtful.sum())} of {len(doubtful)} places along the line a face may lie in "
-            "a body that is not closed; it is not taken for ground"
+            "a body that is not closed; it is not used as ground"
         )
 
 
 def remarks_on_missing(heights: FloatArray) -> Iterator[str]:
-    """Yield at how many places along the line a map's heights, (D,) [m], are unknown (NaN)."""
+    """Yield a remark if heights of a map along the line, (D,) [m], are unknown (NaN)."""
     if count := int(np.isnan(heights).sum()):
         yield (
             f"heights are missing at {count} of {len(heights)} places along the line; they are "

@@ -1,4 +1,4 @@
-"""Text files of any origin, with byte order marks, Windows encodings and any line ends.
+"""Read text files with byte order marks, Windows encodings and any line ends.
 
 In: a file. Out: its lines.
 """
@@ -26,4 +26,4 @@ def read_lines(path: Path) -> list[str]:
             continue
         if "\0" not in text:
             return text.splitlines()
-    raise ValueError("it is no text; it holds binary data")
+    raise ValueError("it is not a text file; it holds binary data")

@@ -1,4 +1,4 @@
-"""Which of the surfaces that lie above each other is the ground that a robot drives on.
+"""Choose the ground that a robot drives on among surfaces that lie above each other.
 
 In: the heights at which vertical lines through places cross a mesh, or the points of a cloud above
 each place. Out: the ground's height at each place [m], NaN without one.
@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray
 
 _SAME = 1e-4
-"""Faces of one place nearer than this are one sheet with two sides [m]."""
+"""Distance below which faces of one place are the two sides of one sheet [m]."""
 _ROUNDING = 1e-9
-"""By how much free height may fall short of the headroom: 0.7 - 0.2 is less than 0.5 [m]."""
+"""Allowed shortfall of free height from the headroom, since 0.7 - 0.2 rounds below 0.5 [m]."""
 _CEILING = 0.05
-"""By how much a ceiling may lie lower over a hole than beside it [m]."""
+"""Height by which a ceiling may lie lower over a hole than beside it [m]."""
 _SHARE = 0.1
-"""Smallest share of a place's points that is a layer and no stray points [-]."""
+"""Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What decides between layers."""
+    """The rule that chooses the ground among layers."""
 
     headroom: float
     """Free height above the ground that the robot needs [m]."""
@@ -40,7 +40,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where vertical lines cross faces; each array is (K,)."""
+    """Crossings of vertical lines with faces; each array is (K,)."""
 
     place: NDArray[np.int64]
     """Index of the vertical line [-]."""
@@ -50,9 +50,9 @@ class Crossings:
     """Whether the face looks up there."""
 
     def ascending(self) -> "Crossings":
-        """Return the crossings by place and height; one that several faces share is one.
+        """Return the crossings sorted by place and height; those of coinciding faces are merged.
 
-        The two sides of a sheet follow as its bottom and its top.
+        The two sides of a sheet are its bottom and then its top.
         """
         order = np.lexsort((self.height + _SAME * self.front, self.place))
         place, height, front = self.place[order], self.height[order], self.front[order]
@@ -71,7 +71,7 @@ class Ground:
     covered: NDArray[np.bool_]
     """Whether another surface lies above the lowest layer, (P,)."""
     behind: NDArray[np.bool_]
-    """Whether the highest face is seen from behind from above, (P,)."""
+    """Whether the highest face looks down, so that its back is seen from above, (P,)."""
     doubtful: NDArray[np.bool_]
     """Whether a face with room above it may lie in a body that is not closed, (P,)."""
     raised: NDArray[np.bool_]
@@ -105,7 +105,7 @@ class Ground:
 def _holes(
     height: FloatArray, above: FloatArray, underside: FloatArray, along: FloatArray, choice: Choice
 ) -> Iterator[slice]:
-    """Yield the places of a row, (A,), over which nothing but the ceiling of both ends lies."""
+    """Yield the holes of a row, (A,): places below only the ceiling that both neighbours have."""
     known = np.isfinite(height)
     floor = known & np.isfinite(above)
     # A place below a ceiling is followed by that ceiling, or by places without any face.
@@ -138,7 +138,7 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     layer = roomy & ~inside
     result = np.full(places, -np.inf if choice.highest else np.inf)
     (np.maximum if choice.highest else np.minimum).at(result, place[layer], height[layer])
-    if choice.highest:  # what is seen from behind from above is open
+    if choice.highest:  # a place whose top shows its back is open
         top = np.full(places, -np.inf)
         np.maximum.at(top, place, height)
         result = np.where(result >= top - _SAME, result, np.nan)
@@ -173,7 +173,7 @@ def _bodies_above(found: Crossings) -> NDArray[np.int64]:
     group = np.cumsum(begins)
     total = np.cumsum(step)
     base = (total - step)[begins][group - 1]
-    # A body ends only if it began: the sum is reflected at zero, for each place by itself.
+    # A body ends only if it began: the sum is reflected at zero, separately for each place.
     shift = group * (2 * len(step) + 1)
     lowest = np.minimum.accumulate(np.minimum(total, base) - shift) + shift
     after = total - lowest
@@ -196,7 +196,7 @@ def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, fl
     """Return the heights of one place's points, (K,) [m], that are its ground.
 
     Also returns the height of what lies above the lowest layer, which is infinite if nothing does.
-    Stray points are a layer of none.
+    Stray points belong to no layer.
     """
     ordered = np.sort(heights)
     apart = np.diff(ordered) > choice.headroom - _ROUNDING

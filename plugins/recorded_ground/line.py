@@ -70,7 +70,7 @@ class Line:
         return np.column_stack([self.distances, self.bridged(heights, largest_gap)])
 
     def bridged(self, heights: FloatArray, largest_gap: float) -> FloatArray:
-        """Return heights (D,) [m] with gaps of up to ``largest_gap`` [m] filled; NaN in others."""
+        """Return heights (D,) [m] with gaps up to ``largest_gap`` [m] filled; others stay NaN."""
         known = np.isfinite(heights)
         if not known.any():
             return heights

@@ -1,4 +1,4 @@
-"""Meshes of triangles, seen from straight above.
+"""Triangle meshes, seen from straight above.
 
 In: STL, OBJ and DAE files in any frame with an axis that points up. Out: heights of the ground
 along and beside a line, in the frame with x and y level and z up [m].
@@ -19,13 +19,13 @@ from .layers import Choice, Crossings, Ground, ground_of_faces
 from .line import Line
 
 BYTES_PER_FACE = 500
-"""A file with more bytes for each allowed face is refused before it is read; texts need 300."""
+"""Bytes per allowed face above which a file is refused unread; text formats need 300."""
 _EDGE = 1e-4
-"""By how much an end of the line may lie outside of the mesh [m]."""
+"""Distance by which an end of the line may lie outside the mesh [m]."""
 _INSIDE = 1e-9
-"""By how much a place may lie outside of a triangle that it belongs to, as a fraction [-]."""
+"""Fraction by which a place may lie outside a triangle that it belongs to [-]."""
 _AT_ONCE = 1_000_000
-"""Pairs of a place and a triangle around it that are computed at once, which takes 100 MB."""
+"""Number of pairs of a place and a triangle that are computed at once, in 100 MB."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +47,20 @@ class Mesh:
         """Return the ground at the line's points; its heights are NaN where the mesh is open.
 
         Raises:
-            ValueError: an end of the line lies outside of the mesh, or it is inside out.
+            ValueError: an end of the line lies outside the mesh, or the mesh is inside out.
         """
         low, high = self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
         for end in (line.start, line.end):
             if not ((end >= low[:2] - _EDGE) & (end <= high[:2] + _EDGE)).all():
                 raise ValueError(
-                    f"{end} lies outside of the mesh, which covers x from {low[0]:.2f} to "
+                    f"{end} lies outside the mesh, which covers x from {low[0]:.2f} to "
                     f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m"
                 )
         ground = self._ground(line, line.distances, np.zeros(1))
         if ground.behind.any() and self._is_inside_out():
             raise ValueError(
-                "the mesh is inside out: it is closed and its faces look inward; turn its normals "
-                "round, or cut the ceiling off if it is a room"
+                "the mesh is inside out: it is closed and its faces look inward; flip its normals, "
+                "or cut the ceiling off if it is a room"
             )
         return ground
 
@@ -113,10 +113,10 @@ def _covered(
     parts = np.cumsum((rows * columns)[used]) // _AT_ONCE
     for part in np.split(used, np.flatnonzero(np.diff(parts)) + 1):
         counts = rows[part] * columns[part]
-        of = np.repeat(part, counts)  # the triangle of each pair
-        place = np.arange(len(of)) - np.repeat(np.cumsum(counts) - counts, counts)
-        i, j = row[of] + place // columns[of], column[of] + place % columns[of]
-        a, b, c = (triangles[of, corner] for corner in range(3))
+        owner = np.repeat(part, counts)  # triangle of each pair
+        place = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        i, j = row[owner] + place // columns[owner], column[owner] + place % columns[owner]
+        a, b, c = (triangles[owner, corner] for corner in range(3))
         at = np.column_stack([along[i], left[j]]) - a[:, :2]
         ab, ac = b - a, c - a
         area = _cross(ab, ac)
@@ -133,7 +133,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def read_mesh(path: Path, unit: float, up: str, most: int, choice: Choice) -> Mesh:
-    """Return a file's triangles; ``unit`` [m] and ``up`` are the file's, unless it is a DAE.
+    """Return a file's triangles; a DAE states its own ``unit`` [m] and ``up``.
 
     Raises:
         ValueError: it has no faces, more than ``most``, or a coordinate that is not finite.
@@ -166,7 +166,7 @@ def _dae_frame(path: Path) -> tuple[float, str]:
     """Return the unit [m] and the axis that points up, which a DAE file states.
 
     Raises:
-        ValueError: it states another unit or axis than there are.
+        ValueError: the unit is not positive and finite, or the axis is unknown.
     """
     import collada
 

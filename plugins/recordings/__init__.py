@@ -1,1 +1,0 @@
-"""Readers for recorded ground; they know no terrain plugin and use no randomness."""
