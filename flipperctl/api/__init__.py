@@ -35,6 +35,7 @@ from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
 from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
+from flipperctl.api.profile import Profile
 from flipperctl.api.rewards import RewardTerm, Shaping, reward
 from flipperctl.api.robot import Robot
 from flipperctl.api.sensors import (
@@ -52,7 +53,6 @@ from flipperctl.api.values import (
     ObservationLayout,
     Outcome,
     Perception,
-    Profile,
     RobotGeometry,
     RobotState,
     Settings,

@@ -8,13 +8,8 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import (
-    Outcome,
-    Perception,
-    Profile,
-    RobotGeometry,
-    RobotState,
-)
+from flipperctl.api.profile import Profile
+from flipperctl.api.values import Outcome, Perception, RobotGeometry, RobotState
 from flipperctl.core.arrays import FloatArray
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
+from flipperctl.api.profile import Profile
 from flipperctl.api.robot import Robot
-from flipperctl.api.values import Outcome, Profile, RobotState
+from flipperctl.api.values import Outcome, RobotState
 from flipperctl.core.arrays import FloatArray
 
 SAMPLE_PERIOD = 0.01

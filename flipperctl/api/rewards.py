@@ -10,7 +10,8 @@ from typing import ClassVar, TypeVar
 from pydantic import Field
 
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import Profile, RobotGeometry, RobotState, Transition
+from flipperctl.api.profile import Profile
+from flipperctl.api.values import RobotGeometry, RobotState, Transition
 
 
 class RewardTerm(Plugin, ABC):

@@ -18,7 +18,8 @@ from pydantic import Field
 
 from flipperctl.api.engines import RayWorld
 from flipperctl.api.plugin import Plugin, register
-from flipperctl.api.values import ObservationLayout, Profile, RobotGeometry, RobotState
+from flipperctl.api.profile import Profile
+from flipperctl.api.values import ObservationLayout, RobotGeometry, RobotState
 from flipperctl.core.sensing import Estimator, SensedAngles, SensedGround
 
 

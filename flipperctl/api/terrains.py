@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, PlainSerializer, SerializationInfo
 from pydantic_core import PydanticCustomError
 
 from flipperctl.api.plugin import Plugin, mapping, register, registered_names, selected
-from flipperctl.api.values import Profile
+from flipperctl.api.profile import Profile
 
 
 class Terrain(Plugin, ABC):

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from flipperctl.api.surface import Surface
+from flipperctl.api.profile import Profile
 from flipperctl.core import observation
 from flipperctl.core.actions import PAIRS, ActionTable
 from flipperctl.core.arrays import FloatArray
@@ -94,99 +91,6 @@ class RobotGeometry(Settings):
     def clip(self, angle: float) -> float:
         """Return the angle limited to the range of the flippers [rad]."""
         return min(self.angle_limit, max(-self.angle_limit, angle))
-
-
-@dataclass(frozen=True)
-class Profile:
-    """The obstacle in the robot's side plane, from its first edge to its last.
-
-    ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
-    The ground is level before the first point and past the last. ``label`` names the generated
-    terrain in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground
-    beside the line, if it is known; without it, the profile is extruded to both sides.
-
-    Raises:
-        ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
-    """
-
-    points: FloatArray
-    label: str = ""
-    surface: Surface | None = None
-
-    def __init__(
-        self,
-        points: ArrayLike | Sequence[tuple[float, float]],
-        label: str = "",
-        surface: Surface | None = None,
-    ) -> None:
-        array = np.array(points, dtype=np.float64)
-        if array.size == 0:
-            raise ValueError("a profile needs at least one point; it is empty")
-        if array.ndim != 2 or array.shape[1] != 2:
-            raise ValueError(f"a profile is (V, 2) points of x and z; the shape is {array.shape}")
-        if not np.isfinite(array).all():
-            bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
-            raise ValueError(f"profile point {bad} is not finite: {tuple(array[bad].tolist())}")
-        drops = np.flatnonzero(np.diff(array[:, 0]) < 0)
-        if drops.size:
-            i = int(drops[0])
-            raise ValueError(
-                f"x decreases from {array[i, 0]:g} to {array[i + 1, 0]:g} m "
-                f"between profile points {i} and {i + 1}; it must never decrease"
-            )
-        array.setflags(write=False)
-        object.__setattr__(self, "points", array)
-        object.__setattr__(self, "label", label)
-        object.__setattr__(self, "surface", surface)
-
-    @property
-    def start(self) -> float:
-        """World x of the first edge [m]."""
-        return float(self.points[0, 0])
-
-    @property
-    def end(self) -> float:
-        """World x of the last edge [m]."""
-        return float(self.points[-1, 0])
-
-    def extended(self, before: float, after: float) -> FloatArray:
-        """Return the polyline with level ground of these lengths added, (V + 2, 2) [m]."""
-        first, last = self.points[0], self.points[-1]
-        return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + after, last[1]]])
-
-    def height(self, x: float) -> float:
-        """Return the height of the ground at x, at a vertical face that of its top [m]."""
-        points = self.points
-        right = int(np.searchsorted(points[:, 0], x, side="right"))
-        left = int(np.searchsorted(points[:, 0], x, side="left"))
-        if left < right:
-            return float(points[left:right, 1].max())
-        if right == 0 or right == len(points):
-            return float(points[0 if right == 0 else -1, 1])
-        (x0, z0), (x1, z1) = points[right - 1], points[right]
-        return float(z0 + (z1 - z0) * (x - x0) / (x1 - x0))
-
-    def sample(self, spacing: float, margin: float) -> FloatArray:
-        """Return points along the outline, vertical faces included, (P, 2) in world [m].
-
-        The points are ``spacing`` [m] apart and their x never decreases; ``margin`` [m] of level
-        ground is added on both sides.
-        """
-        line = self.extended(margin, margin)
-        lengths = np.hypot(*np.diff(line, axis=0).T)  # (V + 1,) [m]
-        along = np.concatenate([[0.0], np.cumsum(lengths)])
-        at = np.arange(0.0, along[-1], spacing)
-        return np.column_stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])])
-
-    @cached_property
-    def cloud(self) -> FloatArray:
-        """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
-        return self.sample(0.02, 3.0)
-
-    def around(self, x: float, reach: float) -> FloatArray:
-        """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""
-        along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
-        return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
 
 
 class Outcome(StrEnum):

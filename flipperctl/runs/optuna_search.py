@@ -28,7 +28,7 @@ from flipperctl.runs.follow_up import command
 from flipperctl.runs.search import SearchSettings
 from flipperctl.runs.sweep import JobResult, Sweep
 from flipperctl.runs.trial_owner import claim, signs_of_life
-from flipperctl.runs.trials import FAILED, fail_abandoned, finished, running, stop, suggest
+from flipperctl.runs.trials import FAILED, begun, fail_abandoned, finished, running, stop, suggest
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -121,7 +121,7 @@ class OptunaSearch:
         study = self.study
         trial = study.ask()
         claim(trial)
-        place = sum(t.number < trial.number for t in [*finished(study), *running(study)])
+        place = sum(t.number < trial.number for t in begun(study))
         if place >= self.settings.n_trials:
             stop(study, trial.number)
             return None

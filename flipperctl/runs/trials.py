@@ -17,17 +17,29 @@ FAILED: Final = "failed"
 
 def finished(study: Study) -> list[FrozenTrial]:
     """Return the trials that count: those trained to the end, and those whose training failed."""
-    return [
-        trial
-        for trial in study.get_trials(deepcopy=False)
-        if trial.value is not None or FAILED in trial.user_attrs
-    ]
+    return [trial for trial in study.get_trials(deepcopy=False) if _counts(trial)]
 
 
 def running(study: Study) -> list[FrozenTrial]:
     """Return the trials on which a process works."""
+    return [trial for trial in study.get_trials(deepcopy=False) if _runs(trial)]
+
+
+def begun(study: Study) -> list[FrozenTrial]:
+    """Return the trials that count or run, all as of one instant.
+
+    Between two readings a trial may finish, which would then be in neither or in both.
+    """
     trials = study.get_trials(deepcopy=False)
-    return [trial for trial in trials if not trial.state.is_finished() and is_owned(trial)]
+    return [trial for trial in trials if _counts(trial) or _runs(trial)]
+
+
+def _counts(trial: FrozenTrial) -> bool:
+    return trial.value is not None or FAILED in trial.user_attrs
+
+
+def _runs(trial: FrozenTrial) -> bool:
+    return not trial.state.is_finished() and is_owned(trial)
 
 
 def fail_abandoned(study: Study) -> None:
