@@ -9,7 +9,11 @@ from typing import Any, Generic, TypeVar
 from pydantic import Field
 
 from flipperctl.api import Settings
-from flipperctl.config import TrainConfig, parse, with_overrides
+from flipperctl.config import TrainConfig, parse, resolver, with_overrides
+from flipperctl.errors import ConfigError
+
+SECTION = "bench."
+"""What the keys of the sizes begin with, among overrides of the training."""
 
 ENGINE_GROUNDS = ("flat", "stair", "plum", "paper_stair")
 """Terrains on which engines are timed: level ground, edges, many edges, the paper's scene."""
@@ -97,6 +101,11 @@ class Suite(Generic[Sizes]):
         """Return the default sizes, or the small ones, with ``changes`` to them.
 
         Raises:
-            ConfigError: a key or a value is not allowed.
+            ConfigError: a key or a value is not allowed, or there is no such controller.
         """
-        return with_overrides(parse(self.sizes, self.small if small else {}), changes)
+        try:
+            found = with_overrides(parse(self.sizes, self.small if small else {}), changes)
+        except ConfigError as error:
+            raise ConfigError(f"{SECTION}{error}") from error
+        resolver.get("controller", found.controller, f"{SECTION}controller")
+        return found

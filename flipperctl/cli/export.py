@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -52,9 +51,11 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
-    from flipperctl.export.policy import export
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.export.policy import export, robot_fields
     from flipperctl.files import check_writable
     from flipperctl.runs.inherited import find_policy
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.export import print_export
     from flipperctl.terminal.streams import print_note
 
@@ -64,30 +65,7 @@ def run(
     saved = checkpoints.read(file)
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
-    robot = _robot_overrides(overrides or [])
+    robot = robot_fields(Overrides.parse(overrides or ()).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
     found = export(saved, kind.value, target, robot)
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    print_export(target, saved.path, found)
-
-
-def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
-    """Return the fields of the robot that the overrides set.
-
-    Raises:
-        ConfigError: an override is malformed, or sets anything but a field of the robot.
-    """
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.errors import ConfigError
-
-    values = Overrides.parse(overrides).values()
-    for key in values:
-        section, _, field = key.partition(".")
-        if section != "robot" or not field:
-            raise ConfigError(
-                f"{key}: export takes settings of the robot alone, as in robot.angle_limit=0.9; "
-                "everything else is that of the training"
-            )
-    return {key.removeprefix("robot."): value for key, value in values.items()}
+    show(found, lambda: print_export(target, saved.path, found), as_json=as_json)

@@ -42,6 +42,12 @@ CheckpointFile = Annotated[
 ControllerName = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
 ]
+DefaultOkada = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+]
+Picture = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
+]
 Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per scene [100].")]
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]
 Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
@@ -65,3 +71,14 @@ def require_one_policy(
             f"policy, or --controller {words[0]}, if it is a controller"
         )
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
+
+    Raises:
+        RequestError: both are given.
+    """
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    return None if checkpoint else controller or "okada"

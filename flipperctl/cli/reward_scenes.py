@@ -33,7 +33,6 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
         ConfigError: an override is wrong, or drops every reward term, or the files are for
             different robots and no override says which one drives.
     """
-    config_store.register_defaults()
     robot = named_policies.common_robot(sources, overrides.typed)
     primary = config_store.register_robot(robot)
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}

@@ -29,7 +29,6 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
             its training's terrain is missing and no other terrain is chosen.
         ConfigError: an override is wrong.
     """
-    config_store.register_defaults()
     if checkpoint is None:
         resolver.get("controller", controller, "--controller")
         overrides = Overrides.parse([f"controller={controller}", *words])

@@ -75,7 +75,7 @@ def run(
 def _resume(run: Path, words: list[str]) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import TrainConfig
-    from flipperctl.errors import ConfigError, InterruptedRunError
+    from flipperctl.errors import ConfigError
     from flipperctl.runs.preflight import check_device
     from flipperctl.runs.training import resume
     from flipperctl.terminal.notices import print_notices
@@ -96,6 +96,4 @@ def _resume(run: Path, words: list[str]) -> None:
     try:
         print_best(resume(run, changes, reports(), check=check))
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
-        raise InterruptedRunError(
-            f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"
-        ) from error
+        raise follow_up.interrupted_run(run) from error

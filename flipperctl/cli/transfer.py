@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import sys
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -22,9 +19,6 @@ from flipperctl.cli.options import (
     require_one_policy,
 )
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    pass
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
@@ -73,12 +67,12 @@ def run(
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.files import write_json
     from flipperctl.report.drawn_film import film_episode
     from flipperctl.report.film import check_film
-    from flipperctl.runs.results import result_folder
+    from flipperctl.runs.results import json_result
     from flipperctl.studies.engines import in_default_engine
     from flipperctl.studies.transfer import transfer_scenes
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.transfer import print_transfer
 
@@ -89,20 +83,11 @@ def run(
     if film:
         check_film(film)
         only_one(asked)
-    with ExitStack() as stack:
-        folder = None
-        if output:
-            folder = stack.enter_context(result_folder(output, "transfer", ["transfer.json"]))
-        workers = stack.enter_context(EpisodeWorkers())
+    with json_result(output, "transfer") as write, EpisodeWorkers() as workers:
         found = transfer_scenes(asked, workers, only, episodes_progress)
         document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
-        if as_json:
-            print(json.dumps(document, indent=2))
-        else:
-            option = "--checkpoint" if checkpoint else "--controller"
-            print_transfer(found, [option, str(checkpoint or controller)], overrides or [])
-        sys.stdout.flush()
-        if folder:
-            folder.replace(lambda part: write_json(part / "transfer.json", document))
+        policy = ["--checkpoint" if checkpoint else "--controller", str(checkpoint or controller)]
+        show(document, lambda: print_transfer(found, policy, overrides or []), as_json=as_json)
+        write(document)
         if film:
             film_episode(*only_one(asked), only or 0, film)

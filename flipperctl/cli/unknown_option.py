@@ -40,7 +40,6 @@ def _settings(key: str, primary: str) -> Iterator[str]:
         yield _RUN_FOLDER[key]
         return
     plugins.load()
-    config_store.register_defaults()
     (default,) = compose_train()
     sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
     yield from paths_named(key, default, sections, config_store.CHOICES)

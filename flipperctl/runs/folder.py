@@ -20,7 +20,7 @@ from yaml import YAMLError
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import remove_partial, write_bytes
+from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
@@ -93,6 +93,13 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
 def write_config(directory: Path, config: TrainConfig) -> None:
     """Write the configuration as ``config.yaml``."""
     write_bytes(directory / CONFIG, OmegaConf.to_yaml(container(config)).encode())
+
+
+def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
+    """Write Hydra's own record of a job: a YAML file for each document, in ``.hydra``."""
+    folder = make_folder(directory / HYDRA)
+    for name, document in documents.items():
+        write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
 
 
 def _read_mapping(path: Path) -> dict[str, Any] | None:

@@ -6,9 +6,13 @@ plugins and those of ``FLIPPERCTL_PLUGINS`` are found again without being named.
 
 from __future__ import annotations
 
+import os
+import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from flipperctl.errors import InterruptedRunError
 
 _plugin_paths: list[str] = []
 
@@ -31,6 +35,24 @@ def command(*words: str | Path) -> str:
     typed = [_short(word) if isinstance(word, Path) else word for word in words]
     plugins = [part for path in _plugin_paths for part in ("--plugins", path)]
     return shlex.join(["flipperctl", *typed, *plugins])
+
+
+def interrupted_run(run: Path) -> InterruptedRunError:
+    """Return the error for a training that Ctrl-C stopped, with the command that resumes it."""
+    return InterruptedRunError(f"interrupted. Resume with: {command('train', '--resume', run)}")
+
+
+def sweep_command(folder: Path, arguments: Sequence[str]) -> str:
+    """Return the command that continues the sweep in ``folder``.
+
+    ``arguments`` are the words with which this process was started.
+    """
+    words = [word for word in arguments if word != "--multirun"]
+    if not any(word.startswith("hydra.sweep.dir=") for word in words):
+        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
+        plain = re.fullmatch(r"[\w./-]+", short) is not None
+        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
+    return command("train", "-m", *words)
 
 
 def quote_path(path: Path) -> str:

@@ -100,3 +100,17 @@ def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[Re
             raise OutputError(f"{path / name} cannot be written: it is a folder")
     with hold(make_folder(path), "results", use="in use"):
         yield ResultFolder(path, command)
+
+
+@contextmanager
+def json_result(folder: Path | None, command: str) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that writes a document as ``<command>.json``; it does nothing for None.
+
+    The folder is held meanwhile, as by ``result_folder``, which says what is raised.
+    """
+    if folder is None:
+        yield lambda document: None
+        return
+    name = f"{command}.json"
+    with result_folder(folder, command, [name]) as held:
+        yield lambda document: held.replace(lambda part: write_json(part / name, document))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.markup import escape
@@ -59,6 +60,22 @@ class Lines:
 
     def close(self) -> None:
         """Do nothing; lines need no clean-up."""
+
+
+@contextmanager
+def shown_progress(label: str) -> Iterator[Bar | Lines]:
+    """Show a bar with the time left on a terminal, occasional lines elsewhere."""
+    shown = Bar(label) if sys.stderr.isatty() else Lines(label)
+    try:
+        yield shown
+    finally:
+        shown.close()
+
+
+def print_measures(document: dict[str, Any]) -> None:
+    """Print one table per measure."""
+    for table in tables(document):
+        table.print(console())
 
 
 def tables(document: dict[str, Any]) -> Iterator[Table]:

@@ -14,8 +14,8 @@ from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
 
 
-def print_run(found: dict[str, Any]) -> None:
-    """Print a row for each validation of a run (``runs.summary.summarise``)."""
+def print_run(found: dict[str, Any], picture: Path | None) -> None:
+    """Print a row for each validation of a run (``runs.summary.summarise``), and its picture."""
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
@@ -33,6 +33,8 @@ def print_run(found: dict[str, Any]) -> None:
             f"{row['return']:.2f}",
         )
     table.print(console())
+    if picture is not None:
+        print(f"picture: {picture}")
 
 
 def _resume_command(run: Path) -> str:

@@ -5,7 +5,6 @@ In: the words of the command, Hydra's own options among them. Out: a run in each
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,17 +17,16 @@ from hydra.core.utils import env_override
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from flipperctl import plugins
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import compose_train, parse_training
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import InterruptedRunError
-from flipperctl.files import failure, make_folder, write_bytes
+from flipperctl.files import failure
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs import follow_up, preflight
+from flipperctl.runs.command_process import CommandProcess
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import holder
 from flipperctl.runs.sweep_stop import stop_of
 from flipperctl.terminal.notices import print_notices
 
@@ -47,7 +45,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     several = "--multirun" in arguments
     checked = _check([a for a in arguments if a != "--multirun"], several=several, compose=check)
     errors: list[BaseException] = []
-    job = _Job.of_this_process(checked=checked)
+    job = _Job(CommandProcess.current(), checked)
 
     def task(composed: Any) -> float | None:
         try:
@@ -56,9 +54,7 @@ def train(arguments: list[str], *, check: bool) -> None:
             if several:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
-            stopped = InterruptedRunError(
-                f"interrupted. Resume with: {follow_up.command('train', '--resume', directory)}"
-            )
+            stopped = follow_up.interrupted_run(directory)
             # Hydra would add lines of its own to what passes through it.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
@@ -119,24 +115,11 @@ def _shut_ray_down() -> None:
 
 @dataclass(frozen=True)
 class _Job:
-    """What a job needs of the command's process; a launcher's worker has an environment of its own.
+    """A job of Hydra, which a launcher may run in another process."""
 
-    A worker on a running cluster has another working directory, too.
-    """
-
-    plugins: list[str]
-    typed: list[str]
-    """The paths of ``--plugins``; ``plugins`` are those of all plugins."""
-    folder: Path
-    sweeper: dict[str, Any]
-    """The process of the command (``lock.holder``)."""
+    process: CommandProcess
     checked: bool
     """Whether the command has composed the configuration before, and printed its notices."""
-
-    @classmethod
-    def of_this_process(cls, *, checked: bool) -> _Job:
-        paths = plugins.configured_paths()
-        return cls(paths, follow_up.plugin_paths(), Path.cwd(), holder(), checked)
 
     def run(self, composed: Any) -> float | None:
         """Train what Hydra composed; return the objective of a search."""
@@ -145,10 +128,7 @@ class _Job:
         from flipperctl.terminal.training import print_best, reports
 
         settings = HydraConfig.get()
-        if not settings.job.chdir and self.folder.is_dir():
-            os.chdir(self.folder)
-        plugins.load(self.plugins)
-        follow_up.remember_plugins(self.typed)
+        self.process.restore(folder=not settings.job.chdir)
         config = parse_training(composed)
         preflight.check_device(config)
         if not self.checked:
@@ -156,7 +136,7 @@ class _Job:
         directory = Path(settings.runtime.output_dir)
         keep = _keeper(composed, directory)
         if settings.mode is RunMode.MULTIRUN:
-            stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.sweeper)
+            stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not begun")
             run = start_or_go_on(config, directory, reports(), keep_more=keep, stop=stop)
@@ -171,15 +151,12 @@ def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
 
     def keep() -> None:
         settings = HydraConfig.get()
-        if settings.output_subdir is not None:
-            return  # the user asked for them, and Hydra wrote them
-        folder = make_folder(directory / run_folder.HYDRA)
-        documents = {
-            "config": composed,
-            "hydra": OmegaConf.create({"hydra": OmegaConf.to_container(settings)}),
-            "overrides": settings.overrides.task,
-        }
-        for name, document in documents.items():
-            write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
+        if settings.output_subdir is None:  # else Hydra has written them
+            documents = {
+                "config": composed,
+                "hydra": {"hydra": OmegaConf.to_container(settings)},
+                "overrides": settings.overrides.task,
+            }
+            run_folder.write_hydra(directory, documents)
 
     return keep

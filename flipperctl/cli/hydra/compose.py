@@ -19,6 +19,7 @@ from flipperctl.cli.hydra.config_store import (
     EVAL_CHECKPOINT,
     EVAL_CONTROLLER,
     EVAL_EXPORT,
+    register_defaults,
 )
 from flipperctl.cli.hydra.errors import (
     convert_hydra_errors,
@@ -91,6 +92,7 @@ def only_one(found: Sequence[Composed]) -> Composed:
 
 def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, dict[str, Any]]]:
     """Yield each combination of the sweeps, and what it composes to."""
+    register_defaults()
     with convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
         for combination in overrides.combinations(CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:

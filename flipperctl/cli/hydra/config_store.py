@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from flipperctl.api import ObservationLayout, Robot
+from flipperctl.api import ObservationLayout, Plugin, Robot, registry
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, container
 from flipperctl.config.defaults import GROUPS, LISTS, entries, sections
 from flipperctl.config.randomise import PATH_SECTIONS
@@ -32,11 +32,17 @@ EVAL_ROBOT = "flipperctl_eval_robot"
 CHOICES = (*GROUPS, "controller", "experiment")
 """Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_registered: dict[tuple[str, str], type[Plugin]] = {}
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 
 
 def register_defaults() -> None:
-    """Put every registered plugin's and every section's defaults into the ConfigStore."""
+    """Put every registered plugin's and every section's defaults into the ConfigStore.
+
+    Do nothing if they are there already and no plugin has been registered since.
+    """
+    if _registered == registry:
+        return
     store = ConfigStore.instance()
     for group, name, node in entries():
         # Several entries of a list may be chosen; one without settings adds nothing.
@@ -44,6 +50,8 @@ def register_defaults() -> None:
         store.store(group=group, name=name, node=node, package=package)
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
+    _registered.clear()
+    _registered.update(registry)
 
 
 def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:

@@ -24,8 +24,9 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.config_store import CHOICES
-from flipperctl.cli.hydra.overrides import Overrides, unreadable
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.defaults import GROUPS, missing_entry
+from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
 
@@ -40,7 +41,7 @@ def convert_hydra_errors() -> Iterator[None]:
     except FlipperctlError:
         raise
     except OverrideParseException as error:
-        raise unreadable(error) from error
+        raise unreadable(str(error.override)) from error
     except MissingConfigException as error:
         raise missing_choice(error) from error
     except (HydraException, OmegaConfBaseException) as error:

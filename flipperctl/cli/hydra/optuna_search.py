@@ -8,6 +8,7 @@ trial after a restart.)
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,8 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.sweeps import command_to_go_on, launched_by, uses_default_naming
+from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
+from flipperctl.runs.follow_up import sweep_command
 from flipperctl.runs.optuna_search import OptunaSearch, check_settings
 from flipperctl.runs.search import SearchSettings
 from flipperctl.runs.search_space import distributions
@@ -68,7 +70,7 @@ class SearchSweep:
         search = OptunaSearch(
             *(self.settings, study, self.jobs, space, fixed),
             tell=print_note,
-            command_to_go_on=lambda: command_to_go_on(self.jobs.folder),
+            command_to_go_on=lambda: sweep_command(self.jobs.folder, sys.argv[1:]),
         )
         with self.jobs.held():
             search.run()

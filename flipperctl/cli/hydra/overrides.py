@@ -6,7 +6,6 @@ In: the words as the user typed them. Out: one ``Overrides``, which every later 
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -15,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.errors import OverrideParseException
 
-from flipperctl.config.words import check_words, quote_override
+from flipperctl.config.words import check_words, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
 
@@ -43,7 +42,7 @@ class Overrides:
         try:
             return cls(tuple(OverridesParser.create().parse_overrides(words)))
         except OverrideParseException as error:
-            raise unreadable(error) from error
+            raise unreadable(str(error.override)) from error
 
     @property
     def words(self) -> list[str]:
@@ -179,17 +178,3 @@ class Overrides:
                 probes = [f"{key}={x}" for x in (start, end, between)]
                 for probe in Overrides.parse(probes, check=False).parsed:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
-
-
-def unreadable(error: OverrideParseException) -> ConfigError:
-    """Return the error for a word that Hydra cannot parse."""
-    key, _, value = str(error.override).partition("=")
-    if re.search(r"\s[+~]*[\w./@]+=", value):
-        return ConfigError(
-            f"{error.override!r}: one word holds several overrides; leave the quotes around "
-            f"them out: {error.override}"
-        )
-    return ConfigError(
-        f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
-        f"stands, quote it: {quote_override(key, value)}"
-    )

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -118,15 +116,5 @@ class ListSweep:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Go on with: {command_to_go_on(self._jobs.folder)}"
+                    f"Go on with: {follow_up.sweep_command(self._jobs.folder, sys.argv[1:])}"
                 ) from error
-
-
-def command_to_go_on(folder: Path) -> str:
-    """Return the command that goes on with the sweep in ``folder``, which this process runs."""
-    words = [word for word in sys.argv[1:] if word != "--multirun"]
-    if not any(word.startswith("hydra.sweep.dir=") for word in words):
-        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
-        plain = re.fullmatch(r"[\w./-]+", short) is not None
-        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
-    return follow_up.command("train", "-m", *words)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -32,9 +31,8 @@ def run(
     from flipperctl import checkpoint
     from flipperctl.checkpoint.contents import contents
     from flipperctl.terminal.checkpoint import print_checkpoint
+    from flipperctl.terminal.document import show
 
     saved = checkpoint.read(checkpoint.find(path))
-    if as_json:
-        print(json.dumps(contents(saved), indent=2))
-    else:
-        print_checkpoint(contents(saved), saved)
+    found = contents(saved)
+    show(found, lambda: print_checkpoint(found, saved), as_json=as_json)

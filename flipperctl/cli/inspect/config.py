@@ -36,13 +36,12 @@ def run(
     """See HELP."""
     from omegaconf import OmegaConf
 
-    from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra import compose
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import container
     from flipperctl.config.describe import list_settings
     from flipperctl.terminal.settings import print_settings
 
-    config_store.register_defaults()
     config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
     if describe:
         (default,) = compose.compose_train()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -43,14 +42,12 @@ def run(
     """See HELP."""
     from flipperctl.studies.conventions import require_conventions
     from flipperctl.terminal.conventions import print_probes
+    from flipperctl.terminal.document import show
 
     found = _probes(list(overrides or []), checkpoint)
-    if as_json:
-        holds = all(probe.holds for probe in found)
-        document = {"holds": holds, "probes": [probe.container() for probe in found]}
-        print(json.dumps(document, indent=2))
-    else:
-        print_probes(found)
+    holds = all(probe.holds for probe in found)
+    document = {"holds": holds, "probes": [probe.container() for probe in found]}
+    show(document, lambda: print_probes(found), as_json=as_json)
     require_conventions(found)
 
 
@@ -64,7 +61,6 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
 
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
-    config_store.register_defaults()
     primary = config_store.EVAL_CONTROLLER
     if file is not None:
         own = exported_config(file)

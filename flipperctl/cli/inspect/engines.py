@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
-from flipperctl.errors import RequestError
+from flipperctl.cli.options import (
+    AsJson,
+    CheckpointFile,
+    DefaultOkada,
+    Overrides,
+    PluginPaths,
+    controller_or_okada,
+)
 
 HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
 
@@ -33,12 +37,8 @@ Settings of sim are those of the other engine; friction and gravity apply to bot
 
 def run(
     overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx.")
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
-    ] = None,
+    checkpoint: CheckpointFile = None,
+    controller: DefaultOkada = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes per scene [10].")
     ] = None,
@@ -46,15 +46,14 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
+    chosen = controller_or_okada(checkpoint, controller)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.studies.engines import compare_engines, in_default_engine
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress
 
-    chosen = None if checkpoint else controller or "okada"
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
     found = []
     asked = scenes(with_engine(arguments), checkpoint, chosen)
@@ -63,7 +62,5 @@ def run(
     for config, source in asked:
         with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
             found.append(compare_engines(config, source, report))
-    if as_json:
-        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
-    else:
-        print_engines(found)
+    document = {"scenes": [scene.container() for scene in found]}
+    show(document, lambda: print_engines(found), as_json=as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,6 +46,7 @@ def run(
     from flipperctl.config.describe import describe_plugin
     from flipperctl.errors import PluginError, RequestError
     from flipperctl.messages import close_match
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.plugins import print_plugins
 
     if output is not None and not check:
@@ -60,27 +60,17 @@ def run(
         _check([registry[key] for key in chosen], output, as_json=as_json)
         return
     found = [describe_plugin(*key) for key in chosen]
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    print_plugins(found)
+    show(found, lambda: print_plugins(found), as_json=as_json)
 
 
 def _check(plugins: list[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
-    import sys
-
-    from flipperctl.terminal.bench import Bar, Lines
+    from flipperctl.terminal.bench import shown_progress
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.plugins import print_checks
     from flipperctl.testing import checks
     from flipperctl.testing.check import require_passed, run_checks
 
-    shown = Bar("check") if sys.stderr.isatty() else Lines("check")
-    try:
-        rows = run_checks(checks(*plugins, pictures=pictures), shown)
-    finally:
-        shown.close()
-    if as_json:
-        print(json.dumps(rows, indent=2))
-    else:
-        print_checks(rows)
+    with shown_progress("check") as report:
+        rows = run_checks(checks(*plugins, pictures=pictures), report)
+    show(rows, lambda: print_checks(rows), as_json=as_json)
     require_passed(rows)

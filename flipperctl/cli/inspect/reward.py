@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import (
+    AsJson,
+    CheckpointFile,
+    DefaultOkada,
+    Overrides,
+    PluginPaths,
+    controller_or_okada,
+)
 from flipperctl.errors import RequestError
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
@@ -37,12 +42,8 @@ choose draws and processes.
 
 def run(
     overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
-    ] = None,
+    checkpoint: CheckpointFile = None,
+    controller: DefaultOkada = None,
     compare: Annotated[
         str | None,
         typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
@@ -54,8 +55,7 @@ def run(
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
+    chosen = controller_or_okada(checkpoint, controller)
     from flipperctl.config.words import with_default, with_flags
 
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
@@ -68,18 +68,15 @@ def run(
     from flipperctl.cli.scenes import scenes
     from flipperctl.studies.audit import audit
     from flipperctl.terminal.audit import print_audit
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
 
-    chosen = None if checkpoint else controller or "okada"
     config, source = only_one(scenes(arguments, checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
     count = config.eval.episodes
     with episodes_progress(label, count) as report:
         found = audit(config, source, episodes=count, report=report)
-    if as_json:
-        print(json.dumps(found.container(), indent=2))
-    else:
-        print_audit(found)
+    show(found.container(), lambda: print_audit(found), as_json=as_json)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
@@ -87,6 +84,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.studies.ranking import decide
     from flipperctl.studies.reward_comparison import compare_rewards
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.rewards import print_comparison
 
@@ -98,7 +96,5 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     with EpisodeWorkers() as workers:
         ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     found = decide(ranked)
-    if as_json:
-        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
-    else:
-        print_comparison(found)
+    document = {"scenes": [scene.container() for scene in found]}
+    show(document, lambda: print_comparison(found), as_json=as_json)

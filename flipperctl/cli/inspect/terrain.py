@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli.options import AsJson, Overrides, Picture, PluginPaths
 
 HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture with --output.
 
@@ -23,20 +21,19 @@ HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture wit
 def run(
     name: Annotated[str, typer.Argument(help="A terrain plugin.")],
     overrides: Overrides = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
-    ] = None,
+    output: Picture = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
     draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
     as_json: AsJson = False,
     plugins: PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
     from flipperctl.errors import RequestError
     from flipperctl.studies.profiles import sample
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.terrain import print_terrain
 
     for override in overrides or []:
@@ -45,9 +42,8 @@ def run(
                 f"{override}: has no effect here; --seed and --draws choose profiles"
             )
     resolver.get("terrain", name, "terrain")
-    config_store.register_defaults()
     words = [f"terrain={name}", *(overrides or [])]
-    config = compose.compose_environment(Overrides.parse(words))
+    config = compose_environment(Overrides.parse(words))
     sampled = sample(config, range(seed, seed + draws))
     rows = [row for _, row in sampled]
     if output is not None:
@@ -58,10 +54,5 @@ def run(
         profiles = [profile for profile, _ in sampled]
         title = f"{name}, {labels[0]}"
         save(terrain_figure(profiles, title, config.robot, labels), output)
-    if as_json:
-        document = {"terrain": resolver.container(config.terrain), "draws": rows}
-        print(json.dumps(document, indent=2))
-        return
-    print_terrain(name, rows)
-    if output is not None:
-        print(f"picture: {output}")
+    document = {"terrain": resolver.container(config.terrain), "draws": rows}
+    show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
