@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import AsJson, PluginPaths
-from flipperctl.errors import ConfigError, RequestError
+from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings, Sizes, Suite
@@ -60,8 +60,8 @@ def run(
     small: Small = False,
     repeats: Repeats = None,
     output: OutputFolder = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     words = arguments or []
@@ -119,7 +119,7 @@ def _inputs(suite: Suite[Sizes], words: Sequence[str], *, small: bool) -> Bench[
         ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
     """
     from flipperctl.bench.settings import SECTION, Bench
-    from flipperctl.cli.hydra.compose import compose_train
+    from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.cli.hydra.overrides import Overrides
 
     overrides = Overrides.parse(words)
@@ -127,7 +127,4 @@ def _inputs(suite: Suite[Sizes], words: Sequence[str], *, small: bool) -> Bench[
     changes = {key.removeprefix(SECTION): value for key, value in own.items()}
     settings = suite.settings(small=small, changes=changes)
     others = overrides.where(lambda key: not key.startswith(SECTION))
-    configs = compose_train(others)
-    if len(configs) > 1:
-        raise ConfigError(f"bench measures one configuration; the overrides make {len(configs)}")
-    return Bench(configs[0], settings, overrides=tuple(others.words))
+    return Bench(only_one(compose_train(others)), settings, overrides=tuple(others.words))

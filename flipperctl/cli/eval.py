@@ -8,17 +8,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    ControllerName,
-    Episodes,
-    Jobs,
-    Overrides,
-    PluginPaths,
-    Seed,
-    require_one_policy,
-)
+from flipperctl.cli import options
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
@@ -46,9 +36,9 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: ControllerName = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
     baseline: Annotated[
         str | None,
         typer.Option(
@@ -65,9 +55,9 @@ def run(
             "earlier one crossed; success is also reported over those that any of them crosses.",
         ),
     ] = None,
-    episodes: Episodes = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
+    episodes: options.Episodes = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -84,11 +74,11 @@ def run(
             metavar="FILE", help="File for the episodes, decision by decision, to teach from."
         ),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller, overrides)
+    options.require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.scenes import evaluate

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
@@ -42,12 +42,12 @@ def run(
     checkpoint: Annotated[
         Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
     ],
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="[<terrain>.<format>]", show_default=False)
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints

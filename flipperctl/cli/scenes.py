@@ -11,11 +11,10 @@ from pathlib import Path
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import TrainConfig, resolver
+from flipperctl.config import resolver
 from flipperctl.evaluation.scenes import Scene
-from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.inherited import find_policy, read_config, training_line
+from flipperctl.runs.inherited import find_policy, policy_notes, read_config
 from flipperctl.terminal.streams import print_note
 
 
@@ -47,13 +46,6 @@ def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     # A wrong layout or robot is found before the first episode.
     built = [source.build(config) for config in configs]
-    if isinstance(trained, TrainConfig):
-        lines = [training_line(trained, config, overrides.typed) for config in configs]
-        for line in filter(None, dict.fromkeys(lines)):
-            print_note(f"{checkpoint}: {line}")
-    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in built):
-        print_note(
-            f"{file} does not state how a blocked flipper is turned: here its target stays within "
-            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
-        )
+    for note in policy_notes(checkpoint, built, trained, configs, overrides.typed):
+        print_note(note)
     return [(config, source) for config in configs]

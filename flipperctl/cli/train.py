@@ -7,15 +7,14 @@ from typing import Annotated, ClassVar
 
 import typer
 
+from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import Overrides, PluginPaths
 from flipperctl.runs import follow_up
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
     *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
 ]
-_RESUMABLE = ("train.", "device", "logger")
 
 HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
 
@@ -44,7 +43,7 @@ COMMAND = TrainCommand
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     resume: Annotated[
         Path | None,
         typer.Option(metavar="RUN", help="Resume a run where it stopped."),
@@ -56,7 +55,7 @@ def run(
         str | None,
         typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
     ] = None,
-    plugins: PluginPaths = None,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     arguments = list(overrides or [])
@@ -75,18 +74,12 @@ def run(
 def _resume(run: Path, words: list[str]) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import TrainConfig
-    from flipperctl.errors import ConfigError
-    from flipperctl.runs.preflight import check_device
+    from flipperctl.runs.preflight import check_device, check_resumable
     from flipperctl.runs.training import resume
     from flipperctl.terminal.notices import print_notices
     from flipperctl.terminal.training import print_best, reports
 
-    for word in words:
-        if "=" not in word or not word.startswith(_RESUMABLE):
-            raise ConfigError(
-                f"{word!r}: a resumed run keeps its configuration; "
-                "only train.<field>=…, device=… and logger=… can be given with --resume"
-            )
+    check_resumable(words)
 
     def check(config: TrainConfig) -> None:
         check_device(config)

@@ -7,17 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    ControllerName,
-    Episodes,
-    Jobs,
-    Overrides,
-    PluginPaths,
-    Seed,
-    require_one_policy,
-)
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
@@ -40,15 +30,15 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: ControllerName = None,
-    episodes: Episodes = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
+    episodes: options.Episodes = None,
     only: Annotated[
         int | None, typer.Option(min=0, metavar="INDEX", help="Play this episode alone, from 0.")
     ] = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for transfer.json.")
     ] = None,
@@ -56,11 +46,11 @@ def run(
         Path | None,
         typer.Option(metavar="FILE.gif", help="Film of the episode --only in 3-D."),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller, overrides)
+    options.require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl.cli.hydra.compose import only_one

@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from flipperctl.errors import InterruptedRunError
@@ -42,12 +43,9 @@ def interrupted_run(run: Path) -> InterruptedRunError:
     return InterruptedRunError(f"interrupted. Resume with: {command('train', '--resume', run)}")
 
 
-def sweep_command(folder: Path, arguments: Sequence[str]) -> str:
-    """Return the command that continues the sweep in ``folder``.
-
-    ``arguments`` are the words with which this process was started.
-    """
-    words = [word for word in arguments if word != "--multirun"]
+def sweep_command(folder: Path) -> str:
+    """Return the command that continues the sweep in ``folder``, which this process runs."""
+    words = [word for word in sys.argv[1:] if word != "--multirun"]
     if not any(word.startswith("hydra.sweep.dir=") for word in words):
         short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         plain = re.fullmatch(r"[\w./-]+", short) is not None

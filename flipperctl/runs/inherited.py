@@ -7,19 +7,19 @@ composed, and lines on what is missing or different.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import ObservationLayout, registry
+from flipperctl.api import ObservationLayout, Policy, registry
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container
 from flipperctl.config.absent import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.policies.exported import exported_config, is_exported
+from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
 
 NOMINAL, TRAINED = "nominal", "trained"
 """The default conditions, and those of a policy's training."""
@@ -113,7 +113,29 @@ def explain_missing_training(exported: bool) -> str:
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
 
 
-def training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
+def policy_notes(
+    path: Path,
+    policies: Iterable[Policy],
+    trained: TrainConfig | EvalConfig,
+    configs: Iterable[EvalConfig],
+    keys: Collection[str],
+) -> Iterator[str]:
+    """Yield a line for each thing that makes the evaluation of a file differ from its training.
+
+    ``path`` names the file, whose ``policies`` are built for the ``configs`` of the evaluation;
+    ``trained`` is its own configuration, and ``keys`` are the overridden settings.
+    """
+    if isinstance(trained, TrainConfig):
+        lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
+        yield from (f"{path}: {line}" for line in lines if line)
+    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in policies):
+        yield (
+            f"{path} does not state how a blocked flipper is turned: here its target stays within "
+            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
+        )
+
+
+def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
     """Return which settings of its training a policy is evaluated without; empty if none.
 
     Those are conditions that nobody chose: settings among the overridden ``keys`` are left out,

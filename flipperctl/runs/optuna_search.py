@@ -24,8 +24,10 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.messages import explain
-from flipperctl.runs.follow_up import command
+from flipperctl.runs.follow_up import command, sweep_command
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.search_space import Interval, distributions
+from flipperctl.runs.study import open_study
 from flipperctl.runs.sweep import JobResult, Sweep
 from flipperctl.runs.trial_owner import claim, signs_of_life
 from flipperctl.runs.trials import FAILED, fail_abandoned, finished, running, stop, suggest
@@ -60,6 +62,36 @@ def check_settings(given: Mapping[str, Any]) -> SearchSettings:
     return settings
 
 
+def search(
+    settings: SearchSettings,
+    jobs: Sweep,
+    overrides: Sequence[str],
+    sampled: Mapping[str, Interval | Sequence[str]],
+    fixed: Sequence[str],
+    *,
+    tell: Callable[[str], None],
+) -> None:
+    """Train trial after trial, and write the best.
+
+    ``sampled`` are the intervals and lists among the ``overrides``, by their keys; ``fixed`` are
+    the others, which every job has. ``tell`` is given lines about the progress.
+
+    Raises:
+        ConfigError: the storage cannot be used, the study searched something else, or there is
+            nothing to search.
+        InterruptedRunError: the search was stopped.
+        RunHeldError: another process works in the sweep's folder.
+        FlipperctlError: a trial was refused, or every trial failed.
+    """
+    space = distributions(sampled)
+    study = open_study(settings, overrides)
+    jobs.swept = list(space)
+    found = OptunaSearch(settings, study, jobs, space, fixed, tell)
+    with jobs.held():
+        found.run()
+    found.conclude()
+
+
 @dataclass(frozen=True)
 class OptunaSearch:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
@@ -78,7 +110,6 @@ class OptunaSearch:
     """Overrides of every job."""
     tell: Callable[[str], None]
     """Takes a line about the progress of the search."""
-    command_to_go_on: Callable[[], str]
 
     def run(self) -> None:
         """Train trial after trial.
@@ -177,7 +208,9 @@ class OptunaSearch:
 
     def _interrupted(self) -> InterruptedRunError:
         done = f"{len(finished(self.study))} of {self.settings.n_trials} trials are finished"
-        return InterruptedRunError(f"interrupted; {done}. Go on with: {self.command_to_go_on()}")
+        return InterruptedRunError(
+            f"interrupted; {done}. Go on with: {sweep_command(self.jobs.folder)}"
+        )
 
     def _record_result(self, trial: Trial, result: JobResult) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""

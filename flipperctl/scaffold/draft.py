@@ -13,8 +13,9 @@ from tempfile import mkdtemp
 
 from flipperctl import api
 from flipperctl.config.resolver import source
-from flipperctl.errors import OutputError, PluginError
+from flipperctl.errors import OutputError, PluginError, RequestError
 from flipperctl.files import failure, make_folder
+from flipperctl.messages import close_match
 
 _REGISTERED = {"engine": "sim", "sensor": "perception"}
 """The registry's kind, which is the key that chooses the plugin, where it is another word."""
@@ -28,10 +29,6 @@ _USAGE = {
         "flipperctl inspect reward +reward@rewards.{name}={name}{plugins}",
         "flipperctl train +reward@rewards.{name}={name}{plugins}",
     ),
-    "measure": (
-        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
-        "flipperctl train terrain=step{plugins}",
-    ),
     "network": ("flipperctl train network={name}{plugins}",),
     "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
     "engine": (
@@ -42,6 +39,10 @@ _USAGE = {
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
+    "measure": (
+        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
+        "flipperctl train terrain=step{plugins}",
+    ),
     "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
 }
 
@@ -51,6 +52,7 @@ class Draft:
     """A plugin to write.
 
     Raises:
+        RequestError: there is no such kind of plugin.
         PluginError: the name is not allowed, or taken.
     """
 
@@ -58,6 +60,11 @@ class Draft:
     name: str
 
     def __post_init__(self) -> None:
+        if self.kind not in _USAGE:
+            raise RequestError(
+                f"there is no kind {self.kind!r} of plugin{close_match(self.kind, _USAGE)}; "
+                f"{', '.join(_USAGE)} are allowed"
+            )
         if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
             raise PluginError(
                 f"plugin name {self.name!r}: {api.NAME_RULE}, and no word of Python itself"

@@ -23,6 +23,7 @@ from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import failure
+from flipperctl.rollout import ray_cluster
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs import follow_up, preflight
 from flipperctl.runs.command_process import CommandProcess
@@ -78,7 +79,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     finally:
         sys.argv = previous_argv
         if several:
-            _shut_ray_down()
+            ray_cluster.shut_down()  # Hydra's launcher leaves it running
 
 
 def _check(words: list[str], *, several: bool, compose: bool) -> bool:
@@ -87,10 +88,7 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
     # With options of Hydra, other words may be their values.
     typed = words if plain else [w for w in words if "=" in w and not w.startswith("-")]
     overrides = Overrides.parse(typed)
-    if not several:
-        overrides.check_single()
-    overrides.check_folders()
-    overrides.check_mappings()
+    overrides.check_training(several=several)
     # Hydra's rarer options may bring other configuration files; then the job itself checks.
     if not (compose and plain):
         return False
@@ -104,13 +102,6 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
     if stop():
         raise KeyboardInterrupt
     return True
-
-
-def _shut_ray_down() -> None:
-    """Shut Ray down, which Hydra's launcher leaves running until this process ends."""
-    ray = sys.modules.get("ray")
-    if ray is not None and ray.is_initialized():
-        ray.shutdown()
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ Composed = TypeVar("Composed")
 
 def parse_training(composed: DictConfig) -> TrainConfig:
     """Return the validated training configuration of what Hydra composed."""
-    return parse(TrainConfig, {"logger": {}, **_plain(composed)})
+    return _training(_plain(composed))
 
 
 def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # noqa: B008  # frozen
@@ -48,8 +48,7 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     Raises:
         ConfigError: an override is unknown, of the wrong type or out of bounds.
     """
-    composed = _compositions("train", overrides)
-    found = [parse(TrainConfig, {"logger": {}, **plain}) for _, plain in composed]
+    found = [_training(plain) for _, plain in _compositions("train", overrides)]
     for config in found:
         print_notices(config)
     return found
@@ -105,6 +104,10 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
                 raise unknown_key(error, primary, combination) from error
             except (TypeError, ValueError) as error:  # Hydra's for a choice that is not a name
                 raise wrong_choice(error, combination) from error
+
+
+def _training(plain: dict[str, Any]) -> TrainConfig:
+    return parse(TrainConfig, {"logger": {}, **plain})
 
 
 def _plain(composed: DictConfig) -> dict[str, Any]:

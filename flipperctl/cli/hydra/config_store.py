@@ -21,11 +21,8 @@ from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
-EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
-    "eval",
-    "flipperctl_eval_trained",
-    "flipperctl_eval_exported",
-)
+EVAL_CONTROLLER = "eval"
+EVAL_CHECKPOINT, EVAL_EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""

@@ -6,7 +6,7 @@ of an exception is never parsed: the override at fault is the first that Hydra r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -68,9 +68,9 @@ def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:
     """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
     for override in overrides.parsed:
         key, value = override.get_key_element(), override.value()
-        names = value if isinstance(value, list) else [value]
+        names = all(isinstance(v, str) for v in (value if isinstance(value, list) else [value]))
         optional = key == "experiment" and value is None
-        if key in (*GROUPS, "experiment") and not optional and not _all_names(names):
+        if key in (*GROUPS, "experiment") and not optional and not names:
             return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
     return ConfigError(_one_line(error))
 
@@ -135,10 +135,6 @@ def _is_group(override: Override) -> bool:
     """Return whether Hydra treats the override as the choice of a config group."""
     options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
     return bool(options) and not isinstance(override.value(), dict)
-
-
-def _all_names(values: Iterable[object]) -> bool:
-    return all(isinstance(value, str) for value in values)
 
 
 def _one_line(error: Exception) -> str:

@@ -8,7 +8,6 @@ trial after a restart.)
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +19,8 @@ from omegaconf import DictConfig
 
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
-from flipperctl.runs.follow_up import sweep_command
-from flipperctl.runs.optuna_search import OptunaSearch, check_settings
+from flipperctl.runs.optuna_search import check_settings, search
 from flipperctl.runs.search import SearchSettings
-from flipperctl.runs.search_space import distributions
-from flipperctl.runs.study import open_study
 from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
 
@@ -64,14 +60,4 @@ class SearchSweep:
             RunHeldError: another process works in the sweep's folder.
         """
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
-        space = distributions(sampled)
-        study = open_study(self.settings, arguments)
-        self.jobs.swept = list(space)
-        search = OptunaSearch(
-            *(self.settings, study, self.jobs, space, fixed),
-            tell=print_note,
-            command_to_go_on=lambda: sweep_command(self.jobs.folder, sys.argv[1:]),
-        )
-        with self.jobs.held():
-            search.run()
-        search.conclude()
+        search(self.settings, self.jobs, arguments, sampled, fixed, tell=print_note)

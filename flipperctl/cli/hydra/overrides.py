@@ -8,10 +8,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
 from flipperctl.config.words import check_words, unreadable
@@ -81,33 +81,28 @@ class Overrides:
                 raise ConfigError(f"{o.input_line}: one value is allowed here, as in key=value")
         return {o.key_or_group: o.value() for o in self.parsed}
 
-    def check_single(self) -> None:
-        """Refuse lists of values, which make several runs.
+    def check_training(self, *, several: bool) -> None:
+        """Refuse lists without ``several`` runs, folders without a name, and empty mappings.
 
         Raises:
-            ConfigError: a setting has several values.
+            ConfigError: an override is one of these.
         """
         for override in self.parsed:
-            if override.is_sweep_override():
+            if override.is_sweep_override() and not several:
                 key, _, value = str(override.input_line).partition("=")
                 raise ConfigError(
                     f"{override.input_line}: several values make several runs; add -m for them, or "
                     f"brackets if the setting is a list: {key}=[{value}]"
                 )
-
-    def check_folders(self) -> None:
-        """Refuse an empty folder name, which would mix runs with the user's own files.
-
-        Raises:
-            ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
-        """
         for override in self.parsed:
             key = override.get_key_element()
+            # An empty name would mix runs with the user's own files.
             if key in _FOLDERS and override.value() in ("", None):
                 raise ConfigError(
                     f"{key}: the name of a folder is allowed, . for the one you are in; "
                     f"the value is {override.value()!r}"
                 )
+        self.check_mappings()
 
     def check_mappings(self) -> None:
         """Refuse an empty mapping, since Hydra merges it and nothing would change.
@@ -131,8 +126,7 @@ class Overrides:
         for override in self.parsed:
             key, typed = override.get_key_element(), str(override.input_line)
             if override.is_interval_sweep():
-                sweep: Any = override.value()
-                found[key] = Interval(sweep.start, sweep.end, "log" in sweep.tags, typed)
+                found[key] = _interval(override)
             elif override.is_sweep_override():
                 found[key] = list(override.sweep_string_iterator())
             else:
@@ -164,17 +158,15 @@ class Overrides:
         yield from map(Overrides, itertools.product(*parts))
 
     def interval_probes(self) -> Iterator[Overrides]:
-        """Yield the overrides with each interval at its ends, and at a value between them.
-
-        The value between them reveals an interval of real numbers for an integer setting.
-        """
+        """Yield the overrides with each interval at its ends, and at a value between them."""
         for index, override in enumerate(self.parsed):
-            interval = override.value()
-            if isinstance(interval, IntervalSweep):
-                start, end = cast("tuple[float, float]", (interval.start, interval.end))
-                whole = isinstance(start, int) and isinstance(end, int)
-                between = start if whole else start + 0.3819 * (end - start)
+            if override.is_interval_sweep():
                 key = override.get_key_element()
-                probes = [f"{key}={x}" for x in (start, end, between)]
+                probes = [f"{key}={number}" for number in _interval(override).probes()]
                 for probe in Overrides.parse(probes, check=False).parsed:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
+
+
+def _interval(override: Override) -> Interval:
+    sweep: Any = override.value()
+    return Interval(sweep.start, sweep.end, "log" in sweep.tags, str(override.input_line))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -116,5 +115,5 @@ class ListSweep:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Go on with: {follow_up.sweep_command(self._jobs.folder, sys.argv[1:])}"
+                    f"Go on with: {follow_up.sweep_command(self._jobs.folder)}"
                 ) from error

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli import options
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
@@ -24,8 +24,8 @@ with any versions of the packages that wrote them.
 
 def run(
     path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint

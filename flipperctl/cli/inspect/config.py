@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
 COMMAND = TrainingCommand
 HELP = """Print the composed, validated training configuration as YAML.
@@ -26,12 +26,12 @@ With [bold]--describe[/], list every setting of it instead: value, default, boun
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     describe: Annotated[
         bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")
     ] = False,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from omegaconf import OmegaConf

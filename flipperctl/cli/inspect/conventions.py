@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ default one.
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="An exported .onnx file.")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.studies.conventions import require_conventions

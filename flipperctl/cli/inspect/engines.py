@@ -6,14 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    DefaultOkada,
-    Overrides,
-    PluginPaths,
-    controller_or_okada,
-)
+from flipperctl.cli import options
 
 HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
 
@@ -36,17 +29,17 @@ Settings of sim are those of the other engine; friction and gravity apply to bot
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: DefaultOkada = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.DefaultOkada = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes per scene [10].")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    chosen = controller_or_okada(checkpoint, controller)
+    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.studies.engines import compare_engines, in_default_engine

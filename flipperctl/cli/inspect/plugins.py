@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli import options
 
 if TYPE_CHECKING:
     from flipperctl.api import Plugin
@@ -38,24 +38,20 @@ def run(
         Path | None,
         typer.Option(metavar="DIR", help="With --check: a folder for the terrains' pictures."),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.api import registry
-    from flipperctl.config.describe import describe_plugin
-    from flipperctl.errors import PluginError, RequestError
-    from flipperctl.messages import close_match
+    from flipperctl.config.describe import describe_plugin, plugin_keys
+    from flipperctl.errors import RequestError
     from flipperctl.terminal.document import show
     from flipperctl.terminal.plugins import print_plugins
 
     if output is not None and not check:
         raise RequestError("--output is for the pictures of --check; inspect terrain draws one")
 
-    known = {plugin for _, plugin in registry}
-    if name is not None and name not in known:
-        raise PluginError(f"there is no plugin {name!r}{close_match(name, known)}")
-    chosen = [(k, n) for k, n in sorted(registry) if name in (None, n)]
+    chosen = plugin_keys(name)
     if check:
         _check([registry[key] for key in chosen], output, as_json=as_json)
         return

@@ -6,14 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    DefaultOkada,
-    Overrides,
-    PluginPaths,
-    controller_or_okada,
-)
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
@@ -41,9 +34,9 @@ choose draws and processes.
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: DefaultOkada = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.DefaultOkada = None,
     compare: Annotated[
         str | None,
         typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
@@ -51,11 +44,11 @@ def run(
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    chosen = controller_or_okada(checkpoint, controller)
+    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.config.words import with_default, with_flags
 
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Picture, PluginPaths
+from flipperctl.cli import options
 
 HELP = """Summarise a training run, and plot its learning curves with --output.
 
@@ -19,9 +19,9 @@ HELP = """Summarise a training run, and plot its learning curves with --output.
 
 def run(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
-    output: Picture = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    output: options.Picture = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.runs.summary import RunRows, summarise

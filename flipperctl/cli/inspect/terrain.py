@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, Picture, PluginPaths
+from flipperctl.cli import options
 
 HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture with --output.
 
@@ -20,12 +20,12 @@ HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture wit
 
 def run(
     name: Annotated[str, typer.Argument(help="A terrain plugin.")],
-    overrides: Overrides = None,
-    output: Picture = None,
+    overrides: options.Overrides = None,
+    output: options.Picture = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
     draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.cli.hydra.compose import compose_environment
@@ -48,11 +48,9 @@ def run(
     rows = [row for _, row in sampled]
     if output is not None:
         from flipperctl.report.figure import save
-        from flipperctl.report.terrain import terrain_figure
+        from flipperctl.report.terrain import sample_figure
 
-        labels = [f"seed {row['seed']}" for row in rows]
-        profiles = [profile for profile, _ in sampled]
-        title = f"{name}, {labels[0]}"
-        save(terrain_figure(profiles, title, config.robot, labels), output)
+        seeds = {row["seed"]: profile for profile, row in sampled}
+        save(sample_figure(name, seeds, config.robot), output)
     document = {"terrain": resolver.container(config.terrain), "draws": rows}
     show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
