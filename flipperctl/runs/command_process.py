@@ -1,4 +1,4 @@
-"""The process of a command, as far as the jobs that it starts in other processes need it."""
+"""The state of a command's process that its jobs in other processes restore."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flipperctl.runs import follow_up, lock
 
 @dataclass(frozen=True)
 class CommandProcess:
-    """Plugins, working directory and identity of the process of a command; can be pickled."""
+    """Plugins, working directory and identity of a command's process; picklable."""
 
     plugins: list[str]
     """Paths of all plugin files and folders."""

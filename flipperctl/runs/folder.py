@@ -1,4 +1,4 @@
-"""The files of a run directory, and the point from which a stopped run is resumed.
+"""The files of a run directory, and the state from which a stopped run is resumed.
 
 Every file is written completely or not at all, so a killed process leaves one of three states: no
 ``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
@@ -40,7 +40,7 @@ def holds_run(directory: Path) -> bool:
 
 
 def find(run: Path) -> Path:
-    """Return the run directory, given itself or the path of its last checkpoint.
+    """Return the run directory of ``run``, a directory or the path of its last checkpoint.
 
     Raises:
         CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
@@ -112,7 +112,7 @@ def _read_mapping(path: Path) -> dict[str, Any] | None:
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
-    """Return a text for each setting that two configurations do not share, with both values.
+    """Return a text with both values for each setting in which two configurations differ.
 
     Loggers may differ: they record a run and do not change it.
     """
@@ -135,7 +135,7 @@ def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def finished(directory: Path, decision: int) -> dict[str, Any] | None:
-    """Return ``summary.json`` if it says that the run finished at this decision, else None."""
+    """Return ``summary.json`` if the run finished at this decision, else None."""
     try:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):

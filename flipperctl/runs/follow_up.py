@@ -1,7 +1,7 @@
-"""Commands that are printed for the user to type next, with the plugins of the command that prints.
+"""Follow-up commands that are printed for the user, with the ``--plugins`` of this command.
 
-In: words of a command, and the paths that ``--plugins`` named. Out: a line for the shell. Installed
-plugins and those of ``FLIPPERCTL_PLUGINS`` are found again without being named.
+In: words of a command, and the paths of ``--plugins``. Out: a line for the shell. Installed
+plugins and those of ``FLIPPERCTL_PLUGINS`` need no option.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _plugin_paths: list[str] = []
 
 
 def remember_plugins(paths: Iterable[str | Path] | None) -> None:
-    """Remember the paths that ``--plugins`` named, as they were typed, in place of earlier ones."""
+    """Remember the paths of ``--plugins`` as they were typed, in place of earlier ones."""
     _plugin_paths[:] = map(str, paths or ())
 
 

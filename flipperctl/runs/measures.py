@@ -1,4 +1,4 @@
-"""Run measures of speed one after another, and keep what they found.
+"""Run measures of speed one after another, and collect their results.
 
 In: the words of a command, a suite of measures and their inputs. Out: one document of plain data,
 and ``bench.json`` in a folder that the user names.
@@ -54,7 +54,8 @@ def run_measures(
 ) -> dict[str, Any]:
     """Run the measures, modules of ``package``; return their results as plain data.
 
-    ``overrides`` are recorded. ``tell`` is given a line for each thing that could not be measured.
+    ``overrides`` are added to the results. ``tell`` is called with a line for each measurement
+    that was not possible.
 
     Raises:
         OutputError: ``output``, a folder, cannot be written.

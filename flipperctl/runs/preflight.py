@@ -1,6 +1,6 @@
-"""Check a training before anything is made: its device, terrain, network and memory.
+"""Check a training before it starts: its device, terrain, network and memory.
 
-In: a configuration. Out: nothing, or the error that refuses it.
+In: a configuration. Out: nothing, or an error.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a search samples: intervals of numbers and lists of choices, as Optuna's distributions."""
+"""The parameters of a search, intervals and lists of choices, as Optuna's distributions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a new plugin, from the templates beside this module."""
+"""Write the files of a new plugin from the templates in this package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flipperctl.files import failure, make_folder
 from flipperctl.messages import close_match
 
 _REGISTERED = {"engine": "sim", "sensor": "perception"}
-"""The registry's kind, which is the key that chooses the plugin, where it is another word."""
+"""The kind in the registry, and so the key that chooses the plugin, where it is another word."""
 _USAGE = {
     "terrain": (
         "flipperctl inspect terrain {name}{plugins} --output {name}.png",
@@ -67,12 +67,12 @@ class Draft:
             )
         if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
             raise PluginError(
-                f"plugin name {self.name!r}: {api.NAME_RULE}, and no word of Python itself"
+                f"plugin name {self.name!r}: {api.NAME_RULE}, and not a keyword of Python"
             )
         taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
         if taken is not None:
             raise PluginError(
-                f"there is a {self.kind} plugin {self.name!r} already: {source(taken)}"
+                f"there is already a {self.kind} plugin {self.name!r}: {source(taken)}"
             )
 
     @property
@@ -151,7 +151,7 @@ class Draft:
 
 
 def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
-    """Return commands that use the plugin; ``plugins`` is the option with which it is found."""
+    """Return commands that use the plugin; ``plugins`` is the option that loads it."""
     check = "flipperctl inspect plugins {name} --check{plugins}"
     fields = {"name": draft.name, "plugins": plugins}
     return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
@@ -166,4 +166,4 @@ def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
 
 
 def _already_exists(path: Path) -> OutputError:
-    return OutputError(f"{path} is there already; nothing was written")
+    return OutputError(f"{path} already exists; nothing was written")

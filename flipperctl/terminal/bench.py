@@ -64,7 +64,7 @@ class Lines:
 
 @contextmanager
 def shown_progress(label: str) -> Iterator[Bar | Lines]:
-    """Show a bar with the time left on a terminal, occasional lines elsewhere."""
+    """Show a bar with the remaining time on a terminal, occasional lines elsewhere."""
     shown = Bar(label) if sys.stderr.isatty() else Lines(label)
     try:
         yield shown
@@ -81,7 +81,7 @@ def print_measures(document: dict[str, Any]) -> None:
 def tables(document: dict[str, Any]) -> Iterator[Table]:
     """Yield one table per measure: medians with quartiles, then ratios.
 
-    ``unfinished`` of a measure is shown in place of a median that falls on an unfinished run.
+    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
     """
     for name, found in document["measures"].items():
         headings = ("quantity", "median", "quartiles", "unit")
@@ -97,7 +97,7 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
 
 
 def number(value: float) -> str:
-    """Return a number with three significant digits, as an integer from 100 upwards."""
+    """Return a number with three significant digits, or as an integer from 100 upwards."""
     if value == 0:
         return "0"
     if abs(value) >= 100:

@@ -1,4 +1,4 @@
-"""Results on standard output: one JSON document with ``--json``, else tables."""
+"""Print results on standard output: one JSON document with ``--json``, else tables."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 def show(document: object, tables: Callable[[], None], *, as_json: bool) -> None:
-    """Print ``document``, which is plain data, as JSON, or call ``tables``, which prints them."""
+    """Print ``document``, plain data, as JSON, or call ``tables`` to print the tables."""
     if as_json:
         print(json.dumps(document, indent=2))
     else:

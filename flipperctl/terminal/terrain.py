@@ -10,7 +10,7 @@ from flipperctl.terminal.tables import Table
 
 
 def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
-    """Print a row for each sampled profile (``studies.profiles.sample``), and the picture."""
+    """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
     headings = (
         *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),
         *("largest face [m]", "steepest slope [°]", "points"),

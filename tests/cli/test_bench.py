@@ -63,7 +63,7 @@ def test_a_wrong_request_is_refused(arguments: list[str], words: list[str], tmp_
 def test_measures_and_overrides_come_in_any_order() -> None:
     given = ["c", "seed=2", "a", "~rewards.pitch"]
     known = ("a", "b", "c")
-    assert bench.split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
+    assert split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
     for every in ([], ["all", "c"]):
         assert bench.split_arguments(every, known) == (["a", "b", "c"], [])
 

@@ -83,8 +83,8 @@ def only_one(found: Sequence[Composed]) -> Composed:
     """
     if len(found) > 1:
         raise ConfigError(
-            f"the lists among the overrides give {len(found)} configurations; this command looks "
-            "at one"
+            f"the lists among the overrides give {len(found)} configurations; this command takes "
+            "one configuration"
         )
     return found[0]
 

@@ -115,5 +115,5 @@ class ListSweep:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Go on with: {follow_up.sweep_command(self._jobs.folder)}"
+                    f"Continue with: {follow_up.sweep_command(self._jobs.folder)}"
                 ) from error
