@@ -13,7 +13,7 @@ def output(command: Sequence[str], what: str) -> str:
 
     Raises:
         MissingExtraError: the command failed because an extra is not installed.
-        FlipperctlError: the command failed otherwise; the text has ``what`` and its last error line.
+        FlipperctlError: the command failed otherwise; the text has ``what`` and its last line.
     """
     # All callers run this interpreter with flipperctl's own modules.
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603

@@ -1,4 +1,4 @@
-"""``flipperctl bench``, and how the words of any suite's command become measures."""
+"""``flipperctl bench``, and the command line of any other suite of measures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MEASURES = ("engines", "learner", "latency", "scaling")
 MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
-"""Measures of version 0.2 that are run in a clone of the repository since."""
+"""Measures of version 0.2 that now run only in a clone of the repository."""
 
 COMMAND = TrainingCommand
 HELP = """Measure how fast flipperctl is on this machine.
@@ -25,7 +25,8 @@ HELP = """Measure how fast flipperctl is on this machine.
 [bold]engines[/] simulated time per CPU time of each engine, alone and in the environment;
 [bold]learner[/] updates per second;
 [bold]latency[/] an exported policy, checkpoints, memory of a training;
-[bold]scaling[/] over collecting processes. Contestants run in turn; medians with quartiles.
+[bold]scaling[/] decisions per second by worker processes. Contestants run in turn; the tables show
+medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, families,
 updates, batch_sizes, transitions, calls, decisions.
@@ -39,11 +40,9 @@ updates, batch_sizes, transitions, calls, decisions.
   flipperctl bench scaling bench.decisions=5000 terrain=step --output speed
 """
 
-Small = Annotated[
-    bool, typer.Option("--small", help="Run everything in seconds, to test that it works.")
-]
+Small = Annotated[bool, typer.Option("--small", help="Run all in seconds, to test that it works.")]
 Repeats = Annotated[
-    str | None, typer.Option(metavar="N", help="Rounds in which contestants take turns [10].")
+    str | None, typer.Option(metavar="N", help="Rounds, each with all contestants [10].")
 ]
 OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
 
@@ -68,7 +67,7 @@ def run(
     for name in MOVED:
         if name in words:
             raise RequestError(
-                f"the measure {name!r} is not installed any more; in a clone of the repository: "
+                f"the measure {name!r} is no longer installed; in a clone of the repository, run "
                 f"python -m benchmarks {name}"
             )
     run_suite(suite(), words, repeats, small=small, output=output, as_json=as_json)
@@ -90,7 +89,7 @@ def run_suite(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Run the measures that the words name; print their tables, or one JSON document.
+    """Run the measures named by the words; print their tables, or one JSON document.
 
     Raises:
         RequestError: a word is wrong, or ``output`` cannot be written.

@@ -13,8 +13,8 @@ from flipperctl.cli import options
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
 OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
-A checkpoint, or an exported .onnx file run as on the robot, is evaluated on its training terrain
-unless terrain=… names another.
+A checkpoint, or an exported .onnx file, which runs as on the robot, is evaluated on its training
+terrain unless terrain=… names another.
 
 conditions=… chooses physics, sensing, start and randomisation: nominal (the default, for policies
 and rules alike), varied, wide, or trained (those of the checkpoint). Overrides are applied on top.
@@ -51,8 +51,9 @@ def run(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="References, such as okada,level,planner: each tries the episodes that no "
-            "earlier one crossed; success is also reported over those that any of them crosses.",
+            help="References, such as okada,level,planner: each plays the episodes that no "
+            "earlier one crossed; success is also reported over the episodes that any of them "
+            "crosses.",
         ),
     ] = None,
     episodes: options.Episodes = None,
@@ -61,7 +62,7 @@ def run(
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder for episodes.csv, summary.json, tables, pictures."
+            metavar="DIR", help="Folder for episodes.csv, summary.json, tables and pictures."
         ),
     ] = None,
     film: Annotated[
@@ -70,14 +71,12 @@ def run(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="File for the episodes, decision by decision, to teach from."
-        ),
+        typer.Option(metavar="FILE", help="File for the recorded episodes, to teach a training."),
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """See HELP; the function is as long as its list of options."""
+    """See HELP."""
     options.require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
@@ -105,10 +104,10 @@ def run(
             record=record is not None,
             stop=stop,
         )
-        # The table names a run as it was typed; files and JSON name the checkpoint in it.
+        # The table shows a run as it was typed; files and JSON show its checkpoint.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:
             print_result(result, None if as_json else typed)
-        finally:  # a closed pipe costs no file
+        finally:  # files are written even if the pipe is closed
             written.write(result)
         written.draw(result, stop, episodes_progress)

@@ -14,11 +14,11 @@ from flipperctl.errors import RequestError
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
 
-Before the file is saved under its name, it is compared with torch on at least 1,000 observations
-of real rollouts; a mismatch is an error.
+Before the file is saved, it is compared with torch on at least 1,000 observations of real rollouts;
+a mismatch is an error.
 
-OVERRIDES are settings of the robot that the file is for, as in robot.angle_limit=0.9, where they
-differ from the training's; the command prints what they change.
+OVERRIDES are settings of the target robot that differ from the training, as in
+robot.angle_limit=0.9; the command prints the changes.
 
 [bold]Examples[/]
 
@@ -61,7 +61,7 @@ def run(
 
     file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":
-        raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
+        raise RequestError(f"{file} is already exported; give its run or checkpoint")
     saved = checkpoints.read(file)
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)

@@ -14,7 +14,7 @@ KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "meas
 HELP = """Write a plugin as a starting point: one file, or with --package an installable project.
 
 KIND is terrain, reward, network, controller, engine, sensor, measure or logger. The plugin works
-as written and passes the conformance suite; nothing is ever overwritten.
+as written and passes the conformance suite. Existing files are never overwritten.
 
 [bold]Examples[/]
 

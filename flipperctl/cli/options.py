@@ -13,7 +13,7 @@ from flipperctl.runs import follow_up
 
 
 def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
-    """Load the installed plugins and those of ``paths``, before the command itself runs."""
+    """Load the installed plugins and those of ``paths`` before the command runs."""
     if not context.resilient_parsing:  # shell completion
         from flipperctl import plugins
 
@@ -28,7 +28,7 @@ PluginPaths = Annotated[
         "--plugins",
         metavar="PATH",
         help="A plugin file or folder; may be repeated.",
-        callback=_load_plugins,  # at every command, with None where it is not given
+        callback=_load_plugins,  # called by every command, with None without the option
     ),
 ]
 Overrides = Annotated[
@@ -57,10 +57,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdou
 def require_one_policy(
     checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
 ) -> None:
-    """Check that exactly one of the two is given; a word without ``=`` was perhaps meant as one.
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
 
     Raises:
-        RequestError: none or both are.
+        RequestError: none or both are given.
     """
     if (checkpoint is None) != (controller is None):
         return

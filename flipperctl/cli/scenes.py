@@ -1,6 +1,6 @@
-"""The scenes and the policy that ``eval``, ``transfer`` and views of ``inspect`` evaluate.
+"""Scenes and policy for the evaluations of ``eval``, ``transfer`` and ``inspect``.
 
-In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
+In: overrides, and a checkpoint or a controller's name. Out: a configuration and the policy's source
 for each scene.
 """
 
@@ -25,7 +25,7 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
 
     Raises:
         CheckpointError: there is no such policy, its observation layout differs, or the plugin of
-            its training's terrain is missing and no other terrain is chosen.
+            its training terrain is missing and no other terrain is chosen.
         ConfigError: an override is wrong.
     """
     if checkpoint is None:
@@ -44,7 +44,7 @@ def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
     primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
-    # A wrong layout or robot is found before the first episode.
+    # This raises for a wrong layout or robot, before the first episode.
     built = [source.build(config) for config in configs]
     for note in policy_notes(checkpoint, built, trained, configs, overrides.typed):
         print_note(note)

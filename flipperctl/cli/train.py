@@ -33,7 +33,7 @@ OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every
 
 
 class TrainCommand(TrainingCommand):
-    """The subcommand, which hands Hydra's options on."""
+    """The subcommand, which passes Hydra's options on."""
 
     foreign_options = HYDRA_OPTIONS
     context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
@@ -46,10 +46,11 @@ def run(
     overrides: options.Overrides = None,
     resume: Annotated[
         Path | None,
-        typer.Option(metavar="RUN", help="Resume a run where it stopped."),
+        typer.Option(metavar="RUN", help="Resume a stopped run."),
     ] = None,
     multirun: Annotated[
-        bool, typer.Option("--multirun", "-m", help="One run for each combination of a,b lists.")
+        bool,
+        typer.Option("--multirun", "-m", help="One run for each combination of a,b lists."),
     ] = False,
     cfg: Annotated[
         str | None,
@@ -88,5 +89,5 @@ def _resume(run: Path, words: list[str]) -> None:
     changes = Overrides.parse(words).values()
     try:
         print_best(resume(run, changes, reports(), check=check))
-    except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
+    except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
         raise follow_up.interrupted_run(run) from error

@@ -1,4 +1,4 @@
-"""``flipperctl transfer``: a policy in the side plane and in 3-D, on the same episodes."""
+"""``flipperctl transfer``: a policy in the side plane and in 3-D on the same episodes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from flipperctl.errors import RequestError
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
-Each episode is played in the default engine and in sim=mujoco, or the engine that sim=… names, with
-the same ground, start and sampled physics. The gaps are paired by seed, with 95 %
-intervals. Each failure in 3-D is played again for its cause: overturned (by pitch), roll, heading
+Each episode is played in the default engine and in sim=mujoco, or the engine named by sim=…, with
+the same ground, start and sampled physics. The differences are paired by seed, with 95 %
+intervals. Each failure in 3-D is replayed to find its cause: overturned (by pitch), roll, heading
 (turned away or off the ground), traction (reached with twice the friction), or stuck.
 
 Settings of sim are those of the 3-D engine; friction and gravity apply to both.
@@ -49,7 +49,7 @@ def run(
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """See HELP; the function is as long as its list of options."""
+    """See HELP."""
     options.require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
@@ -69,7 +69,7 @@ def run(
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:
-        in_default_engine(config)  # a wrong engine is found before the first episode
+        in_default_engine(config)  # raises for a wrong engine, before the first episode
     if film:
         check_film(film)
         only_one(asked)

@@ -56,7 +56,7 @@ def _disagreements(named: list[tuple[str, EngineComparison]]) -> Iterator[str]:
                 continue
             where = ""
             if e.parts_at is not None:
-                where = f"; they part at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
+                where = f"; they diverge at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
             yield (
                 f"{name}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
                 f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "

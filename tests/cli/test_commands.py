@@ -158,7 +158,7 @@ def test_an_exported_file_is_not_exported_again(tmp_path: Path) -> None:
     done = call("export", "onnx", "--checkpoint", "p.onnx", cwd=tmp_path)
     assert (done.code, done.err) == (
         2,
-        "error: p.onnx is exported already; give the run or checkpoint that it is of\n",
+        "error: p.onnx is already exported; give its run or checkpoint\n",
     )
 
 

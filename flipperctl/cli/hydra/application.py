@@ -1,6 +1,6 @@
-"""The application of Hydra that ``flipperctl train`` is: checks before it, and each of its jobs.
+"""``flipperctl train`` as an application of Hydra: the checks before it, and each of its jobs.
 
-In: the words of the command, Hydra's own options among them. Out: a run in each job's directory.
+In: the words of the command, including Hydra's options. Out: a run in each job's directory.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from flipperctl.terminal.notices import print_notices
 
 
 def train(arguments: list[str], *, check: bool) -> None:
-    """Run Hydra with the words behind ``flipperctl train``.
+    """Run Hydra with the words after ``flipperctl train``.
 
-    ``check``: whether the composed configurations are checked before Hydra makes a directory.
+    With ``check``, the composed configurations are checked before Hydra creates a directory.
 
     Raises:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
-        InterruptedRunError: Ctrl-C was pressed; what was trained is saved.
+        InterruptedRunError: Ctrl-C was pressed; the training so far is saved.
     """
     config_store.register_defaults()
     config_store.register_sweepers()
@@ -56,14 +56,14 @@ def train(arguments: list[str], *, check: bool) -> None:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
             stopped = follow_up.interrupted_run(directory)
-            # Hydra would add lines of its own to what passes through it.
+            # Hydra would add its own lines to an exception that it handles.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
     configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
-        # Hydra passes exceptions on, instead of printing them itself.
+        # Hydra passes exceptions on instead of printing them.
         with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
             configured(task)()
         if errors:
@@ -83,17 +83,17 @@ def train(arguments: list[str], *, check: bool) -> None:
 
 
 def _check(words: list[str], *, several: bool, compose: bool) -> bool:
-    """Refuse a wrong request; return whether the composed configurations were checked, too."""
+    """Refuse a wrong request; return whether the composed configurations were checked."""
     plain = not any(word.startswith("-") for word in words)
-    # With options of Hydra, other words may be their values.
+    # With options of Hydra, other words may be values of these.
     typed = words if plain else [w for w in words if "=" in w and not w.startswith("-")]
     overrides = Overrides.parse(typed)
     overrides.check_training(several=several)
-    # Hydra's rarer options may bring other configuration files; then the job itself checks.
+    # Hydra's options may add other configuration files; then each job checks its own.
     if not (compose and plain):
         return False
     own = overrides.where(lambda key: not key.startswith("hydra"))
-    # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
+    # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
         for probe in (own, *own.interval_probes()):
             for config in compose_train(probe):
@@ -106,14 +106,14 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
 
 @dataclass(frozen=True)
 class _Job:
-    """A job of Hydra, which a launcher may run in another process."""
+    """A job of Hydra; a launcher may run it in another process."""
 
     process: CommandProcess
     checked: bool
-    """Whether the command has composed the configuration before, and printed its notices."""
+    """Whether the command has checked the configuration and printed its notices."""
 
     def run(self, composed: Any) -> float | None:
-        """Train what Hydra composed; return the objective of a search."""
+        """Train with the composed configuration; return the objective of a search."""
         from flipperctl.runs.search import objective
         from flipperctl.runs.training import start, start_or_go_on
         from flipperctl.terminal.training import print_best, reports
@@ -129,7 +129,7 @@ class _Job:
         if settings.mode is RunMode.MULTIRUN:
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
-                raise InterruptedRunError(f"{directory.name} was not begun")
+                raise InterruptedRunError(f"{directory.name} was not started")
             run = start_or_go_on(config, directory, reports(), keep_more=keep, stop=stop)
         else:
             run = start(config, directory, reports(), keep_more=keep)
@@ -138,7 +138,7 @@ class _Job:
 
 
 def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
-    """Return a function that writes Hydra's own files, once the directory is known to be ours."""
+    """Return a function that writes Hydra's own files, to call once the directory is locked."""
 
     def keep() -> None:
         settings = HydraConfig.get()

@@ -1,7 +1,7 @@
-"""Explain Hydra's errors: the wrong key or choice, the known ones, a close match.
+"""Explain Hydra's errors: the wrong key or choice, the known ones, and a close match.
 
 In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. The text
-of an exception is never parsed: the override at fault is the first that Hydra refuses.
+of an exception is never parsed; the wrong override is the first that Hydra refuses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from flipperctl.cli.hydra.config_store import CHOICES
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.defaults import GROUPS, missing_entry
 from flipperctl.config.words import unreadable
-from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
@@ -38,8 +38,6 @@ def convert_hydra_errors() -> Iterator[None]:
     """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
     try:
         yield
-    except FlipperctlError:
-        raise
     except OverrideParseException as error:
         raise unreadable(str(error.override)) from error
     except MissingConfigException as error:
@@ -82,7 +80,7 @@ def unknown_key(
     choices = [word for word in overrides.words if word.partition("=")[0] in CHOICES]
     try:
         composed = compose(primary, choices)
-    except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
+    except ConfigCompositionException:  # a choice itself is wrong, as controller=… of a training
         choices, composed = [], compose(primary)
     node: Any = OmegaConf.to_container(composed, resolve=True)
     others = [o for o in overrides.parsed if str(o.input_line) not in choices]
@@ -101,7 +99,7 @@ def unknown_key(
 def _first_refused(
     primary: str, choices: list[str], others: list[Override]
 ) -> tuple[Override, ConfigCompositionException] | None:
-    """Return the first of ``others`` that does not compose, and why.
+    """Return the first of ``others`` that does not compose, and its exception.
 
     Hydra applies overrides of config groups before overrides of keys.
     """

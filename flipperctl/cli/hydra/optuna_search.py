@@ -1,4 +1,4 @@
-"""``hydra/sweeper=optuna``: a search over intervals and lists that resumes after any stop.
+"""``hydra/sweeper=optuna``: a resumable search over intervals and lists.
 
 In: overrides, of which some are ``interval(…)``, ``tag(log,interval(…))`` or lists. Out: one
 training for each trial. Optuna proposes, Hydra's launcher trains. (Hydra's own plugin,

@@ -1,6 +1,6 @@
 """The overrides of a command, parsed once: their keys, values, choices and combinations.
 
-In: the words as the user typed them. Out: one ``Overrides``, which every later step is given.
+In: the words as the user typed them. Out: one ``Overrides`` for all later steps.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Overrides:
 
     @classmethod
     def parse(cls, words: Iterable[str], *, check: bool = True) -> Overrides:
-        """Return the overrides that are written in the words.
+        """Parse the words.
 
-        ``check``: whether words that are no overrides are explained, as after a mistake in typing.
+        With ``check``, words that are not overrides are explained, for instance a typing mistake.
 
         Raises:
-            ConfigError: a word is no override, or Hydra cannot read it, or a key is given twice.
+            ConfigError: a word is not an override, Hydra cannot read it, or a key is given twice.
         """
         words = list(words)
         if check:
@@ -51,7 +51,7 @@ class Overrides:
 
     @property
     def typed(self) -> dict[str, str]:
-        """Each key or group, and the word that overrides it."""
+        """The word that overrides each key or group."""
         return {o.key_or_group: str(o.input_line) for o in self.parsed}
 
     @property
@@ -60,17 +60,17 @@ class Overrides:
         return [o.get_key_element() for o in self.parsed if o.is_sweep_override()]
 
     def where(self, chosen: Callable[[str], bool]) -> Overrides:
-        """Return the overrides whose key or group is chosen."""
+        """Return the overrides whose key or group ``chosen`` accepts."""
         return Overrides(tuple(o for o in self.parsed if chosen(o.key_or_group)))
 
     def choice(self, group: str) -> str | None:
-        """Return the last name that is chosen for a group; None if there is none."""
+        """Return the name that was chosen last for a group; None if there is none."""
         found = [o for o in self.parsed if o.key_or_group == group]
         value = found[-1].value() if found and not found[-1].is_delete() else None
         return str(value) if value else None
 
     def values(self) -> dict[str, Any]:
-        """Return the value of each key, for overrides that are applied without composition.
+        """Return the value of each key, for overrides that are applied without Hydra.
 
         Raises:
             ConfigError: an override is not a plain ``key=value``, such as a list of values.
@@ -99,24 +99,24 @@ class Overrides:
             # An empty name would mix runs with the user's own files.
             if key in _FOLDERS and override.value() in ("", None):
                 raise ConfigError(
-                    f"{key}: the name of a folder is allowed, . for the one you are in; "
+                    f"{key}: the name of a folder is allowed, or . for the working directory; "
                     f"the value is {override.value()!r}"
                 )
         self.check_mappings()
 
     def check_mappings(self) -> None:
-        """Refuse an empty mapping, since Hydra merges it and nothing would change.
+        """Refuse an empty mapping, which Hydra would merge without effect.
 
         Raises:
-            ConfigError: a value is an empty mapping; the text has the override that drops the key.
+            ConfigError: a value is an empty mapping; the text has an override that drops the key.
         """
         for override in self.parsed:
             if not override.is_delete() and override.value() == {}:
                 key = override.get_key_element()
                 drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
                 raise ConfigError(
-                    f"{override.input_line}: a mapping is merged into what is there, and an empty "
-                    f"one changes nothing; {drop}"
+                    f"{override.input_line}: a mapping is merged into the existing one, so that "
+                    f"an empty mapping changes nothing; {drop}"
                 )
 
     def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
@@ -134,10 +134,10 @@ class Overrides:
         return found, fixed
 
     def combinations(self, choices: Sequence[str] = ()) -> Iterator[Overrides]:
-        """Yield every combination of the values in lists; intervals are left out.
+        """Yield every combination of the values in lists, without intervals.
 
-        A sweeper samples intervals, and the job checks the sampled values. ``choices`` are groups
-        of which a name must be chosen.
+        Sweepers sample the intervals, and the jobs check the sampled values. In each group of
+        ``choices``, a name must be chosen.
 
         Raises:
             ConfigError: null is chosen where a name is needed, or a mapping is empty.
@@ -146,7 +146,7 @@ class Overrides:
         parts: list[Sequence[Override]] = []
         for override in self.parsed:
             if override.key_or_group in choices and str(override.input_line).endswith("=null"):
-                raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
+                raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
             if override.is_interval_sweep():
                 continue
             if override.is_sweep_override():

@@ -1,7 +1,7 @@
-"""The cluster of Hydra's Ray launcher: joined here, since the launcher joins no running one.
+"""Connect to the cluster of Hydra's Ray launcher, which cannot join a running one by itself.
 
-The launcher asks for an object store of a size of its own, which Ray refuses when it joins a
-cluster (hydra-ray-launcher 1.2). It goes on with the connection that it finds.
+The launcher requests an object store of its own size, which Ray refuses when it joins a cluster
+(hydra-ray-launcher 1.2). It uses an existing connection.
 """
 
 from __future__ import annotations

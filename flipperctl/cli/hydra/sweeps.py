@@ -1,7 +1,7 @@
 """Sweeps over lists, run by Hydra's basic sweeper, with folders named after the swept values.
 
 In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
-and a table that compares them. Any of Hydra's launchers can train them.
+and a table that compares the runs. Any launcher of Hydra can train them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def uses_default_naming(config: DictConfig) -> bool:
 
 
 def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
-    """Return a sweep in ``folder`` whose jobs a launcher of Hydra trains."""
+    """Return a sweep in ``folder`` whose jobs are trained by a launcher of Hydra."""
     from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
     def launch(jobs: Sequence[Job], names: Sequence[str], first: int) -> list[JobResult]:
@@ -54,7 +54,7 @@ def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
 
 
 def job_result(job: JobReturn) -> JobResult:
-    """Return the value that a job returned, or the error that ended it.
+    """Return the value of a job, or the error that ended it.
 
     ``return_value`` writes a line to stderr before it raises the error. That line is hidden,
     since the command shows the error itself.
@@ -99,11 +99,11 @@ class ListSweep:
         return []
 
     def run(self, arguments: list[str]) -> None:
-        """Train every combination, from where an earlier start in the same folder left it.
+        """Train every combination; continue those of an earlier start in the same folder.
 
         Raises:
             FlipperctlError: the first of the jobs' errors, raised after all jobs have run.
-            InterruptedRunError: the sweep was stopped; the text has the command to go on with.
+            InterruptedRunError: the sweep was stopped; the text has the command that continues it.
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]

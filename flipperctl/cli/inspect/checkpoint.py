@@ -11,8 +11,8 @@ from flipperctl.cli import options
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
-The content's SHA-256 covers configuration, results, state and weights: it is equal for equal runs,
-with any versions of the packages that wrote them.
+The SHA-256 of the content covers configuration, results, state and weights: it is equal for equal
+runs, whatever versions of the packages wrote them.
 
 [bold]Examples[/]
 

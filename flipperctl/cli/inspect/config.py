@@ -13,7 +13,7 @@ from flipperctl.cli.command import TrainingCommand
 COMMAND = TrainingCommand
 HELP = """Print the composed, validated training configuration as YAML.
 
-With [bold]--describe[/], list every setting of it instead: value, default, bounds, unit, meaning.
+With [bold]--describe[/], list its settings instead: value, default, bounds, unit and meaning.
 
 [bold]Examples[/]
 

@@ -13,13 +13,13 @@ from flipperctl.errors import RequestError
 if TYPE_CHECKING:
     from flipperctl.studies.conventions import Probe
 
-HELP = """Probe signs, frames, units and timing of both engines, of sensing and of an exported file.
+HELP = """Probe signs, frames, units and timing of two engines, of sensing and of an exported file.
 
-Each engine drives on the level, turns each pair of flippers up and presses it down, and drives up
-a ramp; the sensor looks at a step. With an exported file, robot and observation are the file's, and
-its actions, targets and period are compared with the robot (after robot.… overrides: with yours).
-What differs from the contract is listed, and the command fails. sim=… names the engine beside the
-default one.
+In each engine the robot drives on level ground, raises and lowers each pair of flippers, and drives
+up a ramp; the sensor measures a step. With an exported file, robot and observation are the file's;
+its actions, targets and period are compared with that robot, or with yours after robot.… overrides.
+Differences from the contract are listed, and then the command fails. sim=… names the engine that is
+probed beside the default one.
 
 [bold]Examples[/]
 
@@ -60,7 +60,7 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.studies.conventions import probe
 
     if file is not None and not is_exported(file):
-        raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
+        raise RequestError(f"--checkpoint: only an exported .onnx file is allowed; got {file}")
     primary = config_store.EVAL_CONTROLLER
     if file is not None:
         own = exported_config(file)

@@ -1,4 +1,4 @@
-"""``flipperctl inspect engines``: another engine against the one of the side plane."""
+"""``flipperctl inspect engines``: another engine compared with the default one."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import typer
 
 from flipperctl.cli import options
 
-HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
+HELP = """Compare sim=mujoco, or another engine, with the default one on the same actions.
 
 A policy drives in the default engine; the other one repeats its actions open loop on the same
-ground, so that only physics differs. Engines agree on an episode if the outcomes are equal and,
+ground, so that only the physics differ. Engines agree on an episode if the outcomes are equal and,
 where both reach the finish, the pitches differ by at most 0.05 rad RMS at equal times and the times
-by at most 3 %. Episodes that disagree are listed with the time and the place at which they part.
-Pitches that differ at equal times but not at equal x are the same motion, a little later.
+by at most 3 %. Episodes that disagree are listed with the time and the position at which they
+diverge. Pitches that differ at equal times but not at equal x are the same motion with a delay.
 
 Settings of sim are those of the other engine; friction and gravity apply to both.
 
@@ -51,7 +51,7 @@ def run(
     found = []
     asked = scenes(with_engine(arguments), checkpoint, chosen)
     for config, _ in asked:
-        in_default_engine(config)  # a wrong engine is found before the first episode
+        in_default_engine(config)  # raises for a wrong engine, before the first episode
     for config, source in asked:
         with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
             found.append(compare_engines(config, source, report))

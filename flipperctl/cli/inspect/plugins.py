@@ -12,10 +12,11 @@ from flipperctl.cli import options
 if TYPE_CHECKING:
     from flipperctl.api import Plugin
 
-HELP = """List every registered plugin: its source, and each field with default, bounds and unit.
+HELP = """List every registered plugin: its source, and its fields with default, bounds and unit.
 
 With [bold]--check[/], run the conformance suite on them instead: terrains at every bound, rewards
-on recorded episodes of every outcome, networks up to ONNX, controllers against the clock.
+on recorded episodes of every outcome, networks including their ONNX export, controllers within a
+time limit.
 
 [bold]Examples[/]
 
@@ -36,7 +37,7 @@ def run(
     ] = False,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="With --check: a folder for the terrains' pictures."),
+        typer.Option(metavar="DIR", help="With --check: a folder for pictures of the terrains."),
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
@@ -49,7 +50,7 @@ def run(
     from flipperctl.terminal.plugins import print_plugins
 
     if output is not None and not check:
-        raise RequestError("--output is for the pictures of --check; inspect terrain draws one")
+        raise RequestError("--output needs --check; inspect terrain draws a single picture")
 
     chosen = plugin_keys(name)
     if check:

@@ -1,4 +1,4 @@
-"""``flipperctl inspect reward``: the audit of reward terms, and policies ranked by rewards."""
+"""``flipperctl inspect reward``: audit reward terms, and rank policies by rewards."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import typer
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
-HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
+HELP = """Audit the reward: the share of each term in the return, and how often it saturates.
 
 A term with a small share of the return has no effect; one that saturates at most steps carries no
 information. The episodes are those of an evaluation, with conditions=… as for eval.
 
---compare plays the same draws with several policies (controllers, checkpoints, generalist) and
-ranks them by return and by θ̂_R at 100 Hz. A reward that pays a policy more than another that swings
-less is reported, if both paired differences are beyond noise (t-tests at 5 %, corrected by Holm for
-the number of comparisons).
-controller.<field> applies to each compared controller that has the field, eval.seed and eval.jobs
-choose draws and processes.
+--compare plays the same episodes with several policies (controllers, checkpoints, generalist) and
+ranks them by return and by θ̂_R at 100 Hz. A reward contradicts θ̂_R if a policy has a higher return
+than another although its θ̂_R is larger, and both paired differences are significant (t-tests at
+5 %, corrected by Holm for the number of comparisons). controller.<field> applies to each compared
+controller with that field; eval.seed and eval.jobs set the seed and the number of processes.
 
 [bold]Examples[/]
 
@@ -39,7 +38,7 @@ def run(
     controller: options.DefaultOkada = None,
     compare: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
+        typer.Option(metavar="NAMES", help="Policies to rank, such as level,okada,planner."),
     ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
@@ -54,7 +53,7 @@ def run(
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if compare is not None:
         if checkpoint is not None or controller is not None:
-            raise RequestError("--compare names all policies; leave --checkpoint, --controller out")
+            raise RequestError("--compare names all policies; omit --checkpoint and --controller")
         _compare(compare, arguments, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
@@ -85,7 +84,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     scenes = reward_scenes(others, sources)
     for scene in scenes:
         for source in sources.values():
-            source.build(scene.config)  # a wrong layout or robot is found before the first draw
+            source.build(scene.config)  # raises for a wrong layout or robot, before the episodes
     with EpisodeWorkers() as workers:
         ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     found = decide(ranked)

@@ -8,7 +8,7 @@ import typer
 
 from flipperctl.cli import options
 
-HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture with --output.
+HELP = """Sample profiles of a terrain: their sizes, and a picture with --output.
 
 [bold]Examples[/]
 
@@ -39,7 +39,7 @@ def run(
     for override in overrides or []:
         if override.startswith("eval."):
             raise RequestError(
-                f"{override}: has no effect here; --seed and --draws choose profiles"
+                f"{override}: has no effect here; --seed and --draws choose the profiles"
             )
     resolver.get("terrain", name, "terrain")
     words = [f"terrain={name}", *(overrides or [])]
