@@ -9,11 +9,9 @@ import typer
 
 from benchmarks.settings import MEASURES, SUITE
 from flipperctl import entry
-from flipperctl.cli import bench
+from flipperctl.cli import bench, options
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
-from flipperctl.cli.options import AsJson, PluginPaths
-from flipperctl.config.words import with_flags
 from flipperctl.terminal.streams import plain_streams
 
 HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.
@@ -53,19 +51,11 @@ def benchmarks(
     small: bench.Small = False,
     repeats: bench.Repeats = None,
     output: bench.OutputFolder = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    measures, overrides = bench.split_arguments(arguments or [], MEASURES)
-    bench.run_measures(
-        SUITE,
-        measures,
-        with_flags(overrides, "bench", repeats=repeats),
-        small=small,
-        output=output,
-        as_json=as_json,
-    )
+    bench.run_suite(SUITE, arguments or [], repeats, small=small, output=output, as_json=as_json)
 
 
 if __name__ == "__main__":

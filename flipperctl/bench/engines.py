@@ -1,7 +1,7 @@
-"""Speed of the engines: simulated time for each second of CPU time.
+"""Speed of the engines: simulated time per second of CPU time.
 
-A controller crosses the same ground in each engine. Its actions are repeated in turn: by the engine
-alone, and by the environment, which also senses and pays rewards. Times are CPU times of this
+A controller crosses the same ground in each engine. Its actions are repeated in turn by the engine
+alone and by the environment, which also senses and computes rewards. Times are CPU times of this
 process, since an engine uses one thread; on an idle core they are wall-clock times, and the
 quotient is the multiple of real time.
 """
@@ -23,24 +23,24 @@ from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 
 ABOUT = (
-    "simulated time for each second of CPU time, that is × real time on one core, of every engine "
-    "and of the environment with it; the same ground, actions of a rule, in turn"
+    "simulated time per second of CPU time (× real time on one core) of every engine and of the "
+    "environment with it, in turn, with the same actions on the same ground"
 )
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One episode, of which only the actions are kept."""
+    """The seed and the actions of an episode."""
 
     seed: int
     actions: list[int]
 
 
 class Clock:
-    """Repeats episodes on one terrain in one engine; public methods return simulated / CPU time."""
+    """Repeat episodes on one terrain in one engine; public methods return simulated / CPU time."""
 
     def __init__(self, config: EnvConfig, controller: str, seeds: list[int]) -> None:
-        """Play the episodes once, which also compiles what is compiled.
+        """Play the episodes once, which also triggers the compilation.
 
         Raises:
             MissingExtraError: the engine is not installed.
@@ -53,7 +53,7 @@ class Clock:
         ]
 
     def engine(self) -> float:
-        """Time the engine alone: commands, simulation, samples of the pose and the ends."""
+        """Time the engine alone: commands, simulation, sampled poses and termination."""
         simulated = spent = 0.0
         for recording in self._recordings:
             self._env.reset(seed=recording.seed)
@@ -83,7 +83,7 @@ class Clock:
 def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
     """Measure simulated time over CPU time [-] by engine and terrain, and ratios of the engines.
 
-    The engine that ``sim=…`` chooses has its settings, the others have their defaults.
+    The engine chosen by ``sim=…`` has its configured settings, the others have their defaults.
     """
     s = bench.settings
     clocks, missing = _clocks(bench)
@@ -105,7 +105,7 @@ def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
 
 
 def _clocks(bench: Bench[BenchSettings]) -> tuple[dict[str, Clock], list[str]]:
-    """Return the clock of each engine and terrain, and why engines are left out."""
+    """Return the clock of each engine and terrain, and the reasons why engines are left out."""
     config, s = bench.config.environment(), bench.settings
     clocks: dict[str, Clock] = {}
     missing: list[str] = []

@@ -1,7 +1,7 @@
-"""Latency of a policy on the robot, and time and memory of a training run on this machine.
+"""Latency of an exported policy, and time and memory of a training on this machine.
 
-An exported policy is timed in a process of its own that imports neither torch nor pymunk, as on a
-robot. Checkpoints and exports are those of a short training with this configuration.
+The policy is timed in a separate process that imports neither torch nor pymunk, as on a robot.
+Checkpoints and exports come from a short training with this configuration.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ABOUT = (
 )
 CLOCK = "flipperctl.bench.onnx_clock"
 
-# Runs a command in a session of its own and prints the largest total memory of its processes
+# Run a command in its own session and print the largest total memory of its processes
 # [KiB]; shared memory (libraries, a fork server's pages) counts once, divided among its users.
 _PEAK = """
 import pathlib, subprocess, sys, time
@@ -55,7 +55,7 @@ sys.exit(process.returncode)
 
 
 def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
-    """Measure times [µs, ms] and memory [MiB]."""
+    """Measure decisions [µs], checkpoints and exports [ms], and memory [MiB]."""
     s = bench.settings
     missing: list[str] = []
     with TemporaryDirectory(prefix="flipperctl-bench-") as name:
@@ -102,7 +102,7 @@ def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
 
 
 def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
-    """Return a trainer after a training of ``decisions`` decisions."""
+    """Train for ``decisions`` decisions; return the trainer."""
     changes = {
         "train.decisions": decisions,
         "train.validate_every": decisions,
@@ -115,7 +115,7 @@ def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
 
 
 def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
-    """Time a policy in a process of its own: ``median`` and ``p99`` [µs], modules ``imported``.
+    """Time a policy in a separate process: ``median`` and ``p99`` [µs], modules ``imported``.
 
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
@@ -126,7 +126,7 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
 
 
 def peak(bench: Bench[BenchSettings], folder: Path) -> float:
-    """Return the peak of the total memory of all processes of a short training [MiB]."""
+    """Return the peak memory of all processes of a short training together [MiB]."""
     decisions = bench.settings.decisions
     command = [
         *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),

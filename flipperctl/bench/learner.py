@@ -2,7 +2,7 @@
 
 An update samples the replay, takes one gradient step and makes a soft update of the target
 network, on one torch thread. A call of the learner makes ``agent.updates_together`` updates, as in
-training; each of them is a gradient step of its own.
+training; each of them is a separate gradient step.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ class Contestant:
 
     update: Callable[[], object]
     together: int
-    """Updates that a call of ``update`` makes [-]."""
+    """Updates per call of ``update`` [-]."""
     weights: int
     """Weights of its network [-]."""
 
 
 Rivals = Callable[[TrainConfig, Replay, int, int], Mapping[str, Contestant]]
-"""Return other learners by name; takes configuration, replay, batch size and seed."""
+"""Returns other learners by name, given configuration, replay, batch size and seed."""
 
 
 def no_rivals(
     config: TrainConfig, replay: Replay, batch_size: int, seed: int
 ) -> Mapping[str, Contestant]:
-    """Return nothing to compare with."""
+    """Return no other learners."""
     return {}
 
 

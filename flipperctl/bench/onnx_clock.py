@@ -1,9 +1,9 @@
-"""Time the decisions of an exported policy; ``latency`` runs this in a process of its own.
+"""Time the decisions of an exported policy; ``latency`` runs this in a separate process.
 
     python -m flipperctl.bench.onnx_clock POLICY CALLS SEED
 
-It prints one JSON document: median and 99th percentile of a decision [µs], and the heavy packages
-that the process has imported (none on a robot).
+Print one JSON document: median and 99th percentile of a decision [µs], and the heavy packages that
+the process has imported (none on a robot).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _WARM_UP = 100
 
 
 def main(path: str, calls: int, seed: int) -> dict[str, object]:
-    """Time ``calls`` decisions on random observations of plausible magnitude.
+    """Time ``calls`` decisions on random observations of realistic magnitude.
 
     Raises:
         MissingExtraError: ONNX Runtime is not installed.

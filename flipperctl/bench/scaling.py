@@ -1,7 +1,7 @@
-"""Decisions per second by the number of collecting processes.
+"""Decisions per second by the number of worker processes.
 
-``measure`` takes a factory for each kind of collector (in this process, in worker processes, on
-Ray). A factory creates a collector with a given number of workers.
+``measure`` takes a factory for each kind of collector: in this process, in worker processes, on
+Ray. A factory creates a collector with a given number of workers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest
 
-ABOUT = "decisions collected a second (ε-greedy on the network, no updates), over workers, in turn"
+ABOUT = "decisions per second (ε-greedy on the network, no updates) by number of workers, in turn"
 EPSILON = 0.05
 
 
@@ -39,10 +39,10 @@ class Collector(Protocol):
     """A collector of training episodes."""
 
     def collect(self, decisions: int) -> int:
-        """Play at least ``decisions`` more decisions; return the number of those played."""
+        """Play at least ``decisions`` more decisions; return their actual number."""
 
     def close(self) -> None:
-        """Stop all processes that were started."""
+        """Stop all worker processes."""
 
 
 Factory = Callable[[TrainConfig, int], Collector]
@@ -50,7 +50,7 @@ Factory = Callable[[TrainConfig, int], Collector]
 
 
 class InProcessCollector:
-    """One environment and one agent in this process, as in the trainer; the reference."""
+    """The reference: one environment and one agent in this process, as in the trainer."""
 
     def __init__(self, config: TrainConfig, workers: int) -> None:
         """``workers`` must be 1; it is not used."""
@@ -81,7 +81,7 @@ class InProcessCollector:
         return decisions
 
     def close(self) -> None:
-        """Release nothing; no process was started."""
+        """Do nothing; no process was started."""
 
 
 class WorkersCollector:
@@ -101,7 +101,7 @@ class WorkersCollector:
         return RolloutRequest(self._requested, seed, EPSILON, 0, 0, self._weights)
 
     def collect(self, decisions: int) -> int:
-        """Play whole episodes; all of them end before this returns, so that no other waits."""
+        """Play whole episodes, all of which end before this returns, so that no worker waits."""
         workers, done = self._workers, 0
         while done < decisions or workers.outstanding():
             while done < decisions and len(workers.outstanding()) < workers.capacity:

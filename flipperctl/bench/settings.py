@@ -9,14 +9,18 @@ from typing import Any, Generic, TypeVar
 from pydantic import Field
 
 from flipperctl.api import Settings
-from flipperctl.config import TrainConfig, parse, with_overrides
+from flipperctl.config import TrainConfig, parse, resolver, with_overrides
+from flipperctl.errors import ConfigError
+
+SECTION = "bench."
+"""Prefix of the keys of the sizes among overrides of the training."""
 
 ENGINE_GROUNDS = ("flat", "stair", "plum", "paper_stair")
 """Terrains on which engines are timed: level ground, edges, many edges, the paper's scene."""
 
 
 class CommonSettings(Settings):
-    """The sizes that measures of more than one suite have."""
+    """The sizes that measures of several suites share."""
 
     repeats: int = Field(
         10, ge=2, le=10_000, description="rounds, with all contestants in each [-]"
@@ -38,7 +42,7 @@ COMMON_SMALL: Mapping[str, Any] = {
     "batch_sizes": (32,),
     "transitions": 300,
 }
-"""Replacements of the defaults with ``--small``, which checks in seconds that everything works."""
+"""Replacements of the defaults with ``--small``, which tests in seconds that everything works."""
 
 
 class BenchSettings(CommonSettings):
@@ -77,9 +81,9 @@ class Bench(Generic[SizesOfMeasure]):
     config: TrainConfig
     settings: SizesOfMeasure
     report_progress: Callable[[str, float], None] = lambda what, fraction: None
-    """Called with a text on what is measured now and the fraction of the measure that is done."""
+    """Called with a text on the current step and the finished fraction of the measure."""
     overrides: tuple[str, ...] = ()
-    """Overrides that ``config`` was composed of, for processes that compose it again."""
+    """Overrides from which ``config`` was composed, for processes that compose it again."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +98,14 @@ class Suite(Generic[Sizes]):
     """Replacements of the defaults of ``sizes`` with ``--small``."""
 
     def settings(self, *, small: bool, changes: Mapping[str, Any]) -> Sizes:
-        """Return the default sizes, or the small ones, with ``changes`` to them.
+        """Return the default sizes, or the small ones, with ``changes`` applied.
 
         Raises:
-            ConfigError: a key or a value is not allowed.
+            ConfigError: a key or a value is not allowed, or there is no such controller.
         """
-        return with_overrides(parse(self.sizes, self.small if small else {}), changes)
+        try:
+            found = with_overrides(parse(self.sizes, self.small if small else {}), changes)
+        except ConfigError as error:
+            raise ConfigError(f"{SECTION}{error}") from error
+        resolver.get("controller", found.controller, f"{SECTION}controller")
+        return found

@@ -1,6 +1,6 @@
 """Medians, quartiles and ratios of measured values.
 
-In: one number per round, or None for a run that did not finish in time, which counts as longer
+In: one number per round, or None for a run that did not finish in time, which counts as larger
 than any number. Out: plain dictionaries for the JSON document, with the raw numbers.
 """
 
@@ -14,7 +14,7 @@ Values = Sequence[float | None]
 
 
 def quantity(values: Values, unit: str) -> dict[str, Any]:
-    """Return median and quartiles; each is None where it falls on a run without a number."""
+    """Return median and quartiles; one that falls on a run without a number is None."""
     low, median, high = (_finite(quantile(values, q)) for q in (0.25, 0.5, 0.75))
     return {"unit": unit, "median": median, "low": low, "high": high, "values": list(values)}
 
@@ -51,8 +51,8 @@ def measure_in_turn(
 ) -> dict[str, list[float]]:
     """Run all contestants in each round (A B A B …); return the results of each, by round.
 
-    Contestants take turns so that a machine that is slow for a while slows all of them.
-    ``report_progress`` is called with the fraction of the rounds that is done.
+    They take turns so that a temporarily slow machine slows all of them. ``report_progress`` is
+    called with the finished fraction of the rounds.
     """
     found: dict[str, list[float]] = {name: [] for name in contestants}
     for index in range(rounds):

@@ -1,7 +1,7 @@
-"""How every subcommand reads its options: one value for each, and unknown ones explained.
+"""Parse the options of every subcommand: one value for each, and unknown ones are explained.
 
 ``App.add`` registers a module with its function ``run`` and its ``HELP`` as a ``Command``. An
-``App`` is a ``Group``, which explains the options that it does not have in the same words.
+``App`` is a ``Group``, which explains unknown options in the same way.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from flipperctl.errors import RequestError
 
 
 class Command(TyperCommand):
-    """A subcommand that refuses an option given twice, and explains an unknown one."""
+    """A subcommand that refuses repeated options and explains unknown ones."""
 
     foreign_options: ClassVar[Sequence[str]] = ()
-    """Options that the subcommand hands on as they are."""
+    """Options that the subcommand passes on unchanged."""
     context: ClassVar[dict[str, bool]] = {}
     """Settings of click's context."""
     primary: ClassVar[str] = "eval"
     """What the subcommand's overrides configure: an evaluation or a training."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words behind the subcommand.
+        """Parse the words after the subcommand.
 
         Raises:
             RequestError: an option is unknown, or given twice although it takes one value.
         """
-        if not ctx.resilient_parsing:  # shell completion, which reads half a command
+        if not ctx.resilient_parsing:  # shell completion, which reads incomplete commands
             self._check(ctx, args)
         return super().parse_args(ctx, args)
 
@@ -41,7 +41,7 @@ class Command(TyperCommand):
         parser.ignore_unknown_options = True
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
         single = [p for p in options if not (p.is_flag or p.multiple or p.count)]
-        for option in single:  # collects all values, of which click would keep the last
+        for option in single:  # collect all values, of which click would keep the last
             parser.add_option(obj=option, opts=option.opts, dest=option.name, action="append")
         values, words, _ = parser.parse_args(list(args))
         if values.get("help"):
@@ -73,7 +73,7 @@ class TrainingCommand(Command):
 
 
 class Group(TyperGroup):
-    """Subcommands; explains an unknown option in front of their names as they explain theirs."""
+    """A group of subcommands that explains unknown options before their names."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words up to the name of a subcommand.
@@ -101,12 +101,12 @@ class Group(TyperGroup):
 
 
 def _value(name: str, args: Sequence[str]) -> str:
-    """Return what was typed as the value of the option ``name``, or an empty text."""
+    """Return the value that was typed for the option ``name``, or an empty text."""
     names = [word.partition("=")[0] for word in args]
     at = names.index(name) if name in names else len(args)  # a group as in -xm is split
     value = args[at].partition("=")[2] if at < len(args) else ""
-    behind = args[at + 1] if at + 1 < len(args) else "-"
-    return behind if not value and not behind.startswith("-") and "=" not in behind else value
+    after = args[at + 1] if at + 1 < len(args) else "-"
+    return after if not value and not after.startswith("-") and "=" not in after else value
 
 
 def _twice(option: TyperOption, values: Sequence[str]) -> str:

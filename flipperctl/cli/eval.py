@@ -8,23 +8,13 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    ControllerName,
-    Episodes,
-    Jobs,
-    Overrides,
-    PluginPaths,
-    Seed,
-    require_one_policy,
-)
+from flipperctl.cli import options
 
 HELP = """Evaluate a checkpoint or a controller on any terrain, with 95 % intervals.
 
 OVERRIDES apply to the evaluation, not to the trained network; terrain=a,b evaluates on both.
-A checkpoint, or an exported .onnx file run as on the robot, is evaluated on its training terrain
-unless terrain=… names another.
+A checkpoint, or an exported .onnx file, which runs as on the robot, is evaluated on its training
+terrain unless terrain=… names another.
 
 conditions=… chooses physics, sensing, start and randomisation: nominal (the default, for policies
 and rules alike), varied, wide, or trained (those of the checkpoint). Overrides are applied on top.
@@ -46,9 +36,9 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: ControllerName = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
     baseline: Annotated[
         str | None,
         typer.Option(
@@ -61,17 +51,18 @@ def run(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="References, such as okada,level,planner: each tries the episodes that no "
-            "earlier one crossed; success is also reported over those that any of them crosses.",
+            help="References, such as okada,level,planner: each plays the episodes that no "
+            "earlier one crossed; success is also reported over the episodes that any of them "
+            "crosses.",
         ),
     ] = None,
-    episodes: Episodes = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
+    episodes: options.Episodes = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder for episodes.csv, summary.json, tables, pictures."
+            metavar="DIR", help="Folder for episodes.csv, summary.json, tables and pictures."
         ),
     ] = None,
     film: Annotated[
@@ -80,15 +71,13 @@ def run(
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="File for the episodes, decision by decision, to teach from."
-        ),
+        typer.Option(metavar="FILE", help="File for the recorded episodes, to teach a training."),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
-    """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller, overrides)
+    """See HELP."""
+    options.require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.scenes import evaluate
@@ -115,10 +104,10 @@ def run(
             record=record is not None,
             stop=stop,
         )
-        # The table names a run as it was typed; files and JSON name the checkpoint in it.
+        # The table shows a run as it was typed; files and JSON show its checkpoint.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:
             print_result(result, None if as_json else typed)
-        finally:  # a closed pipe costs no file
+        finally:  # files are written even if the pipe is closed
             written.write(result)
         written.draw(result, stop, episodes_progress)

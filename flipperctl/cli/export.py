@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
 
-Before the file is saved under its name, it is compared with torch on at least 1,000 observations
-of real rollouts; a mismatch is an error.
+Before the file is saved, it is compared with torch on at least 1,000 observations of real rollouts;
+a mismatch is an error.
 
-OVERRIDES are settings of the robot that the file is for, as in robot.angle_limit=0.9, where they
-differ from the training's; the command prints what they change.
+OVERRIDES are settings of the target robot that differ from the training, as in
+robot.angle_limit=0.9; the command prints the changes.
 
 [bold]Examples[/]
 
@@ -43,51 +42,30 @@ def run(
     checkpoint: Annotated[
         Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
     ],
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="[<terrain>.<format>]", show_default=False)
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint as checkpoints
-    from flipperctl.export.policy import export
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.export.policy import export, robot_fields
     from flipperctl.files import check_writable
     from flipperctl.runs.inherited import find_policy
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.export import print_export
     from flipperctl.terminal.streams import print_note
 
     file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":
-        raise RequestError(f"{file} is exported already; give the run or checkpoint that it is of")
+        raise RequestError(f"{file} is already exported; give its run or checkpoint")
     saved = checkpoints.read(file)
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
-    robot = _robot_overrides(overrides or [])
+    robot = robot_fields(Overrides.parse(overrides or ()).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
     found = export(saved, kind.value, target, robot)
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    print_export(target, saved.path, found)
-
-
-def _robot_overrides(overrides: list[str]) -> dict[str, Any]:
-    """Return the fields of the robot that the overrides set.
-
-    Raises:
-        ConfigError: an override is malformed, or sets anything but a field of the robot.
-    """
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.errors import ConfigError
-
-    values = Overrides.parse(overrides).values()
-    for key in values:
-        section, _, field = key.partition(".")
-        if section != "robot" or not field:
-            raise ConfigError(
-                f"{key}: export takes settings of the robot alone, as in robot.angle_limit=0.9; "
-                "everything else is that of the training"
-            )
-    return {key.removeprefix("robot."): value for key, value in values.items()}
+    show(found, lambda: print_export(target, saved.path, found), as_json=as_json)

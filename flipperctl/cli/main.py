@@ -18,8 +18,8 @@ from flipperctl.terminal.streams import log_to_stderr, plain_streams
 COMMANDS = ("train", "eval", "transfer", "export", "inspect", "new", "bench")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
-# Absent flags default to False. Otherwise Typer would import pydantic to validate an absent
-# flag, which costs every subcommand's help 65 ms.
+# Without these defaults, Typer imports pydantic to validate absent flags, which delays every
+# subcommand's help by 65 ms.
 _ABSENT = {"help": False, "install_completion": False, "show_completion": False}
 
 app = App(
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    if notices := sys.modules.get("flipperctl.terminal.notices"):  # of an earlier command
+    if notices := sys.modules.get("flipperctl.terminal.notices"):  # loaded by an earlier command
         notices.begin()
     if arguments == ["--version"]:
         from flipperctl import __version__
@@ -66,7 +66,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
-    """Run an application, called ``name`` in its help; return its exit code.
+    """Run an application, which its help calls ``name``; return its exit code.
 
     Raises:
         RequestError: the arguments are wrong.
@@ -76,12 +76,12 @@ def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
         command = typer.main.get_command(app)
         code = command.main(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
-        # The text is empty without arguments, where the help is shown.
+        # Without arguments, the help is shown and the text is empty.
         if words := error.format_message().rstrip("."):
             raise RequestError(f"{words}; see {name} --help") from error
         return RequestError.exit_code
     except typer.Abort as error:
         raise KeyboardInterrupt from error
-    if code == InterruptedRunError.exit_code:  # Typer's answer to Ctrl-C, without a word
+    if code == InterruptedRunError.exit_code:  # returned by Typer after Ctrl-C
         raise KeyboardInterrupt
     return code if isinstance(code, int) else 0

@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import PluginPaths
+from flipperctl.cli import options
 
 KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
 
 HELP = """Write a plugin as a starting point: one file, or with --package an installable project.
 
 KIND is terrain, reward, network, controller, engine, sensor, measure or logger. The plugin works
-as written and passes the conformance suite; nothing is ever overwritten.
+as written and passes the conformance suite. Existing files are never overwritten.
 
 [bold]Examples[/]
 
@@ -43,18 +43,11 @@ def run(
     output: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder to write to.", show_default=False)
     ] = Path(),
-    plugins: PluginPaths = None,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.errors import RequestError
-    from flipperctl.messages import close_match
     from flipperctl.scaffold.draft import Draft, next_commands
 
-    if kind not in KINDS:
-        raise RequestError(
-            f"there is no kind {kind!r} of plugin{close_match(kind, KINDS)}; "
-            f"{', '.join(KINDS)} are allowed"
-        )
     draft = Draft(kind, name)
     made = draft.write_package(output) if package else draft.write_file(output)
     print(f"wrote {made}; next:")

@@ -13,7 +13,7 @@ from flipperctl.runs import follow_up
 
 
 def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
-    """Load the installed plugins and those of ``paths``, before the command itself runs."""
+    """Load the installed plugins and those of ``paths`` before the command runs."""
     if not context.resilient_parsing:  # shell completion
         from flipperctl import plugins
 
@@ -28,7 +28,7 @@ PluginPaths = Annotated[
         "--plugins",
         metavar="PATH",
         help="A plugin file or folder; may be repeated.",
-        callback=_load_plugins,  # at every command, with None where it is not given
+        callback=_load_plugins,  # called by every command, with None without the option
     ),
 ]
 Overrides = Annotated[
@@ -42,6 +42,12 @@ CheckpointFile = Annotated[
 ControllerName = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
 ]
+DefaultOkada = Annotated[
+    str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+]
+Picture = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
+]
 Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per scene [100].")]
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]
 Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
@@ -51,10 +57,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdou
 def require_one_policy(
     checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
 ) -> None:
-    """Check that exactly one of the two is given; a word without ``=`` was perhaps meant as one.
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
 
     Raises:
-        RequestError: none or both are.
+        RequestError: none or both are given.
     """
     if (checkpoint is None) != (controller is None):
         return
@@ -65,3 +71,14 @@ def require_one_policy(
             f"policy, or --controller {words[0]}, if it is a controller"
         )
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
+
+    Raises:
+        RequestError: both are given.
+    """
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    return None if checkpoint else controller or "okada"

@@ -1,7 +1,7 @@
 """The scenes, rewards and policies that ``inspect reward --compare`` compares.
 
-In: overrides and names of policies. Out: scenes with one or several sets of reward terms each, and
-the policies' sources.
+In: overrides and names of policies. Out: scenes, each with one or several sets of reward terms,
+and the policies' sources.
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ _FIELD = "controller."
 
 
 def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> list[RewardScene]:
-    """Return a scene for each combination of the lists that do not concern the rewards.
+    """Return a scene for each combination of the lists of settings other than rewards.
 
-    Lists that concern the rewards, as ``rewards=paper,tuned``, give the sets of each scene. The
-    robot is that of the files among the ``sources``, whose names are for errors.
+    Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. The robot is that
+    of the files among the ``sources``, whose names appear in errors.
 
     Raises:
-        ConfigError: an override is wrong, or drops every reward term, or the files are for
-            different robots and no override says which one drives.
+        ConfigError: an override is wrong or drops every reward term, or the files are for
+            different robots and no override chooses one.
     """
-    config_store.register_defaults()
     robot = named_policies.common_robot(sources, overrides.typed)
     primary = config_store.register_robot(robot)
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}
@@ -44,7 +43,7 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
         label = " ".join(word.removeprefix("rewards=") for word, rewards in parts if rewards)
         ((config, _),) = compose.compose_eval(combination, primary)
         if not config.rewards:
-            raise ConfigError(f"rewards: {label!r} leaves no term, by which nothing can be ranked")
+            raise ConfigError(f"rewards: {label!r} leaves no term to rank policies by")
         configs[scene] = config
         found.setdefault(scene, {})[label or _DEFAULT] = config.rewards
     return [RewardScene(configs[scene], rewards) for scene, rewards in found.items()]
@@ -53,10 +52,10 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
 def policies(names: str, words: Sequence[str]) -> tuple[dict[str, PolicySource], Overrides]:
     """Return the named policies, and the overrides without those of the controllers.
 
-    An override of ``controller.<field>`` applies to each controller with such a field.
+    An override of ``controller.<field>`` applies to each controller with that field.
 
     Raises:
-        RequestError: there are not two policies, or one is named twice.
+        RequestError: there are fewer than two policies, or one is named twice.
         ConfigError: there is no such policy, or no controller has an overridden field.
         CheckpointError: a checkpoint cannot be read.
     """

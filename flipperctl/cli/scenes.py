@@ -1,6 +1,6 @@
-"""The scenes and the policy that ``eval``, ``transfer`` and views of ``inspect`` evaluate.
+"""Scenes and policy for the evaluations of ``eval``, ``transfer`` and ``inspect``.
 
-In: overrides, and a checkpoint or a controller's name. Out: a configuration and a policy's source
+In: overrides, and a checkpoint or a controller's name. Out: a configuration and the policy's source
 for each scene.
 """
 
@@ -11,11 +11,10 @@ from pathlib import Path
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import TrainConfig, resolver
+from flipperctl.config import resolver
 from flipperctl.evaluation.scenes import Scene
-from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.inherited import find_policy, read_config, training_line
+from flipperctl.runs.inherited import find_policy, policy_notes, read_config
 from flipperctl.terminal.streams import print_note
 
 
@@ -26,10 +25,9 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
 
     Raises:
         CheckpointError: there is no such policy, its observation layout differs, or the plugin of
-            its training's terrain is missing and no other terrain is chosen.
+            its training terrain is missing and no other terrain is chosen.
         ConfigError: an override is wrong.
     """
-    config_store.register_defaults()
     if checkpoint is None:
         resolver.get("controller", controller, "--controller")
         overrides = Overrides.parse([f"controller={controller}", *words])
@@ -46,15 +44,8 @@ def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
     primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
-    # A wrong layout or robot is found before the first episode.
+    # This raises for a wrong layout or robot, before the first episode.
     built = [source.build(config) for config in configs]
-    if isinstance(trained, TrainConfig):
-        lines = [training_line(trained, config, overrides.typed) for config in configs]
-        for line in filter(None, dict.fromkeys(lines)):
-            print_note(f"{checkpoint}: {line}")
-    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in built):
-        print_note(
-            f"{file} does not state how a blocked flipper is turned: here its target stays within "
-            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
-        )
+    for note in policy_notes(checkpoint, built, trained, configs, overrides.typed):
+        print_note(note)
     return [(config, source) for config in configs]

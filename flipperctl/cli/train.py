@@ -7,15 +7,14 @@ from typing import Annotated, ClassVar
 
 import typer
 
+from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import Overrides, PluginPaths
 from flipperctl.runs import follow_up
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
     *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
 ]
-_RESUMABLE = ("train.", "device", "logger")
 
 HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
 
@@ -34,7 +33,7 @@ OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every
 
 
 class TrainCommand(TrainingCommand):
-    """The subcommand, which hands Hydra's options on."""
+    """The subcommand, which passes Hydra's options on."""
 
     foreign_options = HYDRA_OPTIONS
     context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
@@ -44,19 +43,20 @@ COMMAND = TrainCommand
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     resume: Annotated[
         Path | None,
-        typer.Option(metavar="RUN", help="Resume a run where it stopped."),
+        typer.Option(metavar="RUN", help="Resume a stopped run."),
     ] = None,
     multirun: Annotated[
-        bool, typer.Option("--multirun", "-m", help="One run for each combination of a,b lists.")
+        bool,
+        typer.Option("--multirun", "-m", help="One run for each combination of a,b lists."),
     ] = False,
     cfg: Annotated[
         str | None,
         typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
     ] = None,
-    plugins: PluginPaths = None,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     arguments = list(overrides or [])
@@ -75,18 +75,12 @@ def run(
 def _resume(run: Path, words: list[str]) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import TrainConfig
-    from flipperctl.errors import ConfigError, InterruptedRunError
-    from flipperctl.runs.preflight import check_device
+    from flipperctl.runs.preflight import check_device, check_resumable
     from flipperctl.runs.training import resume
     from flipperctl.terminal.notices import print_notices
     from flipperctl.terminal.training import print_best, reports
 
-    for word in words:
-        if "=" not in word or not word.startswith(_RESUMABLE):
-            raise ConfigError(
-                f"{word!r}: a resumed run keeps its configuration; "
-                "only train.<field>=…, device=… and logger=… can be given with --resume"
-            )
+    check_resumable(words)
 
     def check(config: TrainConfig) -> None:
         check_device(config)
@@ -95,7 +89,5 @@ def _resume(run: Path, words: list[str]) -> None:
     changes = Overrides.parse(words).values()
     try:
         print_best(resume(run, changes, reports(), check=check))
-    except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
-        raise InterruptedRunError(
-            f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"
-        ) from error
+    except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
+        raise follow_up.interrupted_run(run) from error

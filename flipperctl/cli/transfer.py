@@ -1,36 +1,20 @@
-"""``flipperctl transfer``: a policy in the side plane and in 3-D, on the same episodes."""
+"""``flipperctl transfer``: a policy in the side plane and in 3-D on the same episodes."""
 
 from __future__ import annotations
 
-import json
-import sys
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import (
-    AsJson,
-    CheckpointFile,
-    ControllerName,
-    Episodes,
-    Jobs,
-    Overrides,
-    PluginPaths,
-    Seed,
-    require_one_policy,
-)
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    pass
 
 HELP = """Evaluate a policy in the side plane and in 3-D on the same episodes; explain its failures.
 
-Each episode is played in the default engine and in sim=mujoco, or the engine that sim=… names, with
-the same ground, start and sampled physics. The gaps are paired by seed, with 95 %
-intervals. Each failure in 3-D is played again for its cause: overturned (by pitch), roll, heading
+Each episode is played in the default engine and in sim=mujoco, or the engine named by sim=…, with
+the same ground, start and sampled physics. The differences are paired by seed, with 95 %
+intervals. Each failure in 3-D is replayed to find its cause: overturned (by pitch), roll, heading
 (turned away or off the ground), traction (reached with twice the friction), or stuck.
 
 Settings of sim are those of the 3-D engine; friction and gravity apply to both.
@@ -46,15 +30,15 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: CheckpointFile = None,
-    controller: ControllerName = None,
-    episodes: Episodes = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
+    episodes: options.Episodes = None,
     only: Annotated[
         int | None, typer.Option(min=0, metavar="INDEX", help="Play this episode alone, from 0.")
     ] = None,
-    seed: Seed = None,
-    jobs: Jobs = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for transfer.json.")
     ] = None,
@@ -62,47 +46,38 @@ def run(
         Path | None,
         typer.Option(metavar="FILE.gif", help="Film of the episode --only in 3-D."),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
-    """See HELP; the function is as long as its list of options."""
-    require_one_policy(checkpoint, controller, overrides)
+    """See HELP."""
+    options.require_one_policy(checkpoint, controller, overrides)
     if film and only is None:
         raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.files import write_json
     from flipperctl.report.drawn_film import film_episode
     from flipperctl.report.film import check_film
-    from flipperctl.runs.results import result_folder
+    from flipperctl.runs.results import json_result
     from flipperctl.studies.engines import in_default_engine
     from flipperctl.studies.transfer import transfer_scenes
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.transfer import print_transfer
 
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:
-        in_default_engine(config)  # a wrong engine is found before the first episode
+        in_default_engine(config)  # raises for a wrong engine, before the first episode
     if film:
         check_film(film)
         only_one(asked)
-    with ExitStack() as stack:
-        folder = None
-        if output:
-            folder = stack.enter_context(result_folder(output, "transfer", ["transfer.json"]))
-        workers = stack.enter_context(EpisodeWorkers())
+    with json_result(output, "transfer") as write, EpisodeWorkers() as workers:
         found = transfer_scenes(asked, workers, only, episodes_progress)
         document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
-        if as_json:
-            print(json.dumps(document, indent=2))
-        else:
-            option = "--checkpoint" if checkpoint else "--controller"
-            print_transfer(found, [option, str(checkpoint or controller)], overrides or [])
-        sys.stdout.flush()
-        if folder:
-            folder.replace(lambda part: write_json(part / "transfer.json", document))
+        policy = ["--checkpoint" if checkpoint else "--controller", str(checkpoint or controller)]
+        show(document, lambda: print_transfer(found, policy, overrides or []), as_json=as_json)
+        write(document)
         if film:
             film_episode(*only_one(asked), only or 0, film)

@@ -1,4 +1,4 @@
-"""Explain an option that a subcommand does not have: a setting, a close match, or neither."""
+"""Explain an unknown option by the setting it stands for, or by a close match."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterator, Sequence
 from flipperctl.messages import closest
 
 _RUN_FOLDER = {"output": "hydra.run.dir", "out": "hydra.run.dir", "output_dir": "hydra.run.dir"}
-"""What a training calls the folder that other commands call --output."""
+"""The setting of a training for the folder that other commands call --output."""
 
 
 def explain(name: str, value: str, known: Sequence[str], primary: str | None) -> str:
-    """Return the error for the option ``name``, which was typed with ``value``.
+    """Return the error text for the option ``name``, which was typed with ``value``.
 
-    ``known`` are the subcommand's options; ``primary`` is what its overrides configure, if any.
+    ``known`` are the subcommand's options; ``primary`` names the configuration of its overrides.
     """
     key = name.lstrip("-").replace("-", "_")
     found = list(_settings(key, primary)) if primary else []
@@ -29,7 +29,7 @@ def explain(name: str, value: str, known: Sequence[str], primary: str | None) ->
 
 
 def _settings(key: str, primary: str) -> Iterator[str]:
-    """Yield the paths that the word ``key`` may mean: a whole path, or the end of a few."""
+    """Yield the paths of settings that equal ``key`` or end with it."""
     from flipperctl import plugins
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_train
@@ -40,7 +40,6 @@ def _settings(key: str, primary: str) -> Iterator[str]:
         yield _RUN_FOLDER[key]
         return
     plugins.load()
-    config_store.register_defaults()
     (default,) = compose_train()
     sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
     yield from paths_named(key, default, sections, config_store.CHOICES)

@@ -58,6 +58,19 @@ def check_words(overrides: Sequence[str]) -> None:
     check_once(overrides)
 
 
+def unreadable(word: str) -> ConfigError:
+    """Return the error for an override that Hydra cannot parse."""
+    key, _, value = word.partition("=")
+    if re.search(r"\s[+~]*[\w./@]+=", value):
+        return ConfigError(
+            f"{word!r}: one word holds several overrides; leave the quotes around them out: {word}"
+        )
+    return ConfigError(
+        f"{word!r}: Hydra cannot read this override; if its value is meant as it stands, quote "
+        f"it: {quote_override(key, value)}"
+    )
+
+
 def literal_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes literally."""
     escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)

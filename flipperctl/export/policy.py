@@ -13,7 +13,7 @@ from typing import Any, Literal
 from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import with_overrides
-from flipperctl.errors import ExportError
+from flipperctl.errors import ConfigError, ExportError
 from flipperctl.export.folded import folded
 from flipperctl.export.metadata import policy_metadata
 from flipperctl.export.onnx import export_onnx
@@ -68,6 +68,22 @@ def export(
         **found,
         "robot_changes": _changes(config.robot, trained.robot),
     }
+
+
+def robot_fields(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of the robot among changes of settings, by their paths.
+
+    Raises:
+        ConfigError: a path is not that of a field of the robot.
+    """
+    for key in changes:
+        section, _, field = key.partition(".")
+        if section != "robot" or not field:
+            raise ConfigError(
+                f"{key}: export takes settings of the robot alone, as in robot.angle_limit=0.9; "
+                "everything else is that of the training"
+            )
+    return {key.removeprefix("robot."): value for key, value in changes.items()}
 
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:

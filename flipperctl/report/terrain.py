@@ -6,7 +6,7 @@ global state.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -63,6 +63,12 @@ def terrain_figure(
     if left_out:
         figure.supxlabel(f"{left_out} more samples are not shown", fontsize=8, color=FAINT)
     return figure
+
+
+def sample_figure(name: str, profiles: Mapping[int, Profile], robot: RobotGeometry) -> Figure:
+    """Draw profiles of the terrain ``name`` by the seeds with which they were sampled."""
+    labels = [f"seed {seed}" for seed in profiles]
+    return terrain_figure(list(profiles.values()), f"{name}, {labels[0]}", robot, labels)
 
 
 def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import socket
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -70,6 +71,18 @@ def join(address: str | None, key: str, **settings: Any) -> None:
         if isinstance(error, ValueError):  # raised before connecting, about the settings
             raise ConfigError(f"{key}: Ray cannot use {address!r}: {reason}") from error
         raise ConfigError(f"{key}: no Ray cluster answers at {address!r}: {reason}") from error
+
+
+def is_connected() -> bool:
+    """Return whether this process is connected to a cluster; Ray is not imported for it."""
+    ray = sys.modules.get("ray")
+    return ray is not None and bool(ray.is_initialized())
+
+
+def shut_down() -> None:
+    """Close the connection, and stop a cluster that this process has started."""
+    if is_connected():
+        import_ray().shutdown()
 
 
 def cpus() -> tuple[int, int]:

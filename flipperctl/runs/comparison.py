@@ -60,7 +60,7 @@ class SweepRun:
 def sweep_run(
     number: int, swept: dict[str, str], folder: Path, error: BaseException | None
 ) -> SweepRun:
-    """Return a run from its folder; ``error`` is what ended its job, if anything did."""
+    """Return a run, read from its folder; ``error`` is the one that ended its job, if any."""
     failure = FlipperctlError(repr(error))
     ended = error if error is None or isinstance(error, Exception) else failure
     return SweepRun(number, swept, folder, ended, _summary(folder))
@@ -69,7 +69,7 @@ def sweep_run(
 def unreturned_run(
     number: int, swept: dict[str, str], folder: Path, error: BaseException
 ) -> SweepRun:
-    """Return a run whose launcher was ended by ``error`` before it returned, from its folder."""
+    """Return a run, read from its folder, whose launcher failed with ``error``."""
     found = sweep_run(number, swept, folder, error)
     return replace(found, error=None) if found.summary.get("finished") else found
 
@@ -85,7 +85,7 @@ def _summary(folder: Path) -> dict[str, Any]:
 def write_comparison(folder: Path, runs: Sequence[SweepRun]) -> list[SweepRun]:
     """Write ``sweep.csv`` into the sweep's ``folder``; return the runs that it compares.
 
-    A run that was refused since its folder holds another one is left out: the row is the other's.
+    A run that was refused because its folder holds another run is left out.
     """
     compared = [run for run in runs if not (run.summary and isinstance(run.error, RequestError))]
     if compared:

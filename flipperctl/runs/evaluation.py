@@ -1,7 +1,7 @@
-"""The files of an evaluation, in the order of their worth: numbers before pictures.
+"""Write the files of an evaluation, the most important first: numbers before pictures.
 
 In: the scenes and the result of an evaluation. Out: tables, recorded episodes, pictures and a film.
-What cannot be written costs nothing that comes before it.
+A file that cannot be written does not affect the earlier ones.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class EvaluationFiles:
         record: Path | None = None,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Hold the folder as long as the ``stack`` is open.
+        """Check the outputs, and lock the folder until the ``stack`` is closed.
 
-        ``tell`` is given a line for everything that was written.
+        ``tell`` is called with a line for each output that was written.
 
         Raises:
-            RequestError: a film of several scenes is asked for, or a recording of several layouts.
+            RequestError: the film has several scenes, or the recording several observation layouts.
             OutputError: the folder cannot be written.
             RunHeldError: another process is writing results into it.
         """
@@ -58,7 +58,7 @@ class EvaluationFiles:
         """Write tables and recorded episodes.
 
         Raises:
-            FlipperctlError: one of them could not be written; the other was.
+            FlipperctlError: one of them could not be written; the other one was.
         """
         _attempt([lambda: self._write_tables(result), lambda: self._write_recording(result)])
 
@@ -80,10 +80,10 @@ class EvaluationFiles:
         stop: Callable[[], bool] = lambda: False,
         progress: Progress = no_progress,
     ) -> None:
-        """Draw the pictures and the film; an evaluation that was interrupted gets none.
+        """Draw the pictures and the film, unless the evaluation was interrupted.
 
         Raises:
-            InterruptedRunError: the evaluation was interrupted, or the drawing was.
+            InterruptedRunError: the evaluation or the drawing was interrupted.
             FlipperctlError: a picture or the film could not be drawn or written.
         """
         if result.interruption is not None:
@@ -119,7 +119,7 @@ def _check_film(path: Path, scenes: int) -> None:
 
 
 def _attempt(steps: Sequence[Callable[[], None]]) -> None:
-    """Take every step, also after one has failed; then raise the first error, with both texts."""
+    """Take every step, even if one fails; then raise the first error with the texts of all."""
     failed: list[FlipperctlError] = []
     for step in steps:
         try:

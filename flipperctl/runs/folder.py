@@ -1,4 +1,4 @@
-"""The files of a run directory, and the point from which a stopped run is resumed.
+"""The files of a run directory, and the state from which a stopped run is resumed.
 
 Every file is written completely or not at all, so a killed process leaves one of three states: no
 ``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
@@ -20,7 +20,7 @@ from yaml import YAMLError
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, container, parse
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import remove_partial, write_bytes
+from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
@@ -40,7 +40,7 @@ def holds_run(directory: Path) -> bool:
 
 
 def find(run: Path) -> Path:
-    """Return the run directory, given itself or the path of its last checkpoint.
+    """Return the run directory of ``run``, a directory or the path of its last checkpoint.
 
     Raises:
         CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
@@ -95,6 +95,13 @@ def write_config(directory: Path, config: TrainConfig) -> None:
     write_bytes(directory / CONFIG, OmegaConf.to_yaml(container(config)).encode())
 
 
+def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
+    """Write Hydra's own record of a job: a YAML file for each document, in ``.hydra``."""
+    folder = make_folder(directory / HYDRA)
+    for name, document in documents.items():
+        write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
+
+
 def _read_mapping(path: Path) -> dict[str, Any] | None:
     """Return the contents of a ``config.yaml``; None if it is missing or not a mapping."""
     try:
@@ -105,7 +112,7 @@ def _read_mapping(path: Path) -> dict[str, Any] | None:
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
-    """Return a text for each setting that two configurations do not share, with both values.
+    """Return a text with both values for each setting in which two configurations differ.
 
     Loggers may differ: they record a run and do not change it.
     """
@@ -128,7 +135,7 @@ def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def finished(directory: Path, decision: int) -> dict[str, Any] | None:
-    """Return ``summary.json`` if it says that the run finished at this decision, else None."""
+    """Return ``summary.json`` if the run finished at this decision, else None."""
     try:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):

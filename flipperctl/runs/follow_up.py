@@ -1,20 +1,25 @@
-"""Commands that are printed for the user to type next, with the plugins of the command that prints.
+"""Follow-up commands that are printed for the user, with the ``--plugins`` of this command.
 
-In: words of a command, and the paths that ``--plugins`` named. Out: a line for the shell. Installed
-plugins and those of ``FLIPPERCTL_PLUGINS`` are found again without being named.
+In: words of a command, and the paths of ``--plugins``. Out: a line for the shell. Installed
+plugins and those of ``FLIPPERCTL_PLUGINS`` need no option.
 """
 
 from __future__ import annotations
 
+import os
+import re
 import shlex
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+
+from flipperctl.errors import InterruptedRunError
 
 _plugin_paths: list[str] = []
 
 
 def remember_plugins(paths: Iterable[str | Path] | None) -> None:
-    """Remember the paths that ``--plugins`` named, as they were typed, in place of earlier ones."""
+    """Remember the paths of ``--plugins`` as they were typed, in place of earlier ones."""
     _plugin_paths[:] = map(str, paths or ())
 
 
@@ -31,6 +36,21 @@ def command(*words: str | Path) -> str:
     typed = [_short(word) if isinstance(word, Path) else word for word in words]
     plugins = [part for path in _plugin_paths for part in ("--plugins", path)]
     return shlex.join(["flipperctl", *typed, *plugins])
+
+
+def interrupted_run(run: Path) -> InterruptedRunError:
+    """Return the error for a training that Ctrl-C stopped, with the command that resumes it."""
+    return InterruptedRunError(f"interrupted. Resume with: {command('train', '--resume', run)}")
+
+
+def sweep_command(folder: Path) -> str:
+    """Return the command that continues the sweep in ``folder``, which this process runs."""
+    words = [word for word in sys.argv[1:] if word != "--multirun"]
+    if not any(word.startswith("hydra.sweep.dir=") for word in words):
+        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
+        plain = re.fullmatch(r"[\w./-]+", short) is not None
+        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
+    return command("train", "-m", *words)
 
 
 def quote_path(path: Path) -> str:

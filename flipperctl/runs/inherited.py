@@ -1,32 +1,32 @@
-"""What an evaluation inherits from the file of a policy: the file, its sections, its conditions.
+"""The settings that an evaluation inherits from a policy's file.
 
-In: a run, a checkpoint or an exported file. Out: plain sections, from which an evaluation is
-composed, and lines on what is missing or different.
+In: a run, a checkpoint or an exported file. Out: sections as plain data, from which an evaluation
+is composed, and lines on missing or different settings.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import ObservationLayout, registry
+from flipperctl.api import ObservationLayout, Policy, registry
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container
 from flipperctl.config.absent import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.policies.exported import exported_config, is_exported
+from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
 
 NOMINAL, TRAINED = "nominal", "trained"
 """The default conditions, and those of a policy's training."""
 _CHOSEN = ("sim", "perception", "episode", "randomise")
 """The sections that ``conditions=`` chooses."""
 _SHOWN = 3
-"""Number of settings of a training that a line names."""
+"""Largest number of settings that a line names."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class Inherited:
 
 
 def find_policy(run_or_file: Path, tell: Callable[[str], None]) -> Path:
-    """Return the file of a run's best policy, a file, or the name of a shipped policy.
+    """Return the path of a policy's file, for a run that of its best policy.
 
-    Before a run's first validation there is no best policy; then the last checkpoint is returned,
-    and ``tell`` is given a line that says so.
+    A run without validations has no best policy; its last checkpoint is returned, and ``tell`` is
+    called with a line that says so. Names of shipped policies are allowed, too.
 
     Raises:
         CheckpointError: there is no such checkpoint.
@@ -76,14 +76,14 @@ def find_policy(run_or_file: Path, tell: Callable[[str], None]) -> Path:
 def read_config(
     file: Path, terrains: Collection[str | None], tell: Callable[[str], None]
 ) -> TrainConfig | EvalConfig:
-    """Return the configuration of a checkpoint, or what an exported file holds of one.
+    """Return the configuration of a checkpoint, or the part of it that an exported file holds.
 
     ``terrains`` are those to be evaluated, None for the file's own. Reward terms whose plugins are
-    missing are left out, and ``tell`` is given a line for each.
+    missing are left out, and ``tell`` is called with a line for each.
 
     Raises:
-        CheckpointError: the file is damaged, or the plugin of its own terrain is missing and that
-            is to be evaluated.
+        CheckpointError: the file is damaged, or its own terrain is to be evaluated and the plugin
+            of that is missing.
     """
     found = exported_config(file) if is_exported(file) else checkpoints.read(file).policy_config()
     absent = found.terrain
@@ -113,11 +113,33 @@ def explain_missing_training(exported: bool) -> str:
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
 
 
-def training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
-    """Return which settings of its training a policy is evaluated without; empty if none.
+def policy_notes(
+    path: Path,
+    policies: Iterable[Policy],
+    trained: TrainConfig | EvalConfig,
+    configs: Iterable[EvalConfig],
+    keys: Collection[str],
+) -> Iterator[str]:
+    """Yield a line for each thing that makes the evaluation of a file differ from its training.
 
-    Those are conditions that nobody chose: settings among the overridden ``keys`` are left out,
-    and so is all where ``conditions=`` names other conditions than the default ones.
+    ``path`` names the file, whose ``policies`` are built for the ``configs`` of the evaluation;
+    ``trained`` is its own configuration, and ``keys`` are the overridden settings.
+    """
+    if isinstance(trained, TrainConfig):
+        lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
+        yield from (f"{path}: {line}" for line in lines if line)
+    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in policies):
+        yield (
+            f"{path} does not state how a blocked flipper is turned: here its target stays within "
+            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
+        )
+
+
+def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
+    """Return a line on settings of the training that the evaluation changes; empty if none.
+
+    Changes that the user chose are left out: the overridden ``keys``, and all changes if
+    ``conditions=`` names other conditions than the default ones.
     """
     if config.conditions != NOMINAL:
         return ""

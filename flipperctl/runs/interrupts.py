@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a request to stop at the next point at which everything is whole."""
+"""Turn Ctrl-C and SIGTERM into a request to stop at the next safe point."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from types import FrameType
 
 @contextmanager
 def interrupts(
-    notice: str, asked: Callable[[], None] = lambda: None
+    notice: str, on_request: Callable[[], None] = lambda: None
 ) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C was pressed or SIGTERM was sent.
 
-    The first signal prints the ``notice`` on stderr and calls ``asked``; the work ends by itself
+    The first signal prints the ``notice`` on stderr and calls ``on_request``; the work stops
     when it next calls the function. A second signal raises KeyboardInterrupt at once.
     """
     stopping = False
@@ -26,7 +26,7 @@ def interrupts(
             raise KeyboardInterrupt
         stopping = True
         print(f"\n{notice}", file=sys.stderr)
-        asked()
+        on_request()
 
     signals = (signal.SIGINT, signal.SIGTERM)
     try:

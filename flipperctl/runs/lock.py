@@ -1,4 +1,4 @@
-"""The lock of a directory, of a run or of results: one process at a time works in it.
+"""The lock of a run or results directory: one process at a time works in it.
 
 In: the directory. Out: a context in which this process holds the lock; a second process fails at
 once with an error that names the holder. The lock is one of the operating system, which releases it
@@ -75,7 +75,7 @@ def _acquire(path: Path) -> BaseFileLock:
 
 
 def holder() -> dict[str, Any]:
-    """Return what others need to find this process: its identifier, its host, and the time."""
+    """Return the identifier and host of this process, and the time, for other processes."""
     since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
@@ -111,7 +111,7 @@ def _read_note(note: Path) -> dict[str, Any] | None:
 
 
 def is_dead(holder: dict[str, Any]) -> bool:
-    """Return whether a process is of this machine and has ended; False if that is unknown."""
+    """Return whether a process of this machine has ended; False if that is unknown."""
     if holder["host"] != socket.gethostname() or os.name != "posix":
         return False
     try:

@@ -1,6 +1,6 @@
 """Policies that a user names: controllers, shipped policies, runs, checkpoints or exported files.
 
-In: names, and fields that are changed in the controllers among them. Out: the policies' sources.
+In: names, and changed fields of the controllers among them. Out: the policies' sources.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from flipperctl.runs.inherited import find_policy
 def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
     """Return controllers at their defaults; ``names`` are separated by commas.
 
-    ``default`` are the names where none are given; ``none`` names no controller.
+    ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
 
     Raises:
-        RequestError: a name is empty, or there are names beside ``none``.
+        RequestError: a name is empty, or ``none`` stands beside other names.
         ConfigError: there is no such controller.
     """
     chosen = default if names is None else [] if names == "none" else names.split(",")
@@ -39,7 +39,7 @@ def policy_labels(names: str) -> list[str]:
     """Return the names of policies to compare, which are separated by commas.
 
     Raises:
-        RequestError: there are not two names, or one is there twice.
+        RequestError: there are fewer than two names, or one is repeated.
     """
     labels = [name.strip() for name in names.split(",")]
     if len(set(labels)) < max(2, len(labels)) or not all(labels):
@@ -54,7 +54,7 @@ def policies(
 ) -> dict[str, PolicySource]:
     """Return the named policies; ``fields`` apply to each controller that has such a field.
 
-    ``tell`` is given a line if a run has no best policy yet.
+    ``tell`` is called with a line if a run has no best policy yet.
 
     Raises:
         ConfigError: there is no such policy, or no controller has one of the fields.
@@ -84,7 +84,7 @@ def _source(label: str, fields: Mapping[str, Any], tell: Callable[[str], None]) 
 def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
     """Return the robot of the files among the policies; the default one if there are none.
 
-    ``chosen`` are overridden keys, in which the robots of the files may differ.
+    The robots of the files may differ in the overridden keys, ``chosen``.
 
     Raises:
         ConfigError: the files are for different robots.

@@ -24,10 +24,12 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.messages import explain
-from flipperctl.runs.follow_up import command
+from flipperctl.runs.follow_up import command, sweep_command
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.search_space import Interval, distributions
+from flipperctl.runs.study import open_study
 from flipperctl.runs.sweep import JobResult, Sweep
-from flipperctl.runs.trial_owner import claim, signs_of_life
+from flipperctl.runs.trial_owner import claim, heartbeat
 from flipperctl.runs.trials import FAILED, begun, fail_abandoned, finished, running, stop, suggest
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ if TYPE_CHECKING:
     from optuna.trial import Trial
 
 _POLL = 1.0
-"""Time between two looks at the trials of other searches [s]."""
+"""Time between two polls of the trials of other searches [s]."""
 
 
 def check_settings(given: Mapping[str, Any]) -> SearchSettings:
@@ -60,6 +62,36 @@ def check_settings(given: Mapping[str, Any]) -> SearchSettings:
     return settings
 
 
+def search(
+    settings: SearchSettings,
+    jobs: Sweep,
+    overrides: Sequence[str],
+    sampled: Mapping[str, Interval | Sequence[str]],
+    fixed: Sequence[str],
+    *,
+    tell: Callable[[str], None],
+) -> None:
+    """Train trial after trial, and write the best.
+
+    ``sampled`` are the intervals and lists among the ``overrides``, by their keys; ``fixed`` are
+    the others, which every job has. ``tell`` is called with lines about the progress.
+
+    Raises:
+        ConfigError: the storage cannot be used, the study searched something else, or there is
+            nothing to search.
+        InterruptedRunError: the search was stopped.
+        RunHeldError: another process works in the sweep's folder.
+        FlipperctlError: a trial was refused, or every trial failed.
+    """
+    space = distributions(sampled)
+    study = open_study(settings, overrides)
+    jobs.swept = list(space)
+    found = OptunaSearch(settings, study, jobs, space, fixed, tell)
+    with jobs.held():
+        found.run()
+    found.conclude()
+
+
 @dataclass(frozen=True)
 class OptunaSearch:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
@@ -77,8 +109,7 @@ class OptunaSearch:
     fixed: Sequence[str]
     """Overrides of every job."""
     tell: Callable[[str], None]
-    """Takes a line about the progress of the search."""
-    command_to_go_on: Callable[[], str]
+    """Called with a line about the progress of the search."""
 
     def run(self) -> None:
         """Train trial after trial.
@@ -113,10 +144,10 @@ class OptunaSearch:
             raise self._interrupted()
 
     def _ask(self) -> Trial | None:
-        """Return a new trial of this process; None if others have begun the last ones meanwhile.
+        """Return a new trial of this process; None if other searches have begun the last ones.
 
-        The seed of its proposal is its place among the trials that count or run, so that an
-        interrupted trial is sampled again, and no two searches propose the same.
+        The seed of its proposal is its place among the finished and running trials, so that an
+        interrupted trial is sampled again, and no two searches propose the same values.
         """
         study = self.study
         trial = study.ask()
@@ -133,7 +164,7 @@ class OptunaSearch:
     def _train(self, trials: Sequence[Trial]) -> None:
         jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
         try:
-            with signs_of_life(trials):
+            with heartbeat(trials):
                 results = self._launch(jobs, [trial.number for trial in trials])
         except BaseException:
             for trial in trials:
@@ -142,7 +173,7 @@ class OptunaSearch:
         self._record_results(trials, results)
 
     def _launch(self, jobs: Sequence[Sequence[str]], numbers: Sequence[int]) -> list[JobResult]:
-        """Train the jobs, side by side as far as their numbers follow each other.
+        """Train the jobs; those with consecutive numbers are launched together.
 
         A launcher numbers its jobs in sequence, and another search may have taken one in between.
         """
@@ -177,7 +208,9 @@ class OptunaSearch:
 
     def _interrupted(self) -> InterruptedRunError:
         done = f"{len(finished(self.study))} of {self.settings.n_trials} trials are finished"
-        return InterruptedRunError(f"interrupted; {done}. Go on with: {self.command_to_go_on()}")
+        return InterruptedRunError(
+            f"interrupted; {done}. Continue with: {sweep_command(self.jobs.folder)}"
+        )
 
     def _record_result(self, trial: Trial, result: JobResult) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""
@@ -185,7 +218,7 @@ class OptunaSearch:
 
         try:
             return self._conclude_trial(trial, result)
-        except UpdateFinishedTrialError:  # this process had given no sign of life for long
+        except UpdateFinishedTrialError:  # its heartbeat was missing for too long
             self.tell(f"trial {trial.number} is lost: another search has closed it")
             return None
 
@@ -214,7 +247,7 @@ class OptunaSearch:
         return None
 
     def conclude(self) -> None:
-        """Write ``optimization_results.yaml`` into the search's folder, and tell the best trial.
+        """Write ``optimization_results.yaml`` into the search's folder, and report the best trial.
 
         Raises:
             FlipperctlError: every trial failed.

@@ -1,14 +1,20 @@
-"""Check a training before anything is made: its device, terrain, network and memory.
+"""Check a training before it starts: its device, terrain, network and memory.
 
-In: a configuration. Out: nothing, or the error that refuses it.
+In: a configuration. Out: nothing, or an error.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
+
+from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
     from flipperctl.config import TrainConfig
+
+_RESUMABLE = ("train.", "device", "logger")
+"""What the overrides of a resumed run begin with."""
 
 
 def check(config: TrainConfig) -> None:
@@ -22,6 +28,20 @@ def check(config: TrainConfig) -> None:
     _check_network(config, _recorded_decisions(config))
 
 
+def check_resumable(words: Iterable[str]) -> None:
+    """Refuse overrides of a resumed run that would make it another run.
+
+    Raises:
+        ConfigError: an override sets anything but the budget, the device or the loggers.
+    """
+    for word in words:
+        if "=" not in word or not word.startswith(_RESUMABLE):
+            raise ConfigError(
+                f"{word!r}: a resumed run keeps its configuration; "
+                "only train.<field>=…, device=… and logger=… can be given with --resume"
+            )
+
+
 def check_device(config: TrainConfig) -> None:
     """Refuse a device that torch cannot use.
 
@@ -29,8 +49,6 @@ def check_device(config: TrainConfig) -> None:
         ConfigError: it cannot be used.
     """
     import torch
-
-    from flipperctl.errors import ConfigError
 
     try:
         torch.empty(0, device=config.device)

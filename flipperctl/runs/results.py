@@ -1,4 +1,4 @@
-"""A folder that the user names for the results of a command: one writer, whole sets of files.
+"""The folder for the results of a command: one writer, and complete sets of files.
 
 In: the folder, and functions that write files. Out: the command's files, which replace those that
 the same command wrote there earlier. The file ``.results.json`` lists each command's files, so that
@@ -28,7 +28,7 @@ class ResultFolder:
     """A folder of results that this process holds."""
 
     def __init__(self, path: Path, command: str) -> None:
-        """``command``: the name under which the files are listed."""
+        """``command`` is the name under which the files are listed."""
         self.path = path
         self._command = command
 
@@ -64,7 +64,7 @@ class ResultFolder:
             shutil.rmtree(part, ignore_errors=True)
 
     def _files(self) -> dict[str, list[str]]:
-        """Return the names of each command's files; of a damaged list, none."""
+        """Return the names of each command's files; none if the list is damaged."""
         try:
             listed: Any = json.loads((self.path / _LIST).read_text())
             # A name alone: a list that was edited must not lead out of the folder.
@@ -80,9 +80,9 @@ class ResultFolder:
 
 @contextmanager
 def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[ResultFolder]:
-    """Hold the folder, which is made if need be, until the context ends or this process dies.
+    """Create and lock the folder until the context ends or this process dies.
 
-    ``names`` are files that the command is going to write.
+    ``names`` are the files that the command will write.
 
     Raises:
         OutputError: the folder cannot be written, or a training run would lose a file.
@@ -100,3 +100,17 @@ def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[Re
             raise OutputError(f"{path / name} cannot be written: it is a folder")
     with hold(make_folder(path), "results", use="in use"):
         yield ResultFolder(path, command)
+
+
+@contextmanager
+def json_result(folder: Path | None, command: str) -> Iterator[Callable[[Any], None]]:
+    """Yield a function that writes a document as ``<command>.json``; it does nothing for None.
+
+    The folder is held meanwhile, as by ``result_folder``, which says what is raised.
+    """
+    if folder is None:
+        yield lambda document: None
+        return
+    name = f"{command}.json"
+    with result_folder(folder, command, [name]) as held:
+        yield lambda document: held.replace(lambda part: write_json(part / name, document))

@@ -17,7 +17,7 @@ class SearchSettings(Settings):
         20,
         ge=1,
         le=100_000,
-        description="finished trials of the whole study, including earlier starts",
+        description="finished trials of the whole study, those of earlier starts included",
     )
     n_jobs: int = Field(
         1, ge=1, le=1000, description="trials proposed at once, for a launcher to run side by side"
@@ -35,14 +35,14 @@ def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
     """Return the objective that a sweeper maximises, from a run's best validation.
 
     It is the success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz
-    [rad]: ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs like validations: by success,
-    then by θ̂_R. None if there was no validation. In a run of an earlier version that did not
-    record θ̂_R at 100 Hz, it is θ̂_R at decisions.
+    [rad]: ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by
+    success, then by θ̂_R. Runs of earlier versions that lack θ̂_R at 100 Hz use θ̂_R at decisions.
+    Return None if there was no validation.
     """
     if best is None:
         return None
-    swing = best.get("pitch_variation_100hz")
-    if swing is None:  # a run of an earlier version
-        swing = best["pitch_variation"] or 0.0
-    penalty = swing / (1.0 + swing) if math.isfinite(swing) else 1.0
+    variation = best.get("pitch_variation_100hz")
+    if variation is None:  # a run of an earlier version
+        variation = best["pitch_variation"] or 0.0
+    penalty = variation / (1.0 + variation) if math.isfinite(variation) else 1.0
     return float(best["success_rate"]) - penalty / episodes

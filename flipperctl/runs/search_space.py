@@ -1,4 +1,4 @@
-"""What a search samples: intervals of numbers and lists of choices, as Optuna's distributions."""
+"""The parameters of a search, intervals and lists of choices, as Optuna's distributions."""
 
 from __future__ import annotations
 
@@ -22,6 +22,16 @@ class Interval:
     """Whether numbers are sampled on a logarithmic scale."""
     typed: str
     """The override, for errors."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the numbers are integers."""
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def probes(self) -> tuple[float, float, float]:
+        """Return both ends and a number between them, which is no integer unless all are."""
+        between = self.low + 0.3819 * (self.high - self.low)
+        return self.low, self.high, self.low if self.whole else between
 
 
 def distributions(
@@ -48,8 +58,7 @@ def distributions(
 def _numbers(interval: Interval) -> BaseDistribution:
     from optuna.distributions import FloatDistribution, IntDistribution
 
-    whole = isinstance(interval.low, int) and isinstance(interval.high, int)
-    made = IntDistribution if whole else FloatDistribution
+    made = IntDistribution if interval.whole else FloatDistribution
     try:
         return made(interval.low, interval.high, log=interval.log)  # type: ignore[arg-type]
     except ValueError as error:

@@ -1,7 +1,7 @@
-"""Opens the study of a search, which several searches may share.
+"""Open the study of a search, which several searches may share.
 
-In: the settings of the search and the overrides that it was asked with. Out: Optuna's study, new or
-as earlier searches left it.
+In: the settings and overrides of the search. Out: Optuna's study, new or as earlier searches left
+it.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from optuna import Study
 
 _PAUSE = 1.0
-"""Time after which the tables of the storage are there, if another search is creating them [s]."""
+"""Time to wait for another search that is creating the tables of the storage [s]."""
 _MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
-"""Name and value of a study's attribute: the θ̂_R in its objective; earlier versions wrote none."""
+"""Attribute of a study that names the θ̂_R in its objective; earlier versions wrote none."""
 
 
 def open_study(settings: SearchSettings, arguments: Sequence[str]) -> Study:
     """Return the study of ``settings``, new or as earlier searches left it.
 
     Raises:
-        ConfigError: the storage cannot be used, or the study searched something else than the
-            overrides ``arguments``, or by another measure.
+        ConfigError: the storage cannot be used, or the study has other overrides than
+            ``arguments`` or another objective.
     """
     import optuna
     from sqlalchemy.exc import SQLAlchemyError

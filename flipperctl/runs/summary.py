@@ -45,7 +45,7 @@ class RunRows:
 
 
 def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
-    """Return ``summary.json`` (None if there is none), the validations and more, as plain data."""
+    """Return ``summary.json`` (None if missing), the number of episodes and the validations."""
     file = run / SUMMARY
     return {
         "run": str(run),

@@ -1,7 +1,7 @@
-"""The jobs of a sweep or a search in its folder: launched, stopped together and compared.
+"""Launch the jobs of a sweep or a search, stop them together and compare their runs.
 
-In: jobs, each a list of overrides, and what launches them. Out: a run directory for each job,
-``sweep.csv`` in the sweep's folder, and what came of each job.
+In: jobs, each a list of overrides, and a launcher. Out: a run directory for each job,
+``sweep.csv`` in the sweep's folder, and the result of each job.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Job = Sequence[str]
 
 @dataclass(frozen=True)
 class JobResult:
-    """What came of one job."""
+    """The result of one job."""
 
     folder: Path
     """The run's directory."""
@@ -34,12 +34,12 @@ class JobResult:
 
 
 Launch = Callable[[Sequence[Job], Sequence[str], int], Sequence[JobResult]]
-"""Trains jobs in folders of the given names (none: the launcher's own), numbered from the last
-argument on."""
+"""Trains jobs in folders of the given names, or of the launcher's own if there are none; the last
+argument is the number of the first job."""
 
 
 class Sweep:
-    """The jobs of a sweep; it keeps their results."""
+    """The jobs of a sweep and their results."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Sweep:
         named: bool,
         serial: bool,
     ) -> None:
-        """``folder`` is that of the sweep; ``show`` is given the runs at its end.
+        """``folder`` is that of the sweep; ``show`` is called with it and the runs at the end.
 
         ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
         launched one by one, so that none begins after Ctrl-C.
@@ -60,14 +60,14 @@ class Sweep:
         self.stop: Callable[[], bool] = lambda: False
         """Called before each launch; once it returns True, no further job begins."""
         self.jobs = 0
-        """Number of jobs that were asked for."""
+        """Number of requested jobs."""
         self.swept: list[str] = []
         """Keys that the sweep varies."""
         self.runs: list[SweepRun] = []
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the sweep's folder; Ctrl-C sets ``stop``; compare the runs at the end.
+        """Lock the sweep's folder, stop jobs after Ctrl-C, and compare the runs at the end.
 
         Raises:
             RunHeldError: another process works in the folder.
@@ -80,7 +80,10 @@ class Sweep:
                 self._show(self.folder, write_comparison(self.folder, self.runs))
 
     def launch(self, jobs: Sequence[Job], first: int) -> list[JobResult]:
-        """Train each job, ``first`` being the number of the first; fewer after an interrupt."""
+        """Train each job and return the results, fewer after an interrupt.
+
+        ``first`` is the number of the first job.
+        """
         size = 1 if self._serial else len(jobs)
         results: list[JobResult] = []
         self.jobs += len(jobs)
@@ -95,7 +98,7 @@ class Sweep:
         return results
 
     def raise_errors(self) -> None:
-        """Raise the first error of a job, or that the sweep was stopped."""
+        """Raise InterruptedRunError if the sweep was stopped, else the first error of a job."""
         errors = [run.error for run in self.runs if run.error is not None]
         if self.stop() or any(isinstance(e, InterruptedRunError) for e in errors):
             raise InterruptedRunError("interrupted")
@@ -122,7 +125,7 @@ class Sweep:
     def _leave_out(
         self, jobs: Sequence[Job], names: Sequence[str], first: int, error: BaseException
     ) -> None:
-        """Add the runs of jobs that did not return, if their folders have known names."""
+        """Record the runs of jobs that did not return, if the names of their folders are known."""
         self.runs += [
             unreturned_run(first + i, self._values(job), self.folder.absolute() / name, error)
             for i, (job, name) in enumerate(zip(jobs, names, strict=False))

@@ -1,7 +1,7 @@
-"""One Ctrl-C stops every run of a sweep, in whichever process a launcher trains it.
+"""Stop every run of a sweep by one Ctrl-C, in any process in which a launcher trains it.
 
-In: the sweep's folder. Out: in the process of the sweeper, a context in which Ctrl-C and SIGTERM
-leave a mark in the folder; in that of a job, a function that looks for the mark.
+In: the sweep's folder. Out: in the sweeper's process, a context in which Ctrl-C and SIGTERM
+create a marker file in the folder; in a job's process, a function that looks for the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _MARK = ".sweep.stop"
 
 @contextmanager
 def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
-    """Yield a function that returns whether the sweep in ``folder``, which is held, shall stop."""
+    """Yield a function that returns whether the sweep in the locked ``folder`` must stop."""
     mark = folder / _MARK
     mark.unlink(missing_ok=True)  # of a sweep that was killed
     try:
@@ -30,10 +30,10 @@ def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
 
 
 def stop_of(folder: Path, sweeper: dict[str, Any]) -> Callable[[], bool]:
-    """Return whether the job of this process shall stop, as a function to call between episodes.
+    """Return a function, to call between episodes, that returns whether the job must stop.
 
-    It shall if the sweep was stopped, or if ``sweeper``, the process that waits for the job (of
-    ``lock.holder``), has died.
+    It must if the sweep was stopped, or if ``sweeper``, the process that waits for the job
+    (``lock.holder``), has died.
     """
     mark = folder / _MARK
     return lambda: mark.exists() or is_dead(sweeper)

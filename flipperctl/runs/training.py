@@ -1,7 +1,7 @@
-"""Train in a run directory: begin, go on or resume, with its lock, its files and Ctrl-C.
+"""Train in a run directory: start, continue or resume a run, with its lock, files and Ctrl-C.
 
 In: a training's configuration and a directory. Out: the files of the run, and its summary. Nothing
-is printed here: ``Reports`` says what the caller wants to hear.
+is printed here; ``Reports`` holds the caller's callbacks.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from flipperctl.training.trainer import Trainer
 
 @dataclass(frozen=True)
 class Reports:
-    """What the caller wants to hear of a training; nothing by default."""
+    """Callbacks of the caller of a training; none by default."""
 
     listeners: Sequence[Callable[[int, int], Listener]] = ()
-    """Each makes a listener from the number of decisions in all, and of those already made."""
+    """Each returns a listener, given the total number of decisions and of those already made."""
     tell: Callable[[str], None] = lambda text: None
-    """Takes a line about where the run begins, or that there is nothing to train."""
+    """Called with a line about where the run begins, or that there is nothing to train."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,8 @@ def start_or_go_on(
 ) -> Finished:
     """Train one run of a sweep, from where an earlier start of the sweep left it.
 
-    A finished run is left alone. ``stop``, called between episodes, ends the run as Ctrl-C does.
+    A finished run is not changed. If ``stop``, called between episodes, returns True, the run ends
+    as after Ctrl-C.
 
     Raises:
         InterruptedRunError: the run was stopped; all is saved.
@@ -145,7 +146,7 @@ def resume(
 
 @contextlib.contextmanager
 def _held(directory: Path) -> Iterator[None]:
-    """Hold the directory; remove it behind a training that left nothing in it."""
+    """Lock the directory; remove it afterwards if it is empty."""
     try:
         with hold(directory):
             yield

@@ -1,7 +1,7 @@
-"""Which process works on a trial of a study that several searches may share, and whether it lives.
+"""Which process works on a trial of a shared study, and whether that process is alive.
 
-In: trials of Optuna. Out: their owner, in the trial's attributes. The owner writes the time into
-them again and again, since another machine cannot see whether its process lives.
+In: trials of Optuna. Out: their owner, in the trial's attributes. The owner updates a time in them
+regularly, since another machine cannot see whether its process is alive.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 
 _OWNER, _SEEN = "owner", "seen"
 _EVERY = 15.0
-"""Time between two signs of life [s]."""
+"""Time between two heartbeats [s]."""
 _GRACE = 120.0
-"""Time after the last sign of life from which a process counts as dead [s]."""
+"""Time after the last heartbeat at which a process counts as dead [s]."""
 
 
 def claim(trial: Trial) -> None:
-    """Write into a trial that this process works on it."""
+    """Mark a trial as one on which this process works."""
     trial.set_user_attr(_OWNER, holder())
     trial.set_user_attr(_SEEN, time.time())
 
 
 @contextlib.contextmanager
-def signs_of_life(trials: Sequence[Trial]) -> Iterator[None]:
+def heartbeat(trials: Sequence[Trial]) -> Iterator[None]:
     """Write the time into the trials every 15 s, until the context ends."""
     from optuna.exceptions import OptunaError
 
@@ -53,7 +53,7 @@ def signs_of_life(trials: Sequence[Trial]) -> Iterator[None]:
 
 
 def is_owned(trial: FrozenTrial) -> bool:
-    """Return whether a process that lives works on a trial that has not finished."""
+    """Return whether a live process works on an unfinished trial."""
     owner = trial.user_attrs.get(_OWNER)
     if owner is not None and is_dead(owner):
         return False

@@ -1,4 +1,4 @@
-"""The trials of a study: those that count, those that run, and those whose process died."""
+"""The trials of a study: finished, running, or abandoned by a process that died."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FAILED: Final = "failed"
 
 
 def finished(study: Study) -> list[FrozenTrial]:
-    """Return the trials that count: those trained to the end, and those whose training failed."""
+    """Return the trials that count: trained to the end, or with a training that failed."""
     return [trial for trial in study.get_trials(deepcopy=False) if _counts(trial)]
 
 
@@ -50,7 +50,7 @@ def fail_abandoned(study: Study) -> None:
 
 
 def suggest(trial: Trial, name: str, distribution: BaseDistribution) -> None:
-    """Let the study's sampler choose a value of the trial."""
+    """Let the study's sampler choose the trial's value of a parameter."""
     found: Any = distribution
     if hasattr(found, "choices"):
         trial.suggest_categorical(name, found.choices)

@@ -1,4 +1,4 @@
-"""The files of a new plugin, from the templates beside this module."""
+"""Write the files of a new plugin from the templates in this package."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from tempfile import mkdtemp
 
 from flipperctl import api
 from flipperctl.config.resolver import source
-from flipperctl.errors import OutputError, PluginError
+from flipperctl.errors import OutputError, PluginError, RequestError
 from flipperctl.files import failure, make_folder
+from flipperctl.messages import close_match
 
 _REGISTERED = {"engine": "sim", "sensor": "perception"}
-"""The registry's kind, which is the key that chooses the plugin, where it is another word."""
+"""The kind in the registry, and so the key that chooses the plugin, where it is another word."""
 _USAGE = {
     "terrain": (
         "flipperctl inspect terrain {name}{plugins} --output {name}.png",
@@ -27,10 +28,6 @@ _USAGE = {
     "reward": (
         "flipperctl inspect reward +reward@rewards.{name}={name}{plugins}",
         "flipperctl train +reward@rewards.{name}={name}{plugins}",
-    ),
-    "measure": (
-        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
-        "flipperctl train terrain=step{plugins}",
     ),
     "network": ("flipperctl train network={name}{plugins}",),
     "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
@@ -42,6 +39,10 @@ _USAGE = {
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
+    "measure": (
+        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
+        "flipperctl train terrain=step{plugins}",
+    ),
     "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
 }
 
@@ -51,6 +52,7 @@ class Draft:
     """A plugin to write.
 
     Raises:
+        RequestError: there is no such kind of plugin.
         PluginError: the name is not allowed, or taken.
     """
 
@@ -58,14 +60,19 @@ class Draft:
     name: str
 
     def __post_init__(self) -> None:
+        if self.kind not in _USAGE:
+            raise RequestError(
+                f"there is no kind {self.kind!r} of plugin{close_match(self.kind, _USAGE)}; "
+                f"{', '.join(_USAGE)} are allowed"
+            )
         if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
             raise PluginError(
-                f"plugin name {self.name!r}: {api.NAME_RULE}, and no word of Python itself"
+                f"plugin name {self.name!r}: {api.NAME_RULE}, and not a keyword of Python"
             )
         taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
         if taken is not None:
             raise PluginError(
-                f"there is a {self.kind} plugin {self.name!r} already: {source(taken)}"
+                f"there is already a {self.kind} plugin {self.name!r}: {source(taken)}"
             )
 
     @property
@@ -144,7 +151,7 @@ class Draft:
 
 
 def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
-    """Return commands that use the plugin; ``plugins`` is the option with which it is found."""
+    """Return commands that use the plugin; ``plugins`` is the option that loads it."""
     check = "flipperctl inspect plugins {name} --check{plugins}"
     fields = {"name": draft.name, "plugins": plugins}
     return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
@@ -159,4 +166,4 @@ def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
 
 
 def _already_exists(path: Path) -> OutputError:
-    return OutputError(f"{path} is there already; nothing was written")
+    return OutputError(f"{path} already exists; nothing was written")

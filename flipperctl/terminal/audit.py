@@ -1,4 +1,4 @@
-"""The table of ``flipperctl inspect reward``: what each term pays."""
+"""The table of ``flipperctl inspect reward``: the reward of each term."""
 
 from __future__ import annotations
 

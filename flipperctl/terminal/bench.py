@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.markup import escape
@@ -61,10 +62,26 @@ class Lines:
         """Do nothing; lines need no clean-up."""
 
 
+@contextmanager
+def shown_progress(label: str) -> Iterator[Bar | Lines]:
+    """Show a bar with the remaining time on a terminal, occasional lines elsewhere."""
+    shown = Bar(label) if sys.stderr.isatty() else Lines(label)
+    try:
+        yield shown
+    finally:
+        shown.close()
+
+
+def print_measures(document: dict[str, Any]) -> None:
+    """Print one table per measure."""
+    for table in tables(document):
+        table.print(console())
+
+
 def tables(document: dict[str, Any]) -> Iterator[Table]:
     """Yield one table per measure: medians with quartiles, then ratios.
 
-    ``unfinished`` of a measure is shown in place of a median that falls on an unfinished run.
+    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
     """
     for name, found in document["measures"].items():
         headings = ("quantity", "median", "quartiles", "unit")
@@ -80,7 +97,7 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
 
 
 def number(value: float) -> str:
-    """Return a number with three significant digits, as an integer from 100 upwards."""
+    """Return a number with three significant digits, or as an integer from 100 upwards."""
     if value == 0:
         return "0"
     if abs(value) >= 100:

@@ -1,11 +1,11 @@
-"""What ``flipperctl inspect checkpoint`` prints."""
+"""The output of ``flipperctl inspect checkpoint``."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.terminal.pitch_variation import swing_text
+from flipperctl.terminal.pitch_variation import pitch_variation_text
 
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
@@ -35,7 +35,7 @@ def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
     if best:
         lines["best"] = (
             f"at decision {best.decision}: success {best.success_rate:.1%}, "
-            f"{swing_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
+            f"{pitch_variation_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
         )
     for name, text in lines.items():
         print(f"{name:<11}{text}")

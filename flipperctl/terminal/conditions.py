@@ -1,4 +1,4 @@
-"""The lines below a table that say under which conditions its episodes were played."""
+"""The lines below a table that state the conditions of its episodes."""
 
 from __future__ import annotations
 

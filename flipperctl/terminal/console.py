@@ -1,4 +1,4 @@
-"""The console on which every command prints its tables and bars."""
+"""The console for the tables and progress bars of every command."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rich.text import Text
 from flipperctl.terminal.streams import spell_plainly
 
 NATURAL = 10_000
-"""Columns of an output that is not a terminal, so that tables take the width they need."""
+"""Width of an output that is not a terminal, so that tables are as wide as they need [columns]."""
 
 
 class PlainConsole(Console):
-    """A console that replaces characters the stream lacks before layout: columns stay aligned."""
+    """A console that replaces missing characters before the layout, so columns stay aligned."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Render a text as rich does, with characters that the stream can show."""
@@ -27,7 +27,7 @@ class PlainConsole(Console):
 def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     """Return a console with the width of COLUMNS, else of the terminal, else ``natural``.
 
-    The latter is that of the tables unless a table has long sentences.
+    ``natural`` is smaller than its default for tables with long sentences.
     """
     file = sys.stderr if stderr else sys.stdout
     columns = os.environ.get("COLUMNS", "")
@@ -43,5 +43,5 @@ def print_lines(to: Console, lines: Iterable[str]) -> None:
 
 
 def plain(text: str, of: Console) -> str:
-    """Return the text as the console's stream shows it, for a ``rich.text.Text``."""
+    """Return the text with characters that the console's stream lacks replaced."""
     return spell_plainly(text, of.encoding)

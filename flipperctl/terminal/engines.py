@@ -1,4 +1,4 @@
-"""What ``flipperctl inspect engines`` prints: a table of scenes, and episodes that disagree."""
+"""The output of ``flipperctl inspect engines``: a table of scenes, and disagreeing episodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flipperctl.terminal.tables import Table
 
 
 def print_engines(found: list[EngineComparison]) -> None:
-    """Print a row for each scene, and lines on what differs."""
+    """Print a row for each scene, and a line for each episode on which the engines disagree."""
     first, second = found[0].engines
     title = f"{second} against {first}, the same actions of {found[0].controller}"
     headings = (
@@ -40,12 +40,12 @@ def _cells(scene: EngineComparison) -> list[str]:
     if not reached:
         return [*counts, "–", "–", "–"]
     slowest = max((e.time_ratio for e in reached), key=abs)
-    swing = mean(e.swings[1] for e in reached), mean(e.swings[0] for e in reached)
+    variation = mean(e.swings[1] for e in reached), mean(e.swings[0] for e in reached)
     return [
         *counts,
         f"{mean(e.pitch_rms for e in reached):.3f} ({max(e.pitch_rms for e in reached):.3f})",
         f"{mean(e.time_ratio for e in reached):+.1%} ({slowest:+.1%})",
-        f"{swing[0]:.2f} for {swing[1]:.2f} rad",
+        f"{variation[0]:.2f} for {variation[1]:.2f} rad",
     ]
 
 
@@ -56,7 +56,7 @@ def _disagreements(named: list[tuple[str, EngineComparison]]) -> Iterator[str]:
                 continue
             where = ""
             if e.parts_at is not None:
-                where = f"; they part at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
+                where = f"; they diverge at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
             yield (
                 f"{name}, episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in "
                 f"{e.times[0]:.1f} s, {e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS "

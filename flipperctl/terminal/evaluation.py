@@ -1,6 +1,6 @@
 """The tables of ``flipperctl eval``.
 
-In: the result of an evaluation. Out: a table of its scenes, and one of the differences to each
+In: the result of an evaluation. Out: a table of its scenes, and a table of the differences to each
 baseline.
 """
 
@@ -94,7 +94,7 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
 
 
 def search_lines(result: EvaluationResult) -> Iterator[str]:
-    """Yield a line for each scene whose policy searched: means of numbers, counts of words."""
+    """Yield a line for each scene with a planning policy: means of numbers, counts of words."""
     for name, scene in _named(result):
         parts = []
         for key, value in scene.summary.search.items():
@@ -108,7 +108,7 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
 
 
 def gap_cells(found: PairedSuccess) -> list[str]:
-    """Return a difference of success, how many draws one alone crossed, and the p-value."""
+    """Return the difference of success, the episodes that only one crossed, and the p-value."""
     p = "<0.001" if found.p_holm < 0.001 else f"{found.p_holm:.3f}"
     return [interval_text(found, 3, sign="+"), f"{found.won}, {found.lost}", p]
 
@@ -120,10 +120,10 @@ def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
 
 
 def _passable_cells(summary: Summary) -> list[str]:
-    fair = summary.passable
-    if fair is None:
+    passable = summary.passable
+    if passable is None:
         return [""] * len(_PASSABLE)
-    return [str(fair.episodes), interval_text(fair.success, 3), str(fair.beyond)]
+    return [str(passable.episodes), interval_text(passable.success, 3), str(passable.beyond)]
 
 
 def _outcomes(summary: Summary) -> str:
@@ -143,14 +143,14 @@ def _difference_heading(measure: type[Measure]) -> str:
 
 
 def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
-    swing = difference.pitch_variation_100hz
+    variation = difference.pitch_variation_100hz
     return [
         name,
         interval_text(other.success, 3),
         *gap_cells(difference.success),
-        str(swing.episodes if swing else 0),
+        str(variation.episodes if variation else 0),
         interval_text(other.pitch_variation_100hz),
-        interval_text(swing),
+        interval_text(variation),
         interval_text(difference.pitch_variation),
         interval_text(difference.t_cost, 1),
         *(interval_text(difference.further[m.plugin_name], m.digits) for m in further_measures()),

@@ -1,6 +1,6 @@
-"""What plugins remark on the data that they read, once for each command, on stderr.
+"""Print the notices of plugins about the data that they read, once per command, on stderr.
 
-In: a validated configuration. Out: a line for each remark.
+In: a validated configuration. Out: a line for each notice.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ _printed: set[str] = set()
 
 
 def begin() -> None:
-    """Forget what was printed, at the beginning of a command."""
+    """Forget the printed notices, at the start of a command."""
     _printed.clear()
 
 
 def print_notices(config: EnvConfig) -> None:
-    """Print what the configuration's plugins remark, unless this command has printed it.
+    """Print the notices of the configuration's plugins that this command has not printed yet.
 
     Raises:
         PluginFailedError: a plugin's code failed.
@@ -45,4 +45,4 @@ def _notices(plugin: Plugin) -> tuple[str, ...]:
     try:
         return plugin.notices()
     except ValueError:
-        return ()  # its use raises the error that says why
+        return ()  # the use of the plugin raises the error that says why

@@ -14,10 +14,10 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from flipperctl.api import Listener
 from flipperctl.terminal.console import console
-from flipperctl.terminal.pitch_variation import swing_text
+from flipperctl.terminal.pitch_variation import pitch_variation_text
 
 _PLAIN_EVERY = 10.0  # [s]
-_KNOWN_AFTER = 20.0  # [s]; before it, compiling and starting workers hide the rate
+_KNOWN_AFTER = 20.0  # [s]; before that, compilation and the start of workers distort the rate
 
 
 def progress(total: int, done: int) -> Listener:
@@ -47,7 +47,7 @@ class _Rate:
         self._done = done
 
     def seconds_left(self, decision: int, total: int) -> str:
-        """Return the expected time to the end of the training [s]; ``–`` until it is known."""
+        """Return the remaining time of the training [s], or ``–`` while it is unknown."""
         if time.perf_counter() - self._start < _KNOWN_AFTER or decision <= self._done:
             return "–"
         return f"{(total - decision) / self(decision):.0f}"
@@ -59,7 +59,7 @@ class _Rate:
 def _validation(row: Mapping[str, Any]) -> str:
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
-        f"{swing_text(row, 2)}, {row['t_cost']:.1f} s"
+        f"{pitch_variation_text(row, 2)}, {row['t_cost']:.1f} s"
     )
 
 
@@ -69,7 +69,7 @@ def _state(row: Mapping[str, Any], rate: float) -> str:
 
 
 class Bar:
-    """A rich progress bar with the training state, and the validations above it."""
+    """A rich progress bar with the state of the training, and its validations above it."""
 
     def __init__(self, total: int, done: int) -> None:
         self._rate = _Rate(done)

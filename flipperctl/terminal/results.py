@@ -1,4 +1,4 @@
-"""What ``flipperctl eval`` prints: tables or one JSON document, and what makes them worth less."""
+"""The output of ``flipperctl eval``: tables or one JSON document, and a warning if they mislead."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from flipperctl.terminal.streams import print_note
 
 
 def print_result(result: EvaluationResult, label: str | None) -> None:
-    """Print the tables with the policy's ``label``, or the JSON document if it is None."""
+    """Print the tables with the policy's ``label``, or the JSON document if ``label`` is None."""
     for scene in result.scenes:
         if scene.is_one_drive:
             print_note(
-                f"{scene.terrain}: all {len(scene.episodes)} episodes are one and the same "
-                "drive, since nothing differs between them; their intervals mean nothing "
-                "(episode.start_noise, perception.noise, randomise or conditions=varied "
-                "make them differ)"
+                f"{scene.terrain}: all {len(scene.episodes)} episodes are identical, since nothing "
+                "is random; their intervals are meaningless (episode.start_noise, "
+                "perception.noise, randomise or conditions=varied make episodes differ)"
             )
     if label is None:
         print(result.to_json())

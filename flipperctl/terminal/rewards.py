@@ -1,4 +1,4 @@
-"""The tables and verdicts of ``inspect reward --compare``.
+"""The table and verdicts of ``inspect reward --compare``.
 
 In: a ranking for each scene. Out: a table with a row per policy, and lines of text.
 """
@@ -28,9 +28,9 @@ def print_comparison(found: list[SceneRanking]) -> None:
 
 def table(scenes: Sequence[SceneRanking]) -> Table:
     """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
-    title = "means over the draws that every policy crossed; returns without shaping"
+    title = "means over the episodes that every policy crossed; returns without shaping"
     labels = list(dict.fromkeys(ranking.rewards for s in scenes for ranking in s.rankings))
-    headings = ("terrain", "draws", "policy", "success", HEADING, PAPERS_HEADING, "t_cost [s]")
+    headings = ("terrain", "episodes", "policy", "success", HEADING, PAPERS_HEADING, "t_cost [s]")
     found = Table([*headings, *(f"return, {label}" for label in labels)], title)
     for name, scene in _named(scenes):
         returns = {ranking.rewards: ranking.returns for ranking in scene.rankings}
@@ -61,7 +61,7 @@ def verdict_lines(scenes: Sequence[SceneRanking]) -> Iterator[str]:
         words = {
             Verdict.CONTRADICTS: "CONTRADICTS θ̂_R on",
             Verdict.AGREES: "no contradiction to θ̂_R on",
-            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common draws) on",
+            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
         }
         parts = [
             f"{words[v]} {', '.join(named)}" for v in words if (named := scenes_by_verdict.get(v))
@@ -78,10 +78,10 @@ def _named(scenes: Sequence[SceneRanking]) -> Iterator[tuple[str, SceneRanking]]
 def _describe(found: Contradiction) -> str:
     term, part = next(iter(found.terms.items()))
     gain = interval_text(found.return_difference)
-    swing = interval_text(found.pitch_variation_100hz_difference)
+    variation = interval_text(found.pitch_variation_100hz_difference)
     return (
-        f"{found.paid} is paid {gain} more than {found.calm}, but its θ̂_R is {swing} rad larger "
-        f"(p {found.p_holm:.2g}); the term {term} pays it {part:+.2f}"
+        f"the return of {found.paid} is {gain} larger than that of {found.calm}, but its θ̂_R is "
+        f"{variation} rad larger (p {found.p_holm:.2g}); the term {term} contributes {part:+.2f}"
     )
 
 

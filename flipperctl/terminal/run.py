@@ -1,4 +1,4 @@
-"""What ``flipperctl inspect run`` prints: the validations of a run, and whether it is finished."""
+"""The output of ``flipperctl inspect run``: the validations of a run, and its state."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
 
 
-def print_run(found: dict[str, Any]) -> None:
-    """Print a row for each validation of a run (``runs.summary.summarise``)."""
+def print_run(found: dict[str, Any], picture: Path | None) -> None:
+    """Print a row for each validation (``runs.summary.summarise``), and the picture's name."""
     summary = found["summary"]
     state = "still running or interrupted" if not summary else "finished"
     if summary and not summary["finished"]:
@@ -23,22 +23,24 @@ def print_run(found: dict[str, Any]) -> None:
     headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
     table = Table(headings, f"{found['run']}: {state}", right=headings)
     for row in found["validations"]:
-        swing = row["pitch_variation_100hz"]
+        variation = row["pitch_variation_100hz"]
         table.add(
             f"{row['decision']:.0f}",
             f"{row['success_rate']:.1%}",
-            "–" if swing is None else f"{swing:.3f}",
+            "–" if variation is None else f"{variation:.3f}",
             f"{row['pitch_variation']:.3f}",
             f"{row['t_cost']:.1f}",
             f"{row['return']:.2f}",
         )
     table.print(console())
+    if picture is not None:
+        print(f"picture: {picture}")
 
 
 def _resume_command(run: Path) -> str:
-    """Return the command, with the names of plugin files that it lacks.
+    """Return the command that resumes the run, and the names of plugin files to be added to it.
 
-    A run knows the names of its plugins' files, not where they lie.
+    A run records the names of its plugins' files, but not their folders.
     """
     command = follow_up.command("train", "--resume", run)
     files: list[str] = []

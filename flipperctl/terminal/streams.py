@@ -1,7 +1,7 @@
-"""Let standard output and standard error show any text.
+"""Print any text on standard output and standard error.
 
-A stream whose encoding lacks a character (``LANG=C``, an old code page) gets a plain spelling of
-it instead of an error.
+A character that the encoding of a stream lacks (``LANG=C``, an old code page) is replaced by a
+plain spelling, instead of an error.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def plain_streams() -> None:
 
 
 def print_note(text: str) -> None:
-    """Print a line on stderr, beside the results on stdout."""
+    """Print a line on stderr, which leaves the results on stdout alone."""
     print(text, file=sys.stderr)
 
 
@@ -44,7 +44,7 @@ def log_to_stderr() -> None:
 
 
 def spell_plainly(text: str, encoding: str) -> str:
-    """Return the text as a stream of this encoding shows it."""
+    """Return the text with characters that this encoding lacks replaced."""
     return text.encode(encoding, PLAIN).decode(encoding, "surrogateescape")
 
 

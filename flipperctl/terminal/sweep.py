@@ -16,7 +16,10 @@ _ROWS = 40
 
 
 def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
-    """Print a row for each run of the sweep in ``folder``, and where the file is; none of none."""
+    """Print a row for each run of the sweep in ``folder``, and the path of the file.
+
+    Print nothing without runs.
+    """
     if not runs:
         return
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))

@@ -1,7 +1,7 @@
-"""Tables on the terminal that cut no number: rows side by side, or each row as a list of its cells.
+"""Tables on the terminal that never truncate a number.
 
 In: headings and rows. Out: text for the console's width. A table that is wider than the console is
-printed row by row, a line for each cell.
+printed row by row, with a line for each cell.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Table:
         right: Sequence[str] = (),
         boxed: bool = True,
     ) -> None:
-        """``right``: headings of columns that are aligned at the right; ``boxed``: with lines."""
+        """``right`` are headings of right-aligned columns; ``boxed`` draws lines."""
         self.headings, self.title = list(headings), title
         self._words, self._right, self._boxed = set(words), set(right), boxed
         self._rows: list[tuple[list[Cell], bool]] = []
@@ -65,7 +65,7 @@ class Table:
     def _side_by_side(self, to: Console, widest: int | None, broken: bool) -> RichTable:
         """Return the table; columns of words have at most the width ``widest``.
 
-        ``broken``: headings are broken at spaces where they are wider than their cells.
+        With ``broken``, headings that are wider than their cells are broken at spaces.
         """
         title = Text(plain(self.title, to), "italic") if self.title else None
         table = RichTable(title=title, title_justify="left")
@@ -108,7 +108,7 @@ class Table:
 
 
 def _item(heading: Text, cell: Text, longest: int, width: int) -> Iterator[Text]:
-    """Yield the line of a cell, or several: its heading, then its text at the spaces."""
+    """Yield the lines of a cell: its heading and its text, wrapped at spaces if too long."""
     space = " " * (longest - heading.cell_len + 2)
     if cell_len(_INDENT) + heading.cell_len + len(space) + cell.cell_len <= width:
         yield Text.assemble(_INDENT, heading, space, cell)
@@ -118,7 +118,7 @@ def _item(heading: Text, cell: Text, longest: int, width: int) -> Iterator[Text]
 
 
 def _wrapped(text: Text, width: int, indent: str = "") -> Iterator[Text]:
-    """Yield the lines of a text that is broken at spaces alone."""
+    """Yield the lines of a text, wrapped at spaces only."""
     line = Text(indent)
     for word in text.split(" "):
         if line.cell_len > len(indent) and line.cell_len + 1 + word.cell_len > width:
@@ -129,7 +129,7 @@ def _wrapped(text: Text, width: int, indent: str = "") -> Iterator[Text]:
 
 
 def _text(cell: Cell, to: Console, style: str = "") -> Text:
-    """Return the cell as the console's stream shows it."""
+    """Return the cell with characters that the console's stream lacks replaced."""
     if isinstance(cell, Text):
         return cell.copy()
     return Text(plain(cell, to), style)

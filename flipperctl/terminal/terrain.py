@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from flipperctl.terminal.console import console
 from flipperctl.terminal.tables import Table
 
 
-def print_terrain(name: str, numbers: list[dict[str, Any]]) -> None:
-    """Print a row for each sampled profile (``studies.profiles.sample``)."""
+def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
+    """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
     headings = (
         *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),
         *("largest face [m]", "steepest slope [°]", "points"),
@@ -26,3 +27,5 @@ def print_terrain(name: str, numbers: list[dict[str, Any]]) -> None:
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)
         print(f"sampled with up to {most} points; those too fine for a track to feel are left out")
+    if picture is not None:
+        print(f"picture: {picture}")

@@ -1,4 +1,4 @@
-"""What ``flipperctl transfer`` prints: a table of scenes, and failures in the other engine."""
+"""The output of ``flipperctl transfer``: a table of scenes, and failures in the other engine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def print_transfer(
 ) -> None:
     """Print a row for each scene, and below them a line for each failure.
 
-    ``policy`` and ``overrides`` are the words of the command that asked for it.
+    ``policy`` and ``overrides`` are words of the user's command.
     """
     out = console()
     names = scene_names([(one.terrain, one.conditions) for one in found])
@@ -48,7 +48,7 @@ def _table(named: list[tuple[str, TransferResult]]) -> Table:
             f"{one.other.success_rate:.3f}",
             *gap_cells(one.success_gap),
             "–" if one.kept is None else f"{one.kept:.1%}",
-            f"{_swing(one.default)} → {_swing(one.other)}",
+            f"{_variation(one.default)} → {_variation(one.other)}",
             interval_text(one.gap.pitch_variation_100hz, sign="+"),
             interval_text(one.gap.t_cost, 1, sign="+"),
             ", ".join(f"{cause} {count}" for cause, count in one.causes.items()) or "none",
@@ -59,7 +59,7 @@ def _table(named: list[tuple[str, TransferResult]]) -> Table:
 def _failures(
     named: list[tuple[str, TransferResult]], policy: list[str], overrides: Sequence[str]
 ) -> Iterator[str]:
-    """Yield a line for each failure, and the command that plays it again."""
+    """Yield a line for each failure, and the command that replays it."""
     others = [o for o in overrides if not o.startswith("terrain=")]
     for name, one in named:
         for f in one.failures:
@@ -73,6 +73,6 @@ def _failures(
             yield f"  {command('transfer', *again, *seed)}"
 
 
-def _swing(summary: Summary) -> str:
+def _variation(summary: Summary) -> str:
     found = summary.pitch_variation_100hz
     return "–" if found is None else f"{found.mean:.2f}"

@@ -8,6 +8,7 @@ import pytest
 
 from flipperctl.bench.settings import BenchSettings
 from flipperctl.cli import bench
+from flipperctl.runs.measures import split_arguments
 from flipperctl.terminal import bench as bench_output
 from flipperctl.terminal.console import PlainConsole
 from tests.cli.call import call
@@ -63,9 +64,9 @@ def test_a_wrong_request_is_refused(arguments: list[str], words: list[str], tmp_
 def test_measures_and_overrides_come_in_any_order() -> None:
     given = ["c", "seed=2", "a", "~rewards.pitch"]
     known = ("a", "b", "c")
-    assert bench.split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
+    assert split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
     for every in ([], ["all", "c"]):
-        assert bench.split_arguments(every, known) == (["a", "b", "c"], [])
+        assert split_arguments(every, known) == (["a", "b", "c"], [])
 
 
 def test_the_help_names_every_setting() -> None:

@@ -146,7 +146,7 @@ def test_export_prints_what_it_compared(run: Path, tmp_path: Path) -> None:
 
 def test_repeats_that_are_one_drive_are_named(tmp_path: Path) -> None:
     still = ("terrain=flat", "episode.start_noise=0", "--controller", "level", "--episodes")
-    said = "flat: all 2 episodes are one and the same drive"
+    said = "flat: all 2 episodes are identical"
     assert said in call("eval", *still, "2", cwd=tmp_path).err
     assert "drive" not in call("eval", *still, "1", cwd=tmp_path).err
     noise = [word for word in still if not word.startswith("episode.")]
@@ -158,7 +158,7 @@ def test_an_exported_file_is_not_exported_again(tmp_path: Path) -> None:
     done = call("export", "onnx", "--checkpoint", "p.onnx", cwd=tmp_path)
     assert (done.code, done.err) == (
         2,
-        "error: p.onnx is exported already; give the run or checkpoint that it is of\n",
+        "error: p.onnx is already exported; give its run or checkpoint\n",
     )
 
 

@@ -120,7 +120,7 @@ def test_trained_needs_a_checkpoint(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [("conditions=varid", "did you mean 'varied'?"), ("conditions=null", "null is no choice")],
+    [("conditions=varid", "did you mean 'varied'?"), ("conditions=null", "null is not allowed")],
 )
 def test_others_are_refused(wrong: str, words: str, tmp_path: Path) -> None:
     for command in (["eval", "--controller", "okada"], ["train"]):
@@ -136,7 +136,7 @@ def test_a_command_that_looks_at_one_configuration_refuses_several(
 ) -> None:
     done = call("inspect", *command, "conditions=nominal,varied", cwd=tmp_path)
     assert done.code == 2
-    assert "give 2 configurations; this command looks at one" in done.err
+    assert "give 2 configurations; this command takes one configuration" in done.err
 
 
 def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(

@@ -84,7 +84,7 @@ def test_the_printed_command_goes_on_to_the_same_results(
     done = sweep(tmp_path, *named)
     assert done.code == 130
     error = done.err.splitlines()[-1]
-    assert error.startswith("error: interrupted; 1 of 3 runs are finished. Go on with: ")
+    assert error.startswith("error: interrupted; 1 of 3 runs are finished. Continue with: ")
     (folder,) = [path.parent for path in tmp_path.rglob("sweep.csv")]
     begun = [("1", "finished"), ("2", "interrupted")]
     killed = numbers.count(signal.SIGINT) > 1  # at once, in the middle of the launch
@@ -92,7 +92,7 @@ def test_the_printed_command_goes_on_to_the_same_results(
     monkeypatch.undo()
 
     first = (folder / "0_seed=1" / "summary.json").stat().st_mtime_ns
-    program, *words = shlex.split(error.partition("Go on with: ")[2])
+    program, *words = shlex.split(error.partition("Continue with: ")[2])
     assert program == "flipperctl"
     done = call(*words, cwd=tmp_path)
     assert done.code == 0, done.err

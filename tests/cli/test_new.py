@@ -106,7 +106,7 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
     assert call("new", "terrain", "mine", *option, cwd=tmp_path).code == 0
     made.write_text("changed")
     error = refused("new", "reward", "mine", *option, cwd=tmp_path)
-    assert "is there already" in error
+    assert "already exists" in error
     assert made.read_text() == "changed"
 
 

@@ -79,7 +79,7 @@ def test_the_table_names_draws_and_verdicts(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     assert "2 of 2" in done.out
     assert "return, paper" in done.out
-    assert "paper: undecided (fewer than 5 common draws) on step" in done.out
+    assert "paper: undecided (fewer than 5 common episodes) on step" in done.out
 
 
 @pytest.mark.parametrize(

@@ -90,6 +90,6 @@ def test_inspect_engines_lists_what_disagrees(tmp_path: Path) -> None:
     # A robot that drives across the ramp at an angle pitches less.
     slope = ["terrain=ramp", "sim.yaw=0.7", "sim.heading_gain=0", "--episodes", "1"]
     other = call("inspect", "engines", *slope, cwd=tmp_path)
-    assert re.search(r"ramp, episode 0 \(seed \d+\): reached .*; they part at", other.out)
+    assert re.search(r"ramp, episode 0 \(seed \d+\): reached .*; they diverge at", other.out)
     document = json.loads(call("inspect", "engines", *slope, "--json", cwd=tmp_path).out)
     assert document["scenes"][0]["episodes"][0]["agrees"] is False

@@ -1,11 +1,10 @@
-"""The application of Hydra that ``flipperctl train`` is: checks before it, and each of its jobs.
+"""``flipperctl train`` as an application of Hydra: the checks before it, and each of its jobs.
 
-In: the words of the command, Hydra's own options among them. Out: a run in each job's directory.
+In: the words of the command, including Hydra's options. Out: a run in each job's directory.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,36 +17,36 @@ from hydra.core.utils import env_override
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from flipperctl import plugins
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import compose_train, parse_training
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import InterruptedRunError
-from flipperctl.files import failure, make_folder, write_bytes
+from flipperctl.files import failure
+from flipperctl.rollout import ray_cluster
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs import follow_up, preflight
+from flipperctl.runs.command_process import CommandProcess
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import holder
 from flipperctl.runs.sweep_stop import stop_of
 from flipperctl.terminal.notices import print_notices
 
 
 def train(arguments: list[str], *, check: bool) -> None:
-    """Run Hydra with the words behind ``flipperctl train``.
+    """Run Hydra with the words after ``flipperctl train``.
 
-    ``check``: whether the composed configurations are checked before Hydra makes a directory.
+    With ``check``, the composed configurations are checked before Hydra creates a directory.
 
     Raises:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
-        InterruptedRunError: Ctrl-C was pressed; what was trained is saved.
+        InterruptedRunError: Ctrl-C was pressed; the training so far is saved.
     """
     config_store.register_defaults()
     config_store.register_sweepers()
     several = "--multirun" in arguments
     checked = _check([a for a in arguments if a != "--multirun"], several=several, compose=check)
     errors: list[BaseException] = []
-    job = _Job.of_this_process(checked=checked)
+    job = _Job(CommandProcess.current(), checked)
 
     def task(composed: Any) -> float | None:
         try:
@@ -56,17 +55,15 @@ def train(arguments: list[str], *, check: bool) -> None:
             if several:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
-            stopped = InterruptedRunError(
-                f"interrupted. Resume with: {follow_up.command('train', '--resume', directory)}"
-            )
-            # Hydra would add lines of its own to what passes through it.
+            stopped = follow_up.interrupted_run(directory)
+            # Hydra would add its own lines to an exception that it handles.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
     configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
-        # Hydra passes exceptions on, instead of printing them itself.
+        # Hydra passes exceptions on instead of printing them.
         with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
             configured(task)()
         if errors:
@@ -82,24 +79,21 @@ def train(arguments: list[str], *, check: bool) -> None:
     finally:
         sys.argv = previous_argv
         if several:
-            _shut_ray_down()
+            ray_cluster.shut_down()  # Hydra's launcher leaves it running
 
 
 def _check(words: list[str], *, several: bool, compose: bool) -> bool:
-    """Refuse a wrong request; return whether the composed configurations were checked, too."""
+    """Refuse a wrong request; return whether the composed configurations were checked."""
     plain = not any(word.startswith("-") for word in words)
-    # With options of Hydra, other words may be their values.
+    # With options of Hydra, other words may be values of these.
     typed = words if plain else [w for w in words if "=" in w and not w.startswith("-")]
     overrides = Overrides.parse(typed)
-    if not several:
-        overrides.check_single()
-    overrides.check_folders()
-    overrides.check_mappings()
-    # Hydra's rarer options may bring other configuration files; then the job itself checks.
+    overrides.check_training(several=several)
+    # Hydra's options may add other configuration files; then each job checks its own.
     if not (compose and plain):
         return False
     own = overrides.where(lambda key: not key.startswith("hydra"))
-    # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
+    # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
         for probe in (own, *own.interval_probes()):
             for config in compose_train(probe):
@@ -110,45 +104,22 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
     return True
 
 
-def _shut_ray_down() -> None:
-    """Shut Ray down, which Hydra's launcher leaves running until this process ends."""
-    ray = sys.modules.get("ray")
-    if ray is not None and ray.is_initialized():
-        ray.shutdown()
-
-
 @dataclass(frozen=True)
 class _Job:
-    """What a job needs of the command's process; a launcher's worker has an environment of its own.
+    """A job of Hydra; a launcher may run it in another process."""
 
-    A worker on a running cluster has another working directory, too.
-    """
-
-    plugins: list[str]
-    typed: list[str]
-    """The paths of ``--plugins``; ``plugins`` are those of all plugins."""
-    folder: Path
-    sweeper: dict[str, Any]
-    """The process of the command (``lock.holder``)."""
+    process: CommandProcess
     checked: bool
-    """Whether the command has composed the configuration before, and printed its notices."""
-
-    @classmethod
-    def of_this_process(cls, *, checked: bool) -> _Job:
-        paths = plugins.configured_paths()
-        return cls(paths, follow_up.plugin_paths(), Path.cwd(), holder(), checked)
+    """Whether the command has checked the configuration and printed its notices."""
 
     def run(self, composed: Any) -> float | None:
-        """Train what Hydra composed; return the objective of a search."""
+        """Train with the composed configuration; return the objective of a search."""
         from flipperctl.runs.search import objective
         from flipperctl.runs.training import start, start_or_go_on
         from flipperctl.terminal.training import print_best, reports
 
         settings = HydraConfig.get()
-        if not settings.job.chdir and self.folder.is_dir():
-            os.chdir(self.folder)
-        plugins.load(self.plugins)
-        follow_up.remember_plugins(self.typed)
+        self.process.restore(folder=not settings.job.chdir)
         config = parse_training(composed)
         preflight.check_device(config)
         if not self.checked:
@@ -156,9 +127,9 @@ class _Job:
         directory = Path(settings.runtime.output_dir)
         keep = _keeper(composed, directory)
         if settings.mode is RunMode.MULTIRUN:
-            stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.sweeper)
+            stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
-                raise InterruptedRunError(f"{directory.name} was not begun")
+                raise InterruptedRunError(f"{directory.name} was not started")
             run = start_or_go_on(config, directory, reports(), keep_more=keep, stop=stop)
         else:
             run = start(config, directory, reports(), keep_more=keep)
@@ -167,19 +138,16 @@ class _Job:
 
 
 def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
-    """Return a function that writes Hydra's own files, once the directory is known to be ours."""
+    """Return a function that writes Hydra's own files, to call once the directory is locked."""
 
     def keep() -> None:
         settings = HydraConfig.get()
-        if settings.output_subdir is not None:
-            return  # the user asked for them, and Hydra wrote them
-        folder = make_folder(directory / run_folder.HYDRA)
-        documents = {
-            "config": composed,
-            "hydra": OmegaConf.create({"hydra": OmegaConf.to_container(settings)}),
-            "overrides": settings.overrides.task,
-        }
-        for name, document in documents.items():
-            write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
+        if settings.output_subdir is None:  # else Hydra has written them
+            documents = {
+                "config": composed,
+                "hydra": {"hydra": OmegaConf.to_container(settings)},
+                "overrides": settings.overrides.task,
+            }
+            run_folder.write_hydra(directory, documents)
 
     return keep

@@ -1,7 +1,7 @@
 """Compose validated configurations from overrides, with Hydra.
 
-In: overrides. Out: ``TrainConfig`` and ``EvalConfig``, one for each
-combination of the lists among the overrides. ``config_store`` holds the defaults.
+In: overrides. Out: a ``TrainConfig`` or ``EvalConfig`` for each combination of the lists among the
+overrides. ``config_store`` holds the defaults.
 """
 
 from __future__ import annotations
@@ -13,19 +13,8 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli.hydra.config_store import (
-    CHOICES,
-    CONFIGS,
-    EVAL_CHECKPOINT,
-    EVAL_CONTROLLER,
-    EVAL_EXPORT,
-)
-from flipperctl.cli.hydra.errors import (
-    convert_hydra_errors,
-    missing_choice,
-    unknown_key,
-    wrong_choice,
-)
+from flipperctl.cli.hydra import config_store, errors
+from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
 from flipperctl.config.effect import check_effect
@@ -37,8 +26,8 @@ Composed = TypeVar("Composed")
 
 
 def parse_training(composed: DictConfig) -> TrainConfig:
-    """Return the validated training configuration of what Hydra composed."""
-    return parse(TrainConfig, {"logger": {}, **_plain(composed)})
+    """Validate the training configuration that Hydra composed."""
+    return _training(_plain(composed))
 
 
 def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # noqa: B008  # frozen
@@ -47,8 +36,7 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     Raises:
         ConfigError: an override is unknown, of the wrong type or out of bounds.
     """
-    composed = _compositions("train", overrides)
-    found = [parse(TrainConfig, {"logger": {}, **plain}) for _, plain in composed]
+    found = [_training(plain) for _, plain in _compositions("train", overrides)]
     for config in found:
         print_notices(config)
     return found
@@ -70,7 +58,7 @@ def compose_eval(
 
 
 def compose_environment(overrides: Overrides, primary: str = EVAL_CONTROLLER) -> EnvConfig:
-    """Return the environment of an evaluation with these overrides."""
+    """Return the only configuration of an evaluation, as that of an environment."""
     config, _ = only_one(compose_eval(overrides, primary))
     return config
 
@@ -79,36 +67,41 @@ def only_one(found: Sequence[Composed]) -> Composed:
     """Return the only configuration, for commands that take just one.
 
     Raises:
-        ConfigError: lists among the overrides gave several.
+        ConfigError: the lists among the overrides gave several.
     """
     if len(found) > 1:
         raise ConfigError(
-            f"the lists among the overrides give {len(found)} configurations; this command looks "
-            "at one"
+            f"the lists among the overrides give {len(found)} configurations; this command takes "
+            "one configuration"
         )
     return found[0]
 
 
 def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, dict[str, Any]]]:
-    """Yield each combination of the sweeps, and what it composes to."""
-    with convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
-        for combination in overrides.combinations(CHOICES):
+    """Yield each combination of the sweeps, and its composed configuration."""
+    config_store.register_defaults()
+    with errors.convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
+        for combination in overrides.combinations(config_store.CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
             try:
                 yield combination, _plain(compose(primary, combination.words))
             except MissingConfigException as error:
-                raise missing_choice(error) from error
+                raise errors.missing_choice(error) from error
             except ConfigCompositionException as error:
-                raise unknown_key(error, primary, combination) from error
-            except (TypeError, ValueError) as error:  # Hydra's for a choice that is not a name
-                raise wrong_choice(error, combination) from error
+                raise errors.unknown_key(error, primary, combination) from error
+            except (TypeError, ValueError) as error:  # from Hydra: a choice is not a name
+                raise errors.wrong_choice(error, combination) from error
+
+
+def _training(plain: dict[str, Any]) -> TrainConfig:
+    return parse(TrainConfig, {"logger": {}, **plain})
 
 
 def _plain(composed: DictConfig) -> dict[str, Any]:
-    with convert_hydra_errors():
+    with errors.convert_hydra_errors():
         plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     if not isinstance(plain, dict):
-        raise ConfigError("the configuration is no mapping")
-    # Without the key, the model's defaults would replace the terms that ~rewards dropped.
+        raise ConfigError("the configuration is not a mapping")
+    # Without this key, the model's defaults would replace the terms dropped by ~rewards.
     return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}

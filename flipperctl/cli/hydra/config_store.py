@@ -1,7 +1,7 @@
 """Register the defaults of plugins and sections in Hydra's ConfigStore.
 
-In: the registry, the models' defaults, a checkpoint's configuration, the sweepers. Out: entries of
-config groups and primary configurations.
+In: the registry, the models' defaults, a checkpoint's configuration. Out: entries of config groups,
+and primary configurations.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
-from flipperctl.api import ObservationLayout, Robot
+from flipperctl.api import ObservationLayout, Plugin, Robot, registry
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, container
 from flipperctl.config.defaults import GROUPS, LISTS, entries, sections
 from flipperctl.config.randomise import PATH_SECTIONS
@@ -21,33 +21,38 @@ from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))
-EVAL_CONTROLLER, EVAL_CHECKPOINT, EVAL_EXPORT = (
-    "eval",
-    "flipperctl_eval_trained",
-    "flipperctl_eval_exported",
-)
+EVAL_CONTROLLER = "eval"
+EVAL_CHECKPOINT, EVAL_EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
 CHOICES = (*GROUPS, "controller", "experiment")
 """Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_registered: dict[tuple[str, str], type[Plugin]] = {}
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 
 
 def register_defaults() -> None:
-    """Put every registered plugin's and every section's defaults into the ConfigStore."""
+    """Store the defaults of every registered plugin and every section in the ConfigStore.
+
+    Do nothing if no plugin has been registered since the last call.
+    """
+    if _registered == registry:
+        return
     store = ConfigStore.instance()
     for group, name, node in entries():
-        # Several entries of a list may be chosen; one without settings adds nothing.
+        # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
         store.store(group=group, name=name, node=node, package=package)
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
+    _registered.clear()
+    _registered.update(registry)
 
 
 def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
-    """Return the sections with those mappings of ``randomise`` that take any key without a +."""
+    """Return the sections, with the mappings of ``randomise`` open for new keys without a +."""
     randomise = sections["randomise"]
     open_for_keys = {
         section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
@@ -57,9 +62,9 @@ def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
-    """Register an evaluation of a policy as a primary configuration; return its name.
+    """Register the evaluation of a policy as a primary configuration; return its name.
 
-    The sections of its training are ``conditions=trained``, unless the file lacks them.
+    The sections of its training become ``conditions=trained``, unless the file lacks them.
     """
     store = ConfigStore.instance()
     found = Inherited.of(config)
@@ -86,9 +91,9 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
 
 
 def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str:
-    """Register an evaluation with another robot as a primary configuration; return its name.
+    """Register the evaluation of another robot as a primary configuration; return its name.
 
-    ``layout``: the observation layout, if it is another one as well. Overrides change both.
+    ``layout`` is its observation layout, if that differs as well. Overrides change both.
     """
     node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": container(robot)}
     if layout is not None:
@@ -103,7 +108,7 @@ def register_sweepers() -> None:
     Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
     for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
     """
-    Plugins.instance()  # Hydra's own entries are made at discovery, and ours come after them
+    Plugins.instance()  # the discovery registers Hydra's own entries, which ours replace
     settings: dict[str, dict[str, Any]] = {
         "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
         "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},

@@ -1,12 +1,12 @@
-"""Explain Hydra's errors: the wrong key or choice, the known ones, a close match.
+"""Explain Hydra's errors: the wrong key or choice, the known ones, and a close match.
 
 In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. The text
-of an exception is never parsed: the override at fault is the first that Hydra refuses.
+of an exception is never parsed; the wrong override is the first that Hydra refuses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,9 +24,10 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.config_store import CHOICES
-from flipperctl.cli.hydra.overrides import Overrides, unreadable
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.defaults import GROUPS, missing_entry
-from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.config.words import unreadable
+from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
 
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
@@ -37,10 +38,8 @@ def convert_hydra_errors() -> Iterator[None]:
     """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
     try:
         yield
-    except FlipperctlError:
-        raise
     except OverrideParseException as error:
-        raise unreadable(error) from error
+        raise unreadable(str(error.override)) from error
     except MissingConfigException as error:
         raise missing_choice(error) from error
     except (HydraException, OmegaConfBaseException) as error:
@@ -67,9 +66,9 @@ def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:
     """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
     for override in overrides.parsed:
         key, value = override.get_key_element(), override.value()
-        names = value if isinstance(value, list) else [value]
+        names = all(isinstance(v, str) for v in (value if isinstance(value, list) else [value]))
         optional = key == "experiment" and value is None
-        if key in (*GROUPS, "experiment") and not optional and not _all_names(names):
+        if key in (*GROUPS, "experiment") and not optional and not names:
             return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
     return ConfigError(_one_line(error))
 
@@ -81,7 +80,7 @@ def unknown_key(
     choices = [word for word in overrides.words if word.partition("=")[0] in CHOICES]
     try:
         composed = compose(primary, choices)
-    except ConfigCompositionException:  # a choice itself is at fault, as controller=… of a training
+    except ConfigCompositionException:  # a choice itself is wrong, as controller=… of a training
         choices, composed = [], compose(primary)
     node: Any = OmegaConf.to_container(composed, resolve=True)
     others = [o for o in overrides.parsed if str(o.input_line) not in choices]
@@ -100,7 +99,7 @@ def unknown_key(
 def _first_refused(
     primary: str, choices: list[str], others: list[Override]
 ) -> tuple[Override, ConfigCompositionException] | None:
-    """Return the first of ``others`` that does not compose, and why.
+    """Return the first of ``others`` that does not compose, and its exception.
 
     Hydra applies overrides of config groups before overrides of keys.
     """
@@ -134,10 +133,6 @@ def _is_group(override: Override) -> bool:
     """Return whether Hydra treats the override as the choice of a config group."""
     options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
     return bool(options) and not isinstance(override.value(), dict)
-
-
-def _all_names(values: Iterable[object]) -> bool:
-    return all(isinstance(value, str) for value in values)
 
 
 def _one_line(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""``hydra/sweeper=optuna``: a search over intervals and lists that resumes after any stop.
+"""``hydra/sweeper=optuna``: a resumable search over intervals and lists.
 
 In: overrides, of which some are ``interval(…)``, ``tag(log,interval(…))`` or lists. Out: one
 training for each trial. Optuna proposes, Hydra's launcher trains. (Hydra's own plugin,
@@ -18,11 +18,9 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.sweeps import command_to_go_on, launched_by, uses_default_naming
-from flipperctl.runs.optuna_search import OptunaSearch, check_settings
+from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
+from flipperctl.runs.optuna_search import check_settings, search
 from flipperctl.runs.search import SearchSettings
-from flipperctl.runs.search_space import distributions
-from flipperctl.runs.study import open_study
 from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
 
@@ -62,14 +60,4 @@ class SearchSweep:
             RunHeldError: another process works in the sweep's folder.
         """
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
-        space = distributions(sampled)
-        study = open_study(self.settings, arguments)
-        self.jobs.swept = list(space)
-        search = OptunaSearch(
-            *(self.settings, study, self.jobs, space, fixed),
-            tell=print_note,
-            command_to_go_on=lambda: command_to_go_on(self.jobs.folder),
-        )
-        with self.jobs.held():
-            search.run()
-        search.conclude()
+        search(self.settings, self.jobs, arguments, sampled, fixed, tell=print_note)

@@ -1,21 +1,20 @@
 """The overrides of a command, parsed once: their keys, values, choices and combinations.
 
-In: the words as the user typed them. Out: one ``Overrides``, which every later step is given.
+In: the words as the user typed them. Out: one ``Overrides`` for all later steps.
 """
 
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import IntervalSweep, Override
+from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
-from flipperctl.config.words import check_words, quote_override
+from flipperctl.config.words import check_words, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
 
@@ -30,12 +29,12 @@ class Overrides:
 
     @classmethod
     def parse(cls, words: Iterable[str], *, check: bool = True) -> Overrides:
-        """Return the overrides that are written in the words.
+        """Parse the words.
 
-        ``check``: whether words that are no overrides are explained, as after a mistake in typing.
+        With ``check``, words that are not overrides are explained, for instance a typing mistake.
 
         Raises:
-            ConfigError: a word is no override, or Hydra cannot read it, or a key is given twice.
+            ConfigError: a word is not an override, Hydra cannot read it, or a key is given twice.
         """
         words = list(words)
         if check:
@@ -43,7 +42,7 @@ class Overrides:
         try:
             return cls(tuple(OverridesParser.create().parse_overrides(words)))
         except OverrideParseException as error:
-            raise unreadable(error) from error
+            raise unreadable(str(error.override)) from error
 
     @property
     def words(self) -> list[str]:
@@ -52,7 +51,7 @@ class Overrides:
 
     @property
     def typed(self) -> dict[str, str]:
-        """Each key or group, and the word that overrides it."""
+        """The word that overrides each key or group."""
         return {o.key_or_group: str(o.input_line) for o in self.parsed}
 
     @property
@@ -61,17 +60,17 @@ class Overrides:
         return [o.get_key_element() for o in self.parsed if o.is_sweep_override()]
 
     def where(self, chosen: Callable[[str], bool]) -> Overrides:
-        """Return the overrides whose key or group is chosen."""
+        """Return the overrides whose key or group ``chosen`` accepts."""
         return Overrides(tuple(o for o in self.parsed if chosen(o.key_or_group)))
 
     def choice(self, group: str) -> str | None:
-        """Return the last name that is chosen for a group; None if there is none."""
+        """Return the name that was chosen last for a group; None if there is none."""
         found = [o for o in self.parsed if o.key_or_group == group]
         value = found[-1].value() if found and not found[-1].is_delete() else None
         return str(value) if value else None
 
     def values(self) -> dict[str, Any]:
-        """Return the value of each key, for overrides that are applied without composition.
+        """Return the value of each key, for overrides that are applied without Hydra.
 
         Raises:
             ConfigError: an override is not a plain ``key=value``, such as a list of values.
@@ -82,47 +81,42 @@ class Overrides:
                 raise ConfigError(f"{o.input_line}: one value is allowed here, as in key=value")
         return {o.key_or_group: o.value() for o in self.parsed}
 
-    def check_single(self) -> None:
-        """Refuse lists of values, which make several runs.
+    def check_training(self, *, several: bool) -> None:
+        """Refuse lists without ``several`` runs, folders without a name, and empty mappings.
 
         Raises:
-            ConfigError: a setting has several values.
+            ConfigError: an override is one of these.
         """
         for override in self.parsed:
-            if override.is_sweep_override():
+            if override.is_sweep_override() and not several:
                 key, _, value = str(override.input_line).partition("=")
                 raise ConfigError(
                     f"{override.input_line}: several values make several runs; add -m for them, or "
                     f"brackets if the setting is a list: {key}=[{value}]"
                 )
-
-    def check_folders(self) -> None:
-        """Refuse an empty folder name, which would mix runs with the user's own files.
-
-        Raises:
-            ConfigError: ``hydra.run.dir=`` or ``hydra.sweep.dir=`` without a value.
-        """
         for override in self.parsed:
             key = override.get_key_element()
+            # An empty name would mix runs with the user's own files.
             if key in _FOLDERS and override.value() in ("", None):
                 raise ConfigError(
-                    f"{key}: the name of a folder is allowed, . for the one you are in; "
+                    f"{key}: the name of a folder is allowed, or . for the working directory; "
                     f"the value is {override.value()!r}"
                 )
+        self.check_mappings()
 
     def check_mappings(self) -> None:
-        """Refuse an empty mapping, since Hydra merges it and nothing would change.
+        """Refuse an empty mapping, which Hydra would merge without effect.
 
         Raises:
-            ConfigError: a value is an empty mapping; the text has the override that drops the key.
+            ConfigError: a value is an empty mapping; the text has an override that drops the key.
         """
         for override in self.parsed:
             if not override.is_delete() and override.value() == {}:
                 key = override.get_key_element()
                 drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
                 raise ConfigError(
-                    f"{override.input_line}: a mapping is merged into what is there, and an empty "
-                    f"one changes nothing; {drop}"
+                    f"{override.input_line}: a mapping is merged into the existing one, so that "
+                    f"an empty mapping changes nothing; {drop}"
                 )
 
     def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
@@ -132,8 +126,7 @@ class Overrides:
         for override in self.parsed:
             key, typed = override.get_key_element(), str(override.input_line)
             if override.is_interval_sweep():
-                sweep: Any = override.value()
-                found[key] = Interval(sweep.start, sweep.end, "log" in sweep.tags, typed)
+                found[key] = _interval(override)
             elif override.is_sweep_override():
                 found[key] = list(override.sweep_string_iterator())
             else:
@@ -141,10 +134,10 @@ class Overrides:
         return found, fixed
 
     def combinations(self, choices: Sequence[str] = ()) -> Iterator[Overrides]:
-        """Yield every combination of the values in lists; intervals are left out.
+        """Yield every combination of the values in lists, without intervals.
 
-        A sweeper samples intervals, and the job checks the sampled values. ``choices`` are groups
-        of which a name must be chosen.
+        Sweepers sample the intervals, and the jobs check the sampled values. In each group of
+        ``choices``, a name must be chosen.
 
         Raises:
             ConfigError: null is chosen where a name is needed, or a mapping is empty.
@@ -153,7 +146,7 @@ class Overrides:
         parts: list[Sequence[Override]] = []
         for override in self.parsed:
             if override.key_or_group in choices and str(override.input_line).endswith("=null"):
-                raise ConfigError(f"{override.input_line}: null is no choice here; give a name")
+                raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
             if override.is_interval_sweep():
                 continue
             if override.is_sweep_override():
@@ -165,31 +158,15 @@ class Overrides:
         yield from map(Overrides, itertools.product(*parts))
 
     def interval_probes(self) -> Iterator[Overrides]:
-        """Yield the overrides with each interval at its ends, and at a value between them.
-
-        The value between them reveals an interval of real numbers for an integer setting.
-        """
+        """Yield the overrides with each interval at its ends, and at a value between them."""
         for index, override in enumerate(self.parsed):
-            interval = override.value()
-            if isinstance(interval, IntervalSweep):
-                start, end = cast("tuple[float, float]", (interval.start, interval.end))
-                whole = isinstance(start, int) and isinstance(end, int)
-                between = start if whole else start + 0.3819 * (end - start)
+            if override.is_interval_sweep():
                 key = override.get_key_element()
-                probes = [f"{key}={x}" for x in (start, end, between)]
+                probes = [f"{key}={number}" for number in _interval(override).probes()]
                 for probe in Overrides.parse(probes, check=False).parsed:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
 
 
-def unreadable(error: OverrideParseException) -> ConfigError:
-    """Return the error for a word that Hydra cannot parse."""
-    key, _, value = str(error.override).partition("=")
-    if re.search(r"\s[+~]*[\w./@]+=", value):
-        return ConfigError(
-            f"{error.override!r}: one word holds several overrides; leave the quotes around "
-            f"them out: {error.override}"
-        )
-    return ConfigError(
-        f"{error.override!r}: Hydra cannot read this override; if its value is meant as it "
-        f"stands, quote it: {quote_override(key, value)}"
-    )
+def _interval(override: Override) -> Interval:
+    sweep: Any = override.value()
+    return Interval(sweep.start, sweep.end, "log" in sweep.tags, str(override.input_line))

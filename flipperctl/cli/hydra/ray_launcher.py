@@ -1,7 +1,7 @@
-"""The cluster of Hydra's Ray launcher: joined here, since the launcher joins no running one.
+"""Connect to the cluster of Hydra's Ray launcher, which cannot join a running one by itself.
 
-The launcher asks for an object store of a size of its own, which Ray refuses when it joins a
-cluster (hydra-ray-launcher 1.2). It goes on with the connection that it finds.
+The launcher requests an object store of its own size, which Ray refuses when it joins a cluster
+(hydra-ray-launcher 1.2). It uses an existing connection.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from hydra.plugins.launcher import Launcher
 from omegaconf import OmegaConf
 
-from flipperctl.rollout.ray_cluster import join
+from flipperctl.rollout.ray_cluster import is_connected, join
 
 _MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
 
@@ -29,8 +29,7 @@ def connect(launcher: Launcher) -> None:
     module = sys.modules.get(_MODULE)
     if module is None or not isinstance(launcher, module.RayLauncher):
         return
-    ray = sys.modules.get("ray")
-    if ray is not None and ray.is_initialized():
+    if is_connected():
         return
     found: Any = launcher
     settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)

@@ -1,16 +1,13 @@
 """Sweeps over lists, run by Hydra's basic sweeper, with folders named after the swept values.
 
 In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
-and a table that compares them. Any of Hydra's launchers can train them.
+and a table that compares the runs. Any launcher of Hydra can train them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-import os
-import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -39,7 +36,7 @@ def uses_default_naming(config: DictConfig) -> bool:
 
 
 def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
-    """Return a sweep in ``folder`` whose jobs a launcher of Hydra trains."""
+    """Return a sweep in ``folder`` whose jobs are trained by a launcher of Hydra."""
     from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
     def launch(jobs: Sequence[Job], names: Sequence[str], first: int) -> list[JobResult]:
@@ -57,7 +54,7 @@ def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
 
 
 def job_result(job: JobReturn) -> JobResult:
-    """Return the value that a job returned, or the error that ended it.
+    """Return the value of a job, or the error that ended it.
 
     ``return_value`` writes a line to stderr before it raises the error. That line is hidden,
     since the command shows the error itself.
@@ -102,11 +99,11 @@ class ListSweep:
         return []
 
     def run(self, arguments: list[str]) -> None:
-        """Train every combination, from where an earlier start in the same folder left it.
+        """Train every combination; continue those of an earlier start in the same folder.
 
         Raises:
             FlipperctlError: the first of the jobs' errors, raised after all jobs have run.
-            InterruptedRunError: the sweep was stopped; the text has the command to go on with.
+            InterruptedRunError: the sweep was stopped; the text has the command that continues it.
             RunHeldError: another process works in the sweep's folder.
         """
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
@@ -118,15 +115,5 @@ class ListSweep:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Go on with: {command_to_go_on(self._jobs.folder)}"
+                    f"Continue with: {follow_up.sweep_command(self._jobs.folder)}"
                 ) from error
-
-
-def command_to_go_on(folder: Path) -> str:
-    """Return the command that goes on with the sweep in ``folder``, which this process runs."""
-    words = [word for word in sys.argv[1:] if word != "--multirun"]
-    if not any(word.startswith("hydra.sweep.dir=") for word in words):
-        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
-        plain = re.fullmatch(r"[\w./-]+", short) is not None
-        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
-    return follow_up.command("train", "-m", *words)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli import options
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
-The content's SHA-256 covers configuration, results, state and weights: it is equal for equal runs,
-with any versions of the packages that wrote them.
+The SHA-256 of the content covers configuration, results, state and weights: it is equal for equal
+runs, whatever versions of the packages wrote them.
 
 [bold]Examples[/]
 
@@ -25,16 +24,15 @@ with any versions of the packages that wrote them.
 
 def run(
     path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint
     from flipperctl.checkpoint.contents import contents
     from flipperctl.terminal.checkpoint import print_checkpoint
+    from flipperctl.terminal.document import show
 
     saved = checkpoint.read(checkpoint.find(path))
-    if as_json:
-        print(json.dumps(contents(saved), indent=2))
-    else:
-        print_checkpoint(contents(saved), saved)
+    found = contents(saved)
+    show(found, lambda: print_checkpoint(found, saved), as_json=as_json)

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
+from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
 
 COMMAND = TrainingCommand
 HELP = """Print the composed, validated training configuration as YAML.
 
-With [bold]--describe[/], list every setting of it instead: value, default, bounds, unit, meaning.
+With [bold]--describe[/], list its settings instead: value, default, bounds, unit and meaning.
 
 [bold]Examples[/]
 
@@ -26,23 +26,22 @@ With [bold]--describe[/], list every setting of it instead: value, default, boun
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     describe: Annotated[
         bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")
     ] = False,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from omegaconf import OmegaConf
 
-    from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra import compose
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import container
     from flipperctl.config.describe import list_settings
     from flipperctl.terminal.settings import print_settings
 
-    config_store.register_defaults()
     config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
     if describe:
         (default,) = compose.compose_train()

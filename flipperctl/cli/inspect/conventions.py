@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.studies.conventions import Probe
 
-HELP = """Probe signs, frames, units and timing of both engines, of sensing and of an exported file.
+HELP = """Probe signs, frames, units and timing of two engines, of sensing and of an exported file.
 
-Each engine drives on the level, turns each pair of flippers up and presses it down, and drives up
-a ramp; the sensor looks at a step. With an exported file, robot and observation are the file's, and
-its actions, targets and period are compared with the robot (after robot.… overrides: with yours).
-What differs from the contract is listed, and the command fails. sim=… names the engine beside the
-default one.
+In each engine the robot drives on level ground, raises and lowers each pair of flippers, and drives
+up a ramp; the sensor measures a step. With an exported file, robot and observation are the file's;
+its actions, targets and period are compared with that robot, or with yours after robot.… overrides.
+Differences from the contract are listed, and then the command fails. sim=… names the engine that is
+probed beside the default one.
 
 [bold]Examples[/]
 
@@ -33,24 +32,22 @@ default one.
 
 
 def run(
-    overrides: Overrides = None,
+    overrides: options.Overrides = None,
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="FILE", help="An exported .onnx file.")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.studies.conventions import require_conventions
     from flipperctl.terminal.conventions import print_probes
+    from flipperctl.terminal.document import show
 
     found = _probes(list(overrides or []), checkpoint)
-    if as_json:
-        holds = all(probe.holds for probe in found)
-        document = {"holds": holds, "probes": [probe.container() for probe in found]}
-        print(json.dumps(document, indent=2))
-    else:
-        print_probes(found)
+    holds = all(probe.holds for probe in found)
+    document = {"holds": holds, "probes": [probe.container() for probe in found]}
+    show(document, lambda: print_probes(found), as_json=as_json)
     require_conventions(found)
 
 
@@ -63,8 +60,7 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.studies.conventions import probe
 
     if file is not None and not is_exported(file):
-        raise RequestError(f"--checkpoint: an exported .onnx file is allowed; got {file}")
-    config_store.register_defaults()
+        raise RequestError(f"--checkpoint: only an exported .onnx file is allowed; got {file}")
     primary = config_store.EVAL_CONTROLLER
     if file is not None:
         own = exported_config(file)

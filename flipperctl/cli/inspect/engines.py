@@ -1,23 +1,20 @@
-"""``flipperctl inspect engines``: another engine against the one of the side plane."""
+"""``flipperctl inspect engines``: another engine compared with the default one."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
-from flipperctl.errors import RequestError
+from flipperctl.cli import options
 
-HELP = """Compare sim=mujoco, or another engine, with the default one by the same actions.
+HELP = """Compare sim=mujoco, or another engine, with the default one on the same actions.
 
 A policy drives in the default engine; the other one repeats its actions open loop on the same
-ground, so that only physics differs. Engines agree on an episode if the outcomes are equal and,
+ground, so that only the physics differ. Engines agree on an episode if the outcomes are equal and,
 where both reach the finish, the pitches differ by at most 0.05 rad RMS at equal times and the times
-by at most 3 %. Episodes that disagree are listed with the time and the place at which they part.
-Pitches that differ at equal times but not at equal x are the same motion, a little later.
+by at most 3 %. Episodes that disagree are listed with the time and the position at which they
+diverge. Pitches that differ at equal times but not at equal x are the same motion with a delay.
 
 Settings of sim are those of the other engine; friction and gravity apply to both.
 
@@ -32,38 +29,31 @@ Settings of sim are those of the other engine; friction and gravity apply to bot
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx.")
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
-    ] = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.DefaultOkada = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes per scene [10].")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
+    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.studies.engines import compare_engines, in_default_engine
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress
 
-    chosen = None if checkpoint else controller or "okada"
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
     found = []
     asked = scenes(with_engine(arguments), checkpoint, chosen)
     for config, _ in asked:
-        in_default_engine(config)  # a wrong engine is found before the first episode
+        in_default_engine(config)  # raises for a wrong engine, before the first episode
     for config, source in asked:
         with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
             found.append(compare_engines(config, source, report))
-    if as_json:
-        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
-    else:
-        print_engines(found)
+    document = {"scenes": [scene.container() for scene in found]}
+    show(document, lambda: print_engines(found), as_json=as_json)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli import options
 
 if TYPE_CHECKING:
     from flipperctl.api import Plugin
 
-HELP = """List every registered plugin: its source, and each field with default, bounds and unit.
+HELP = """List every registered plugin: its source, and its fields with default, bounds and unit.
 
 With [bold]--check[/], run the conformance suite on them instead: terrains at every bound, rewards
-on recorded episodes of every outcome, networks up to ONNX, controllers against the clock.
+on recorded episodes of every outcome, networks including their ONNX export, controllers within a
+time limit.
 
 [bold]Examples[/]
 
@@ -37,50 +37,37 @@ def run(
     ] = False,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="With --check: a folder for the terrains' pictures."),
+        typer.Option(metavar="DIR", help="With --check: a folder for pictures of the terrains."),
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.api import registry
-    from flipperctl.config.describe import describe_plugin
-    from flipperctl.errors import PluginError, RequestError
-    from flipperctl.messages import close_match
+    from flipperctl.config.describe import describe_plugin, plugin_keys
+    from flipperctl.errors import RequestError
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.plugins import print_plugins
 
     if output is not None and not check:
-        raise RequestError("--output is for the pictures of --check; inspect terrain draws one")
+        raise RequestError("--output needs --check; inspect terrain draws a single picture")
 
-    known = {plugin for _, plugin in registry}
-    if name is not None and name not in known:
-        raise PluginError(f"there is no plugin {name!r}{close_match(name, known)}")
-    chosen = [(k, n) for k, n in sorted(registry) if name in (None, n)]
+    chosen = plugin_keys(name)
     if check:
         _check([registry[key] for key in chosen], output, as_json=as_json)
         return
     found = [describe_plugin(*key) for key in chosen]
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    print_plugins(found)
+    show(found, lambda: print_plugins(found), as_json=as_json)
 
 
 def _check(plugins: list[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
-    import sys
-
-    from flipperctl.terminal.bench import Bar, Lines
+    from flipperctl.terminal.bench import shown_progress
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.plugins import print_checks
     from flipperctl.testing import checks
     from flipperctl.testing.check import require_passed, run_checks
 
-    shown = Bar("check") if sys.stderr.isatty() else Lines("check")
-    try:
-        rows = run_checks(checks(*plugins, pictures=pictures), shown)
-    finally:
-        shown.close()
-    if as_json:
-        print(json.dumps(rows, indent=2))
-    else:
-        print_checks(rows)
+    with shown_progress("check") as report:
+        rows = run_checks(checks(*plugins, pictures=pictures), report)
+    show(rows, lambda: print_checks(rows), as_json=as_json)
     require_passed(rows)

@@ -1,27 +1,24 @@
-"""``flipperctl inspect reward``: the audit of reward terms, and policies ranked by rewards."""
+"""``flipperctl inspect reward``: audit reward terms, and rank policies by rewards."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
-HELP = """Audit the reward: what each term pays over rollouts, and how often it saturates.
+HELP = """Audit the reward: the share of each term in the return, and how often it saturates.
 
 A term with a small share of the return has no effect; one that saturates at most steps carries no
 information. The episodes are those of an evaluation, with conditions=… as for eval.
 
---compare plays the same draws with several policies (controllers, checkpoints, generalist) and
-ranks them by return and by θ̂_R at 100 Hz. A reward that pays a policy more than another that swings
-less is reported, if both paired differences are beyond noise (t-tests at 5 %, corrected by Holm for
-the number of comparisons).
-controller.<field> applies to each compared controller that has the field, eval.seed and eval.jobs
-choose draws and processes.
+--compare plays the same episodes with several policies (controllers, checkpoints, generalist) and
+ranks them by return and by θ̂_R at 100 Hz. A reward contradicts θ̂_R if a policy has a higher return
+than another although its θ̂_R is larger, and both paired differences are significant (t-tests at
+5 %, corrected by Holm for the number of comparisons). controller.<field> applies to each compared
+controller with that field; eval.seed and eval.jobs set the seed and the number of processes.
 
 [bold]Examples[/]
 
@@ -36,50 +33,42 @@ choose draws and processes.
 
 
 def run(
-    overrides: Overrides = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
-    ] = None,
-    controller: Annotated[
-        str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
-    ] = None,
+    overrides: options.Overrides = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.DefaultOkada = None,
     compare: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="Policies to rank, as in level,okada,planner."),
+        typer.Option(metavar="NAMES", help="Policies to rank, such as level,okada,planner."),
     ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
     ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
+    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.config.words import with_default, with_flags
 
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if compare is not None:
         if checkpoint is not None or controller is not None:
-            raise RequestError("--compare names all policies; leave --checkpoint, --controller out")
+            raise RequestError("--compare names all policies; omit --checkpoint and --controller")
         _compare(compare, arguments, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.studies.audit import audit
     from flipperctl.terminal.audit import print_audit
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
 
-    chosen = None if checkpoint else controller or "okada"
     config, source = only_one(scenes(arguments, checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
     count = config.eval.episodes
     with episodes_progress(label, count) as report:
         found = audit(config, source, episodes=count, report=report)
-    if as_json:
-        print(json.dumps(found.container(), indent=2))
-    else:
-        print_audit(found)
+    show(found.container(), lambda: print_audit(found), as_json=as_json)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
@@ -87,6 +76,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.studies.ranking import decide
     from flipperctl.studies.reward_comparison import compare_rewards
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.rewards import print_comparison
 
@@ -94,11 +84,9 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     scenes = reward_scenes(others, sources)
     for scene in scenes:
         for source in sources.values():
-            source.build(scene.config)  # a wrong layout or robot is found before the first draw
+            source.build(scene.config)  # raises for a wrong layout or robot, before the episodes
     with EpisodeWorkers() as workers:
         ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     found = decide(ranked)
-    if as_json:
-        print(json.dumps({"scenes": [scene.container() for scene in found]}, indent=2))
-    else:
-        print_comparison(found)
+    document = {"scenes": [scene.container() for scene in found]}
+    show(document, lambda: print_comparison(found), as_json=as_json)

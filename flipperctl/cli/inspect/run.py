@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, PluginPaths
+from flipperctl.cli import options
 
 HELP = """Summarise a training run, and plot its learning curves with --output.
 
@@ -20,14 +19,13 @@ HELP = """Summarise a training run, and plot its learning curves with --output.
 
 def run(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
-    ] = None,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    output: options.Picture = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl.runs.summary import RunRows, summarise
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.run import print_run
 
     rows = RunRows.read(run)
@@ -37,9 +35,4 @@ def run(
 
         save(learning_figure(rows.episodes, rows.validations, str(run)), output)
     found = summarise(run, rows)
-    if as_json:
-        print(json.dumps(found, indent=2))
-        return
-    print_run(found)
-    if output is not None:
-        print(f"picture: {output}")
+    show(found, lambda: print_run(found, output), as_json=as_json)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.cli.options import AsJson, Overrides, PluginPaths
+from flipperctl.cli import options
 
-HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture with --output.
+HELP = """Sample profiles of a terrain: their sizes, and a picture with --output.
 
 [bold]Examples[/]
 
@@ -22,46 +20,37 @@ HELP = """Sample a terrain: the sizes of the sampled profiles, and a picture wit
 
 def run(
     name: Annotated[str, typer.Argument(help="A terrain plugin.")],
-    overrides: Overrides = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
-    ] = None,
+    overrides: options.Overrides = None,
+    output: options.Picture = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
     draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
-    as_json: AsJson = False,
-    plugins: PluginPaths = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.cli.hydra import compose, config_store
+    from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
     from flipperctl.errors import RequestError
     from flipperctl.studies.profiles import sample
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.terrain import print_terrain
 
     for override in overrides or []:
         if override.startswith("eval."):
             raise RequestError(
-                f"{override}: has no effect here; --seed and --draws choose profiles"
+                f"{override}: has no effect here; --seed and --draws choose the profiles"
             )
     resolver.get("terrain", name, "terrain")
-    config_store.register_defaults()
     words = [f"terrain={name}", *(overrides or [])]
-    config = compose.compose_environment(Overrides.parse(words))
+    config = compose_environment(Overrides.parse(words))
     sampled = sample(config, range(seed, seed + draws))
     rows = [row for _, row in sampled]
     if output is not None:
         from flipperctl.report.figure import save
-        from flipperctl.report.terrain import terrain_figure
+        from flipperctl.report.terrain import sample_figure
 
-        labels = [f"seed {row['seed']}" for row in rows]
-        profiles = [profile for profile, _ in sampled]
-        title = f"{name}, {labels[0]}"
-        save(terrain_figure(profiles, title, config.robot, labels), output)
-    if as_json:
-        document = {"terrain": resolver.container(config.terrain), "draws": rows}
-        print(json.dumps(document, indent=2))
-        return
-    print_terrain(name, rows)
-    if output is not None:
-        print(f"picture: {output}")
+        seeds = {row["seed"]: profile for profile, row in sampled}
+        save(sample_figure(name, seeds, config.robot), output)
+    document = {"terrain": resolver.container(config.terrain), "draws": rows}
+    show(document, lambda: print_terrain(name, rows, output), as_json=as_json)

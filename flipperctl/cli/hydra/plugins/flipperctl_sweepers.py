@@ -15,11 +15,20 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 
-class ListSweeper(Sweeper):
-    """Hydra's basic sweeper, with named folders and a table at the end."""
+class _DeferredSweeper(Sweeper):
+    """Keep the settings until ``setup``, since Hydra rewords errors raised before it."""
 
     def __init__(self, **settings: Any) -> None:
         self._settings = settings
+        self._sweep: Any = None
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Train what ``arguments``, the user's overrides, describe."""
+        self._sweep.run(arguments)
+
+
+class ListSweeper(_DeferredSweeper):
+    """Hydra's basic sweeper, with named folders and a table at the end."""
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -31,16 +40,9 @@ class ListSweeper(Sweeper):
             self._settings, hydra_context=hydra_context, task_function=task_function, config=config
         )
 
-    def sweep(self, arguments: list[str]) -> None:
-        """Train every combination of the values in ``arguments``."""
-        self._sweep.run(arguments)
 
-
-class OptunaSweeper(Sweeper):
+class OptunaSweeper(_DeferredSweeper):
     """A search by Optuna over intervals and lists."""
-
-    def __init__(self, **settings: Any) -> None:
-        self._settings = settings  # checked in setup, since Hydra rewords errors raised here
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -53,10 +55,6 @@ class OptunaSweeper(Sweeper):
         """
         from flipperctl.cli.hydra.optuna_search import prepare
 
-        self._search = prepare(
+        self._sweep = prepare(
             self._settings, hydra_context=hydra_context, task_function=task_function, config=config
         )
-
-    def sweep(self, arguments: list[str]) -> None:
-        """Train trial after trial; ``arguments`` are the user's overrides."""
-        self._search.run(arguments)
