@@ -15,7 +15,6 @@ HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
     *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
 ]
-_RESUMABLE = ("train.", "device", "logger")
 
 HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
 
@@ -73,28 +72,12 @@ def run(
 
 
 def _resume(run: Path, words: list[str]) -> None:
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.config import TrainConfig
-    from flipperctl.errors import ConfigError, InterruptedRunError
-    from flipperctl.runs.preflight import check_device
-    from flipperctl.runs.training import resume
-    from flipperctl.terminal.notices import print_notices
+    from flipperctl.cli.resuming import resume
+    from flipperctl.errors import InterruptedRunError
     from flipperctl.terminal.training import print_best, reports
 
-    for word in words:
-        if "=" not in word or not word.startswith(_RESUMABLE):
-            raise ConfigError(
-                f"{word!r}: a resumed run keeps its configuration; "
-                "only train.<field>=…, device=… and logger=… can be given with --resume"
-            )
-
-    def check(config: TrainConfig) -> None:
-        check_device(config)
-        print_notices(config)
-
-    changes = Overrides.parse(words).values()
     try:
-        print_best(resume(run, changes, reports(), check=check))
+        print_best(resume(run, words, reports()))
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
         raise InterruptedRunError(
             f"interrupted. Resume with: {follow_up.command('train', '--resume', run)}"
