@@ -1,8 +1,10 @@
 """flipperctl: train, evaluate, export and explain flipper policies of tracked rescue robots.
 
-``train``, ``evaluate`` and ``load`` are the Python interface. Its modules are imported when one of
-its names is first used; ``__init__.pyi`` tells type checkers where the names come from.
+``train``, ``evaluate`` and ``load`` are the Python interface, for scripts and notebooks. They are
+imported when one of them is first used.
 """
+
+# Type checkers read __init__.pyi, which says where the names come from.
 
 __all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "train"]
 

@@ -76,24 +76,25 @@ class TrainingCell:
         return "\n".join([bar, *self._lines])
 
 
-@contextmanager
-def episodes(label: str, total: int) -> Iterator[Callable[[float], None]]:
-    """Show a bar; yield a function to call with the number of finished episodes."""
-    cell, done = _Cell(), 0.0
+class EpisodesCell:
+    """A bar for some episodes after the other; it is empty between them and at the end."""
 
-    def text() -> str:
-        return f"{_bar(done, total)} {done:.0f}/{total} episodes  {label}"
+    def __init__(self) -> None:
+        self._cell: _Cell | None = None
 
-    def report(finished: float) -> None:
-        nonlocal done
-        done = finished
-        cell.show(text)
+    @contextmanager
+    def __call__(self, label: str, total: int) -> Iterator[Callable[[float], None]]:
+        """Show a bar; yield a function to call with the number of finished episodes."""
+        cell = self._cell = self._cell or _Cell()
 
-    cell.show(text)
-    try:
-        yield report
-    finally:
-        cell.show(text, now=True)
+        def report(done: float) -> None:
+            cell.show(lambda: f"{_bar(done, total)} {done:.0f}/{total} episodes  {label}")
+
+        report(0)
+        try:
+            yield report
+        finally:
+            cell.show(str, now=True)
 
 
 def _bar(done: float, total: int) -> str:

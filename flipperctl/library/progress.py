@@ -23,7 +23,7 @@ def episodes(shown: bool) -> Progress:
     """Return what shows the episodes of an evaluation."""
     if not shown:
         return no_progress
-    return notebook.episodes if notebook.is_running() else episodes_progress
+    return notebook.EpisodesCell() if notebook.is_running() else episodes_progress
 
 
 def notes(shown: bool) -> Callable[[str], None]:
