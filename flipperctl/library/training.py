@@ -63,10 +63,10 @@ def train(
         run = Path(resume)
         if directory is not None:
             raise ConfigError("directory: a resumed run stays in its own; leave it out")
-        finished = _interruptible(lambda: resume_run(run, typed, shown), run)
+        finished = _interruptible(lambda: resume_run(run, typed, shown), run, plugins)
     else:
         config, folder = _composed(typed, directory)
-        finished = _interruptible(lambda: start(config, folder, shown), folder)
+        finished = _interruptible(lambda: start(config, folder, shown), folder, plugins)
     if progress:
         print_best(finished)
     return Run(finished.directory, finished.summary)
@@ -93,15 +93,13 @@ def _composed(
     return config, run_directory(every).absolute()
 
 
-def _interruptible(work: Callable[[], Finished], run: Path) -> Finished:
+def _interruptible(work: Callable[[], Finished], run: Path, plugins: Paths) -> Finished:
     """Train; say in Python how a run that was stopped is resumed."""
+    named = f", plugins={[os.fspath(path) for path in plugins]!r}" if plugins else ""
+    call = f"flipperctl.train(resume={str(run)!r}{named})"
     try:
         return work()
     except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
-        raise InterruptedRunError(
-            f"interrupted. Resume with: flipperctl.train(resume={str(run)!r})"
-        ) from error
+        raise InterruptedRunError(f"interrupted. Resume with: {call}") from error
     except InterruptedRunError as error:
-        raise InterruptedRunError(
-            f"{error}, or in Python: flipperctl.train(resume={str(run)!r})"
-        ) from error
+        raise InterruptedRunError(f"{error}, or in Python: {call}") from error

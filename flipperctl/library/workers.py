@@ -41,7 +41,8 @@ def _environment(config: EnvConfig) -> list[Plugin]:
 
 
 def _check(used: Iterable[Plugin | type[Plugin] | None], otherwise: str) -> None:
-    classes = [cls for cls in registry.values() if issubclass(cls, Measure)]  # all are taken
+    # Every measure is taken, whether a configuration names it or not.
+    classes = [cls for (kind, _), cls in registry.items() if kind == Measure.kind]
     for one in used:
         if isinstance(one, Plugin):
             classes += [type(part) for part in resolver.nested_plugins(one)]
