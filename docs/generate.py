@@ -63,7 +63,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
 }
 """Kind of plugin → heading, key of its settings."""
 
-MODULES = ("flipperctl.api", "flipperctl.runtime", "flipperctl.testing")
+MODULES = ("flipperctl", "flipperctl.api", "flipperctl.runtime", "flipperctl.testing")
 """Public modules; each lists its names in ``__all__``."""
 
 _MARK = re.compile(r"^<!-- generate: (\w+) -->$", re.MULTILINE)

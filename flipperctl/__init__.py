@@ -1,17 +1,36 @@
-"""flipperctl: train, evaluate, export and explain flipper policies of tracked rescue robots."""
+"""flipperctl: train, evaluate, export and explain flipper policies of tracked rescue robots.
 
-__version__: str
+``train``, ``evaluate`` and ``load`` are the Python interface, for scripts and notebooks. They are
+imported when one of them is first used.
+"""
+
+# Type checkers read __init__.pyi, which says where the names come from.
+
+__all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "train"]
 
 
-def __getattr__(name: str) -> str:
-    """``__version__``, read when it is asked for: the package metadata cost 20 ms at import."""
-    if name != "__version__":
+def __getattr__(name: str) -> object:
+    """Return a name of the interface or ``__version__``, found when it is first asked for."""
+    if name in __all__:
+        from importlib import import_module
+
+        found: object = getattr(import_module("flipperctl.library"), name)
+    elif name == "__version__":
+        found = _version()
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import PackageNotFoundError, version
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})
+
+
+def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version  # 20 ms
 
     try:
-        found = version("flipperctl")
+        return version("flipperctl")
     except PackageNotFoundError:  # a source tree that was never installed
-        found = "0.0.0"
-    globals()["__version__"] = found
-    return found
+        return "0.0.0"

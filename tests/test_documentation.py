@@ -175,7 +175,7 @@ def test_the_launchers_that_have_tests_of_their_own_are_shown() -> None:
 
 def test_the_environment_example_runs() -> None:
     names: dict[str, object] = {}
-    exec(example("gymnasium.make"), names)
+    exec(example("rgb_array"), names)
     assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
     assert names["picture"].shape[2] == 3
 
@@ -199,7 +199,8 @@ def test_the_robots_loop_runs(folder: Path) -> None:
 
 
 def test_every_python_example_is_tried() -> None:
-    tried = ("mound.npy", "gymnasium.make", "stair.onnx", "class StandIn", "Conformance")
+    library = ("flipperctl.train", "flipperctl.load")  # tests/library/test_interface.py
+    tried = (*library, "mound.npy", "rgb_array", "stair.onnx", "class StandIn", "Conformance")
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     assert others == set()
 

@@ -66,7 +66,7 @@ def sections(cls: type[Settings] = Settings) -> Iterator[type[Settings]]:
 def test_every_public_name_has_its_entry(site: Path) -> None:
     inventory = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="").data
     known = {name for kind, found in inventory.items() if kind.startswith("py:") for name in found}
-    for module in ("flipperctl.api", "flipperctl.runtime", "flipperctl.testing"):
+    for module in ("flipperctl", "flipperctl.api", "flipperctl.runtime", "flipperctl.testing"):
         names = {f"{module}.{name}" for name in importlib.import_module(module).__all__}
         assert names - known == set()
     assert "flipperctl.env.flipper_env.FlipperEnv.step" in known

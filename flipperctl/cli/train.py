@@ -73,21 +73,10 @@ def run(
 
 
 def _resume(run: Path, words: list[str]) -> None:
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.config import TrainConfig
-    from flipperctl.runs.preflight import check_device, check_resumable
-    from flipperctl.runs.training import resume
-    from flipperctl.terminal.notices import print_notices
+    from flipperctl.cli.resuming import resume
     from flipperctl.terminal.training import print_best, reports
 
-    check_resumable(words)
-
-    def check(config: TrainConfig) -> None:
-        check_device(config)
-        print_notices(config)
-
-    changes = Overrides.parse(words).values()
     try:
-        print_best(resume(run, changes, reports(), check=check))
+        print_best(resume(run, words, reports()))
     except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
         raise follow_up.interrupted_run(run) from error

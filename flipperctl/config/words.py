@@ -73,8 +73,16 @@ def unreadable(word: str) -> ConfigError:
 
 def literal_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes literally."""
-    escaped = re.sub(r'(\\*)"', r'\1\1\\"', value)
-    return f'{key}="{escaped}"'
+    return f"{key}={quoted(value)}"
+
+
+def quoted(text: str) -> str:
+    """Return a text in double quotes, as Hydra takes it literally.
+
+    Backslashes before a quote are doubled, also before the last one.
+    """
+    escaped = re.sub(r'(\\+)(?="|\Z)', r"\1\1", text).replace('"', r"\"")
+    return f'"{escaped}"'
 
 
 def quote_override(key: str, value: str) -> str:

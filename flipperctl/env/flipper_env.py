@@ -192,6 +192,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return SceneSimulator(self._drive, perceiver, self.profile, report_progress)
 
     @property
+    def running(self) -> bool:
+        """Whether an episode runs: ``reset`` began it, and it has not ended."""
+        return self._running
+
+    @property
     def state(self) -> RobotState:
         """True state of the robot."""
         return self.drive.state

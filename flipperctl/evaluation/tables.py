@@ -74,7 +74,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
         OutputError: a file cannot be written.
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
-    write_csv(folder / "table.csv", list(_csv_rows(result)))
+    write_csv(folder / "table.csv", list(scene_rows(result, _DIGITS)))
     write_bytes(folder / "table.tex", latex(result).encode())
 
 
@@ -116,7 +116,11 @@ def _escape(text: str) -> str:
     return " ".join(text.split()).translate(_ESCAPES)
 
 
-def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
+def scene_rows(result: EvaluationResult, digits: int | None = None) -> Iterator[dict[str, Any]]:
+    """Yield the rows of ``table.csv``: one for each scene and method.
+
+    ``digits``: decimals of the numbers; None leaves them as they are.
+    """
     for scene in result.scenes:
         for method, summary in _methods(scene):
             row: dict[str, Any] = {
@@ -126,7 +130,7 @@ def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
                 "reached": summary.outcomes.reached,
             }
             for cell in _cells(summary):
-                row |= _csv_cells(cell)
+                row |= _csv_cells(cell, digits)
             yield {
                 **row,
                 "seed": scene.seed,
@@ -135,13 +139,13 @@ def _csv_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
             }
 
 
-def _csv_cells(cell: Cell) -> dict[str, float | None]:
+def _csv_cells(cell: Cell, digits: int | None) -> dict[str, float | None]:
     """Return the mean and the ends of its interval, each None where there is none."""
     found = cell.mean
     ends = (found.mean, found.low, found.high) if found else (None, None, None)
     names = (cell.name, f"{cell.name}_low", f"{cell.name}_high")
     return {
-        name: None if end is None else round(end, _DIGITS)
+        name: end if end is None or digits is None else round(end, digits)
         for name, end in zip(names, ends, strict=True)
     }
 

@@ -6,12 +6,13 @@ the cost of every action, is part of the public API: ``flipperctl.api.CostPolicy
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import Controller, Policy
+from flipperctl.api import Controller, Perception, Policy, Simulator
 
 
 @runtime_checkable
@@ -21,6 +22,23 @@ class LabellingPolicy(Policy, Protocol):
     @property
     def label(self) -> NDArray[np.float32]:
         """Distribution over actions at the last decision, (9,)."""
+
+
+@runtime_checkable
+class ObservationPolicy(Protocol):
+    """A policy that acts on observations alone, as those of files do."""
+
+    def reset(self, simulator: Simulator | None = None, /) -> None:
+        """Begin an episode; no simulator is needed."""
+
+    def act(self, p: Perception, /) -> int:
+        """Return the index into ``ACTIONS`` of the next action."""
+
+    def act_on(self, recent: Sequence[NDArray[np.float32]], /) -> int:
+        """Return the next action after these observations, each (N + 3,) in SI units.
+
+        They are the newest of the episode, the last one is new to the policy.
+        """
 
 
 @runtime_checkable

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
@@ -39,13 +40,17 @@ class ExportedPolicy:
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
 
-    def reset(self, simulator: Simulator) -> None:
+    def reset(self, simulator: Simulator | None = None) -> None:
         """Forget the observations of the previous episode."""
         self._policy.reset()
 
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
         return self._policy.act(p.observation)
+
+    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
+        """Return the action for the newest observation; the file's session keeps those before."""
+        return self._policy.act(recent[-1])
 
 
 def is_exported(file: Path) -> bool:

@@ -5,7 +5,11 @@ In: a checkpoint. Out: its network with the trained weights, and the policy that
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
@@ -26,12 +30,16 @@ class TrainedPolicy:
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
-    def reset(self, simulator: Simulator) -> None:
+    def reset(self, simulator: Simulator | None = None) -> None:
         """Begin an episode; the policy has no memory."""
 
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
-        return greedy(self.module, stacked(p.recent, self.frames), self._device)
+        return self.act_on(p.recent)
+
+    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
+        """Return the action for the newest observations, each (N + 3,) in SI units."""
+        return greedy(self.module, stacked(recent, self.frames), self._device)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:

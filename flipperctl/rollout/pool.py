@@ -11,12 +11,14 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
 from queue import LifoQueue
+from types import ModuleType
 from typing import Any
 
 from flipperctl.errors import FlipperctlError
@@ -121,7 +123,7 @@ class _Worker:
 
     def _submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
         """Send the call to the process, or to a new one if it has died since its last call."""
-        with self._starting, _blocked_stops():
+        with self._starting, _blocked_stops(), _without_script():
             if self._closed:
                 raise WorkerDiedError(f"worker process {self._number} was stopped")
             self._busy = True
@@ -162,6 +164,20 @@ def _blocked_stops() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _without_script() -> Iterator[None]:
+    """Keep a worker that starts from running the script of this process once more.
+
+    It needs nothing of the script, which would train or evaluate again in each worker.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _initialize_process(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:

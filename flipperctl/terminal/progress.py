@@ -41,8 +41,11 @@ def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None
         yield report
 
 
-class _Rate:
+class Rate:
+    """Decisions per second since this object was made, and the time that is left."""
+
     def __init__(self, done: int) -> None:
+        """``done``: decisions that were made before."""
         self._start = time.perf_counter()
         self._done = done
 
@@ -53,17 +56,20 @@ class _Rate:
         return f"{(total - decision) / self(decision):.0f}"
 
     def __call__(self, decision: int) -> float:
+        """Return the decisions per second [1/s]."""
         return (decision - self._done) / max(1e-9, time.perf_counter() - self._start)
 
 
-def _validation(row: Mapping[str, Any]) -> str:
+def validation_text(row: Mapping[str, Any]) -> str:
+    """Return a validation in one line."""
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
         f"{pitch_variation_text(row, 2)}, {row['t_cost']:.1f} s"
     )
 
 
-def _state(row: Mapping[str, Any], rate: float) -> str:
+def state_text(row: Mapping[str, Any], rate: float) -> str:
+    """Return the state of a training after an episode; ``rate`` in decisions per second [1/s]."""
     loss = "–" if row["loss"] is None else f"{row['loss']:.4f}"  # before the first update
     return f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  loss {loss}"
 
@@ -72,7 +78,7 @@ class Bar:
     """A rich progress bar with the state of the training, and its validations above it."""
 
     def __init__(self, total: int, done: int) -> None:
-        self._rate = _Rate(done)
+        self._rate = Rate(done)
         self._progress = Progress(
             TextColumn("{task.completed}/{task.total} decisions"),
             BarColumn(bar_width=24),
@@ -89,7 +95,7 @@ class Bar:
         """Move the bar."""
         decision = row["decision"]
         text, left = (
-            _state(row, self._rate(decision)),
+            state_text(row, self._rate(decision)),
             self._rate.seconds_left(decision, self._total),
         )
         self._progress.update(self._task, completed=decision, description=text, left=left)
@@ -97,7 +103,7 @@ class Bar:
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line above the bar."""
         self._progress.update(self._task, completed=row["decision"])
-        self._progress.console.print(_validation(row), highlight=False)
+        self._progress.console.print(validation_text(row), highlight=False)
 
     def note(self, text: str) -> None:
         """Print the text above the bar."""
@@ -112,7 +118,7 @@ class Lines:
     """Progress as a line every ten seconds and at each validation."""
 
     def __init__(self, total: int, done: int) -> None:
-        self._rate = _Rate(done)
+        self._rate = Rate(done)
         self._total = total
         self._last = time.perf_counter()
 
@@ -125,14 +131,14 @@ class Lines:
         decision, rate = row["decision"], self._rate(row["decision"])
         left = self._rate.seconds_left(decision, self._total)
         print(
-            f"{decision}/{self._total} decisions  {_state(row, rate)}  {left} s left",
+            f"{decision}/{self._total} decisions  {state_text(row, rate)}  {left} s left",
             file=sys.stderr,
             flush=True,
         )
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line."""
-        print(_validation(row), file=sys.stderr, flush=True)
+        print(validation_text(row), file=sys.stderr, flush=True)
 
     def note(self, text: str) -> None:
         """Print the text."""

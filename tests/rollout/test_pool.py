@@ -3,9 +3,11 @@
 import itertools
 import os
 import signal
+import sys
 import time
 from concurrent.futures import Future
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -43,6 +45,17 @@ def touch(path: Path) -> None:
     path.touch()
 
 
+@pytest.fixture
+def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A script that this process seems to run, and that would end a worker."""
+    file = tmp_path / "script.py"
+    file.write_text("raise SystemExit(1)")
+    module = ModuleType("__main__")
+    module.__file__ = str(file)
+    monkeypatch.setitem(sys.modules, "__main__", module)
+
+
+@pytest.mark.usefixtures("script")
 def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
     workers = WorkerPool(2, initialize, ())
     try:

@@ -7,6 +7,7 @@ overrides. ``config_store`` holds the defaults.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
@@ -40,6 +41,12 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     for config in found:
         print_notices(config)
     return found
+
+
+def run_directory(overrides: Overrides) -> Path:
+    """Return the directory of a single run, ``hydra.run.dir``, for overrides that compose."""
+    with errors.convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
+        return Path(compose("train", overrides.words, return_hydra_config=True).hydra.run.dir)
 
 
 def compose_eval(

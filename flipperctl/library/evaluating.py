@@ -1,0 +1,107 @@
+"""Evaluate a policy, as ``flipperctl eval`` does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from flipperctl.cli.scenes import scenes
+from flipperctl.errors import RequestError
+from flipperctl.evaluation import scenes as evaluation
+from flipperctl.library import progress as shown
+from flipperctl.library.beginning import Paths, begin, short_errors
+from flipperctl.library.evaluation import Evaluation
+from flipperctl.library.policy import LoadedPolicy, find
+from flipperctl.library.settings import words
+from flipperctl.library.workers import check_evaluation
+from flipperctl.runs.evaluation import EvaluationFiles
+from flipperctl.runs.interrupts import interrupts
+from flipperctl.runs.named_policies import controllers
+
+
+@short_errors()
+def evaluate(
+    policy: str | os.PathLike[str] | LoadedPolicy,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    baselines: Sequence[str] | None = None,
+    passable: Sequence[str] = (),
+    output: str | os.PathLike[str] | None = None,
+    record: str | os.PathLike[str] | None = None,
+    film: str | os.PathLike[str] | None = None,
+    overrides: Sequence[str] = (),
+    plugins: Paths = (),
+    progress: bool = True,
+    **settings: object,
+) -> Evaluation:
+    """Evaluate a policy on scenes, with 95 % intervals; return the result.
+
+    ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the name of
+    a shipped policy or a controller, or what ``load`` returned. ``episodes`` per scene (100),
+    ``seed`` of the episodes (0), processes (``jobs``, 1). ``baselines``: controllers that play the
+    same episodes; None takes those of the policy, if it has any, and an empty list none.
+    ``passable``: references that find out which episodes can be crossed. ``output``: folder for
+    tables and pictures; ``record``: file for the episodes, to teach from; ``film``: file for a
+    ``.gif`` of the first episode. ``settings`` and ``overrides`` are as in ``train`` and apply to
+    the evaluation; several names are several scenes, as in ``terrain=["stair", "step"]`` or
+    ``conditions=["nominal", "wide"]``. ``plugins``: files or folders of plugins. ``progress``:
+    whether progress is shown, on stderr or in the notebook.
+
+    Raises:
+        InterruptedRunError: the evaluation was stopped; ``output`` and ``record`` have the
+            episodes that are finished.
+        RequestError: the policy, a setting or a plugin is wrong, or a file cannot be written
+            (CheckpointError, ConfigError, PluginError, PolicyError, OutputError).
+        FlipperctlError: a policy or plugin failed.
+    """
+    begin(plugins)
+    path, controller, own = _named(policy)
+    numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
+    given = {key: number for key, number in numbers.items() if number is not None}
+    found = scenes(words(own | settings | given, overrides), path, controller)
+    for config, _ in found:
+        check_evaluation(config, config.eval.jobs, controller)
+    against = controllers(_names(baselines), "baselines", found[0][1].baselines())
+    references = controllers(_names(passable or None), "passable")
+    show, tell = shown.episodes(progress), shown.notes(progress)
+    files = {
+        name: None if file is None else Path(file)
+        for name, file in (("folder", output), ("film", film), ("record", record))
+    }
+    with ExitStack() as stack:
+        written = EvaluationFiles(found, stack, **files, tell=tell)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        result = evaluation.evaluate(
+            found,
+            baselines=against,
+            references=references,
+            progress=show,
+            record=record is not None,
+            stop=stop,
+        )
+        written.write(result)
+        written.draw(result, stop, show)
+    return Evaluation(result.scenes, result.interruption)
+
+
+def _named(
+    policy: str | os.PathLike[str] | LoadedPolicy,
+) -> tuple[Path | None, str | None, dict[str, object]]:
+    """Return the file of a policy, or its controller, and the settings that were given for it."""
+    if not isinstance(policy, LoadedPolicy):
+        return *find(policy), {}
+    own: dict[str, object] = {"controller": policy.fields} if policy.fields else {}
+    if policy.source.checkpoint is not None:
+        return policy.source.checkpoint, None, own
+    return None, policy.name, own
+
+
+def _names(names: Sequence[str] | None) -> str | None:
+    """Return names as the options of the command take them."""
+    if isinstance(names, str):
+        raise RequestError(f"a list of names is allowed; the value is {names!r}")
+    return None if names is None else ",".join(names) or "none"

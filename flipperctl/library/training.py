@@ -1,0 +1,105 @@
+"""Train a policy, as ``flipperctl train`` does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from flipperctl.cli.hydra.compose import compose_train, run_directory
+from flipperctl.cli.hydra.config_store import register_defaults
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.resuming import resume as resume_run
+from flipperctl.config import TrainConfig
+from flipperctl.errors import ConfigError, InterruptedRunError
+from flipperctl.library.beginning import Paths, begin, short_errors
+from flipperctl.library.progress import training_reports
+from flipperctl.library.run import Run
+from flipperctl.library.settings import words
+from flipperctl.library.workers import check_training
+from flipperctl.runs import preflight
+from flipperctl.runs.interrupts import interrupts
+from flipperctl.runs.training import Finished, start
+from flipperctl.terminal.training import print_best
+
+_FOLDER = "hydra.run.dir"
+
+
+@short_errors()
+def train(
+    *,
+    directory: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
+    overrides: Sequence[str] = (),
+    plugins: Paths = (),
+    progress: bool = True,
+    **settings: object,
+) -> Run:
+    """Train a policy to the end of its budget; return its run.
+
+    ``settings`` are configuration keys: a name chooses (``terrain="stair"``,
+    ``experiment="quick"``), a nested mapping (``train={"decisions": 20_000}``) or a dotted key
+    (``**{"rewards.pitch.lambda_2": 8}``) sets fields, the settings of a plugin may be an object
+    (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
+    ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
+    by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
+    settings, only those of ``train``, ``device`` and ``logger`` can be given with it. ``plugins``:
+    files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
+    notebook.
+
+    Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C or by the notebook's stop button;
+            all is saved, and the text says how to resume it.
+        OutputError: the directory already holds a run, or cannot be written.
+        RequestError: a setting or plugin is wrong, or the training cannot begin (ConfigError,
+            PluginError, TerrainError, CheckpointError, RunHeldError).
+        FlipperctlError: the training failed, such as PluginFailedError.
+    """
+    begin(plugins)
+    register_defaults()
+    typed = words(settings, overrides)
+    shown = training_reports(progress)
+    if resume is not None:
+        run = Path(resume)
+        if directory is not None:
+            raise ConfigError("directory: a resumed run stays in its own; leave it out")
+        finished = _interruptible(lambda: resume_run(run, typed, shown), run, plugins)
+    else:
+        config, folder = _composed(typed, directory)
+        finished = _interruptible(lambda: start(config, folder, shown), folder, plugins)
+    if progress:
+        print_best(finished)
+    return Run(finished.directory, finished.summary)
+
+
+def _composed(
+    typed: list[str], directory: str | os.PathLike[str] | None
+) -> tuple[TrainConfig, Path]:
+    """Return the checked configuration and the run directory."""
+    folder = {} if directory is None else {_FOLDER: os.fspath(directory)}
+    every = Overrides.parse([*typed, *words(folder)])
+    for key in every.swept:
+        raise ConfigError(f"{key}: several values make several runs; call train once for each")
+    for key in every.where(lambda key: key.startswith("hydra") and key != _FOLDER).typed:
+        raise ConfigError(f"{key}: a training from Python has no such setting")
+    every.check_training(several=False)
+    # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
+    with interrupts("stopping …") as stop:
+        (config,) = compose_train(every.where(lambda key: key != _FOLDER))
+        check_training(config)
+        preflight.check(config)
+    if stop():
+        raise KeyboardInterrupt
+    return config, run_directory(every).absolute()
+
+
+def _interruptible(work: Callable[[], Finished], run: Path, plugins: Paths) -> Finished:
+    """Train; say in Python how a run that was stopped is resumed."""
+    named = f", plugins={[os.fspath(path) for path in plugins]!r}" if plugins else ""
+    call = f"flipperctl.train(resume={str(run)!r}{named})"
+    try:
+        return work()
+    except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
+        raise InterruptedRunError(f"interrupted. Resume with: {call}") from error
+    except InterruptedRunError as error:
+        raise InterruptedRunError(f"{error}, or in Python: {call}") from error

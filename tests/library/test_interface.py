@@ -1,0 +1,264 @@
+"""The Python interface: the examples of its page, and what it shares with the commands."""
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import flipperctl
+from flipperctl import api
+from flipperctl.errors import (
+    CheckpointError,
+    ConfigError,
+    InterruptedRunError,
+    MissingExtraError,
+    NonFiniteError,
+    OutputError,
+    PluginError,
+    PolicyError,
+    RequestError,
+)
+from flipperctl.library import notebook, training
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import decisions
+from tests.cli.call import call
+from tests.test_documentation import example
+
+BUDGET = (
+    '{"decisions": 150, "validation_episodes": 1, "mode": "exact"},\n'
+    '    agent={"learning_starts": 100}'
+)
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A folder in which the first example of the page has run, and the names that it leaves."""
+    folder = tmp_path_factory.mktemp("library")
+    text = example("flipperctl.train").replace('{"decisions": 15_000}', BUDGET)
+    names: dict[str, Any] = {}
+    with contextlib.chdir(folder):
+        exec(text.replace("episodes=100", "episodes=2"), names)
+    return folder, names
+
+
+@pytest.fixture
+def env() -> gymnasium.Env:
+    return gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair")
+
+
+def test_an_evaluation_is_that_of_the_command(shown: tuple[Path, dict[str, Any]]) -> None:
+    folder, names = shown
+    words = ["terrain=stair,step", "--episodes", "2", "--baseline", "level", "--json"]
+    done = call("eval", "--checkpoint", str(names["run"].directory), *words, cwd=folder)
+    assert names["result"].to_dict() == json.loads(done.out)
+
+
+def test_a_run_has_its_files_and_its_metrics(shown: tuple[Path, dict[str, Any]]) -> None:
+    folder, names = shown
+    run = names["run"]
+    assert run.directory == folder / "runs/python"
+    assert run.summary == json.loads((run.directory / "summary.json").read_text())
+    first, *_, last = run.metrics()
+    assert (first["kind"], first["episode"], first["loss"]) == ("episode", 1, None)
+    assert (last["kind"], last["decision"]) == ("validation", 150)
+
+
+def test_a_directory_with_a_run_is_refused_and_resumed(shown: tuple[Path, dict[str, Any]]) -> None:
+    _, names = shown
+    directory = names["run"].directory
+    with pytest.raises(OutputError, match="already holds a run"):
+        flipperctl.train(directory=directory)
+    with pytest.raises(ConfigError, match="a resumed run keeps its configuration"):
+        flipperctl.train(resume=directory, seed=2)
+    with pytest.raises(ConfigError, match="a resumed run stays in its own"):
+        flipperctl.train(resume=directory, directory="other")
+    again = flipperctl.train(resume=names["run"], progress=False)
+    assert again.summary == names["run"].summary
+
+
+@pytest.mark.parametrize(
+    ("request_", "text"),
+    [
+        ({"terrain": "stiar"}, "did you mean 'stair'"),
+        ({"terrain": ["stair", "step"]}, "terrain: several values"),
+        ({"train": {"decisons": 5}}, r"train\.decisons: .* did you mean 'decisions'"),
+        ({"overrides": ["hydra/launcher=joblib"]}, "hydra/launcher: a training from Python"),
+        ({"plugins": "ridge.py"}, "plugins: a list"),
+        ({"seed": 1, "overrides": ["seed=2"]}, "seed is given twice"),
+    ],
+)
+def test_a_wrong_training_is_refused_in_one_line(request_: dict, text: str) -> None:
+    with pytest.raises(RequestError, match=text) as raised:
+        flipperctl.train(**request_)
+    assert raised.value.__cause__ is None
+
+
+@pytest.mark.parametrize("stopped", [KeyboardInterrupt(), InterruptedRunError("interrupted")])
+def test_a_stopped_training_says_how_to_resume(
+    stopped: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "start", lambda *given: (_ for _ in ()).throw(stopped))
+    with pytest.raises(InterruptedRunError) as raised:
+        flipperctl.train(directory=tmp_path / "run", progress=False)
+    assert f"flipperctl.train(resume={str(tmp_path / 'run')!r})" in str(raised.value)
+
+
+def test_the_directory_of_a_run_is_that_of_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began: list[Path] = []
+
+    def start(config: object, folder: Path, reports: object) -> None:
+        began.append(folder)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "start", start)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InterruptedRunError):
+        flipperctl.train(terrain="ramp", progress=False)
+    assert began[0].parent == tmp_path / "runs/ramp"
+
+
+def test_the_example_of_a_policy_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(example("flipperctl.load"), {})
+    assert capsys.readouterr().out.startswith("reached ")
+
+
+@pytest.mark.parametrize("name", ["generalist", "run"])
+def test_a_policy_acts_on_observations_as_in_an_evaluation(
+    name: str, shown: tuple[Path, dict[str, Any]], env: gymnasium.Env
+) -> None:
+    policy = shown[1]["run"].policy() if name == "run" else flipperctl.load(name)
+    assert policy.layout is not None
+    assert policy.robot is not None
+    source, task = PolicySource(checkpoint=policy.source.checkpoint), env.unwrapped
+    made = [d.action for d in decisions(task, source.build(task.config), 3)]
+    for acts_on_perceptions in (False, True):
+        observation, _ = env.reset(seed=3)
+        policy.reset(env)
+        for action in made:
+            seen = task.perception if acts_on_perceptions else observation
+            assert (policy.act(seen) if acts_on_perceptions else policy(seen)) == action
+            observation, *_ = env.step(action)
+
+
+def test_a_controller_acts_on_the_perceptions_of_an_environment(env: gymnasium.Env) -> None:
+    policy = flipperctl.load("okada", far=0.5)
+    for wrong in (lambda: policy(np.zeros(18)), policy.reset):
+        with pytest.raises(RequestError, match=r"okada is a controller, .*reset\(env\)"):
+            wrong()
+    with pytest.raises(RequestError, match=r"after env\.reset\(\)"):
+        policy.reset(env)
+    env.reset(seed=3)
+    with pytest.raises(RequestError, match="must begin the episode"):
+        policy.act(env.unwrapped.perception)
+    policy.reset(env)
+    assert policy.act(env.unwrapped.perception) in range(len(api.ACTIONS))
+    (scene,) = flipperctl.evaluate(policy, terrain="flat", episodes=1, progress=False).scenes
+    assert scene.controller == "okada"
+
+
+def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env) -> None:
+    for name, error, text in (
+        ("okda", ConfigError, "did you mean 'okada'"),
+        ("runs/none", CheckpointError, "no such run"),
+        (3, ConfigError, "a path or a name is allowed"),
+    ):
+        with pytest.raises(error, match=text):
+            flipperctl.load(name)
+    with pytest.raises(RequestError, match="settings are those of a controller"):
+        flipperctl.load("generalist", far=1)
+    policy = flipperctl.load("generalist")
+    with pytest.raises(PolicyError, match=r"shape \(2,\); \(18,\) is allowed"):
+        policy([1, 2])
+    with pytest.raises(NonFiniteError):
+        policy(np.full(18, np.nan))
+    other = gymnasium.make(
+        "flipperctl.env:flipperctl/Flipper-v0", terrain="flat", perception={"bin_width": 0.1}
+    )
+    other.reset(seed=1)
+    with pytest.raises(CheckpointError, match=r"bins of 0\.15 m"):
+        policy.reset(other)
+    with pytest.raises(RequestError, match=r"Flipper-v0"):
+        policy.reset(gymnasium.make("CartPole-v1"))
+
+
+def test_names_are_lists() -> None:
+    with pytest.raises(RequestError, match="a list of names"):
+        flipperctl.evaluate("level", terrain="flat", episodes=1, baselines="okada")
+
+
+@pytest.mark.usefixtures("registry")
+def test_workers_find_no_plugin_of_a_script() -> None:
+    @api.terrain("scripted")
+    class Scripted(api.Terrain):
+        """Level ground."""
+
+        def generate(self, rng: np.random.Generator) -> api.Profile:
+            return api.Profile([(0, 0), (0.5, 0)])
+
+    Scripted.__module__ = "__main__"
+    with pytest.raises(PluginError, match="terrain 'scripted' is defined in this script"):
+        flipperctl.train(terrain="scripted")
+    with pytest.raises(PluginError, match="leave jobs at 1"):
+        flipperctl.evaluate("level", terrain=Scripted(), jobs=2)
+    result = flipperctl.evaluate("level", terrain=Scripted(), episodes=1, progress=False)
+    assert result.scenes[0].summary.success_rate == 1
+
+
+def test_data_frames_need_pandas(
+    shown: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, names = shown
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"flipperctl\[frames\]"):
+        names["run"].metrics_frame()
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list))
+    scenes, episodes = names["result"].scenes_frame(), names["result"].episodes_frame()
+    assert [(row["scene"], row["n"]) for row in scenes] == [("stair", 2)] * 2 + [("step", 2)] * 2
+    assert scenes[0]["success"] == names["result"].scenes[0].summary.success_rate
+    assert len(episodes) == 8
+    assert names["run"].metrics_frame() == names["run"].metrics()
+
+
+def test_a_notebook_shows_progress_in_its_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts: list[str] = []
+
+    def display(data: dict[str, str], *, raw: bool, display_id: bool = False) -> SimpleNamespace:
+        texts.append(data["text/plain"])
+        return SimpleNamespace(update=display)
+
+    shell = SimpleNamespace(kernel=object())
+    fake = ModuleType("IPython")
+    fake.get_ipython, fake.display = lambda: shell, ModuleType("IPython.display")
+    fake.display.display = display
+    monkeypatch.setitem(sys.modules, "IPython", fake)
+    monkeypatch.setitem(sys.modules, "IPython.display", fake.display)
+    assert notebook.is_running()
+    flipperctl.evaluate("level", terrain="flat", episodes=1)
+    assert "░ 0/1 episodes  flat" in "".join(texts)
+    assert texts[-1] == ""
+    cell = notebook.TrainingCell(100, 0)
+    cell.note("a note")
+    row = {"decision": 50, "success_rate": 0.5, "epsilon": 1.0, "loss": None}
+    cell.episode(row)
+    cell.close()
+    bar, note = texts[-1].splitlines()
+    assert bar.startswith("█" * 12 + "░" * 12 + " 50/100 decisions")
+    assert note == "a note"
+
+
+def test_a_process_without_a_notebook_has_none() -> None:
+    assert not notebook.is_running()
+
+
+def test_the_package_shows_its_interface() -> None:
+    assert {"train", "evaluate", "load", "__version__"} <= set(dir(flipperctl))
+    with pytest.raises(AttributeError, match="has no attribute 'trian'"):
+        flipperctl.trian  # noqa: B018
