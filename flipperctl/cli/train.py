@@ -73,10 +73,14 @@ def run(
 
 
 def _resume(run: Path, words: list[str]) -> None:
-    from flipperctl.cli.resuming import resume
-    from flipperctl.terminal.training import print_best, reports
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.runs.preflight import check_resumable
+    from flipperctl.runs.training import resume
+    from flipperctl.terminal.training import check_resumed, print_best, reports
 
+    check_resumable(words)
+    changes = Overrides.parse(words).values()
     try:
-        print_best(resume(run, words, reports()))
+        print_best(resume(run, changes, reports(), check=check_resumed))
     except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
         raise follow_up.interrupted_run(run) from error

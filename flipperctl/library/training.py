@@ -9,7 +9,6 @@ from pathlib import Path
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.config_store import register_defaults
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.resuming import resume as resume_run
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.library.beginning import Paths, begin, short_errors
@@ -20,7 +19,8 @@ from flipperctl.library.workers import check_training
 from flipperctl.runs import preflight
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.training import Finished, start
-from flipperctl.terminal.training import print_best
+from flipperctl.runs.training import resume as resume_run
+from flipperctl.terminal.training import check_resumed, print_best
 
 _FOLDER = "hydra.run.dir"
 
@@ -63,7 +63,11 @@ def train(
         run = Path(resume)
         if directory is not None:
             raise ConfigError("directory: a resumed run stays in its own; leave it out")
-        finished = _interruptible(lambda: resume_run(run, typed, shown), run, plugins)
+        preflight.check_resumable(typed)
+        changes = Overrides.parse(typed).values()
+        finished = _interruptible(
+            lambda: resume_run(run, changes, shown, check=check_resumed), run, plugins
+        )
     else:
         config, folder = _composed(typed, directory)
         finished = _interruptible(lambda: start(config, folder, shown), folder, plugins)

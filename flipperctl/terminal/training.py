@@ -5,8 +5,11 @@ In: a training or a finished run. Out: lines on stderr.
 
 from __future__ import annotations
 
+from flipperctl.config import TrainConfig
 from flipperctl.runs.follow_up import command
+from flipperctl.runs.preflight import check_device
 from flipperctl.runs.training import Finished, Reports
+from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.pitch_variation import pitch_variation_text
 from flipperctl.terminal.progress import progress
 from flipperctl.terminal.streams import print_note
@@ -15,6 +18,16 @@ from flipperctl.terminal.streams import print_note
 def reports() -> Reports:
     """Return callbacks that show a training on stderr."""
     return Reports([progress], print_note)
+
+
+def check_resumed(config: TrainConfig) -> None:
+    """Refuse what a resumed run cannot use, and print the notices of its configuration.
+
+    Raises:
+        ConfigError: torch cannot use the device.
+    """
+    check_device(config)
+    print_notices(config)
 
 
 def print_best(run: Finished) -> None:
