@@ -53,16 +53,16 @@ def use(what: Misbehaviour, file: Path) -> None:
         source = PolicySource(settings={"name": "level"})
     if what.kind == "terrain":
         config = EnvConfig(terrain="odd")
-        resolver.container(config.terrain)
+        resolver.to_dict(config.terrain)
         ground.first_difficulty(config.terrain)
         ground.next_difficulty(config.terrain, 1.0, True)
     if what.kind == "reward":
         config = with_overrides(EnvConfig(terrain="flat"), {"rewards.odd": "odd", **FLAT})
-        resolver.container(config.rewards["odd"])
+        resolver.to_dict(config.rewards["odd"])
     if what.kind == "network":
         layout = ObservationLayout()
         network = resolver.create("network", "odd", "network")
-        resolver.container(network)
+        resolver.to_dict(network)
         module = build_network(network, layout, 9).train()
         for _ in range(what.call):
             greedy(module, np.zeros(layout.size, np.float32))
@@ -70,7 +70,7 @@ def use(what: Misbehaviour, file: Path) -> None:
         return
     if what.kind in ("sim", "perception"):
         config = with_overrides(config, {what.kind: "odd"})
-        resolver.container(config)
+        resolver.to_dict(config)
         Conditions.of(EvalConfig(**dict(config)))
         engine_versions(config.sim)
         look_ahead(config)

@@ -21,7 +21,7 @@ from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
-from flipperctl.config import RayCollector, TrainConfig, container
+from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.exploring import ExploringPolicy
@@ -118,7 +118,7 @@ class WorkersCollector:
 def process_collector(config: TrainConfig, workers: int) -> Collector:
     """Return a collector with the worker processes of ``train.workers``."""
     paths = plugins.configured_paths()
-    return WorkersCollector(config, ProcessWorkers(workers, container(config), paths))
+    return WorkersCollector(config, ProcessWorkers(workers, to_dict(config), paths))
 
 
 def ray_collector(config: TrainConfig, workers: int) -> Collector:
@@ -129,7 +129,7 @@ def ray_collector(config: TrainConfig, workers: int) -> Collector:
     start_local(sum(worker_counts()))
     settings = RayCollector(workers=workers)
     paths = plugins.configured_paths()
-    return WorkersCollector(config, RayWorkers(settings, container(config), paths))
+    return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))
 
 
 def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:

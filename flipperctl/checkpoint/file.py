@@ -20,7 +20,7 @@ from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
 from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import Document, PluginReference, State
-from flipperctl.config import TrainConfig, container, parse, resolver
+from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
@@ -111,7 +111,7 @@ def describe(
     return Document(
         format=documents.FORMAT,
         kind=kind,
-        config=documents.PartialConfig.model_validate(container(config)),
+        config=documents.PartialConfig.model_validate(to_dict(config)),
         versions={
             "flipperctl": __version__,
             "torch": torch.__version__,

@@ -31,7 +31,7 @@ from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import EPISODES, Count, Label, PartialReward, Record
 from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.checkpoint.strict_json import decode
-from flipperctl.config import EnvConfig, container
+from flipperctl.config import EnvConfig, to_dict
 from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
@@ -195,7 +195,7 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
 
 def _partial(config: EnvConfig) -> PartialEnvironment:
     """Return the part of the configuration that defines an environment."""
-    return PartialEnvironment.model_validate(container(config.environment()))
+    return PartialEnvironment.model_validate(to_dict(config.environment()))
 
 
 def _joined(

@@ -75,7 +75,7 @@ def run(
         only_one(asked)
     with json_result(output, "transfer") as write, EpisodeWorkers() as workers:
         found = transfer_scenes(asked, workers, only, episodes_progress)
-        document = {"controller": found[0].controller, "scenes": [one.container() for one in found]}
+        document = {"controller": found[0].controller, "scenes": [one.to_dict() for one in found]}
         policy = ["--checkpoint" if checkpoint else "--controller", str(checkpoint or controller)]
         show(document, lambda: print_transfer(found, policy, overrides or []), as_json=as_json)
         write(document)

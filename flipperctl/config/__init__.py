@@ -14,7 +14,7 @@ from flipperctl.config.models import (
     TrainConfig,
 )
 from flipperctl.config.randomise import Randomise
-from flipperctl.config.resolver import container, parse, with_overrides
+from flipperctl.config.resolver import parse, to_dict, with_overrides
 from flipperctl.config.sections import (
     Agent,
     Episode,
@@ -39,8 +39,8 @@ __all__ = [
     "Teacher",
     "Train",
     "TrainConfig",
-    "container",
     "identity",
     "parse",
+    "to_dict",
     "with_overrides",
 ]

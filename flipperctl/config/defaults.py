@@ -32,7 +32,7 @@ _ENTRY_NAMES = {"rewards": "preset", "conditions": "set"}
 
 def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield group, name and settings of each registered plugin, collector and teacher."""
-    teaching = resolver.container(Teacher())
+    teaching = resolver.to_dict(Teacher())
     yield "teacher", "none", teaching
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     yield "teacher", "recorded", {**teaching, "episodes": ""}
@@ -45,13 +45,13 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
         if kind == "controller":
             yield "teacher", name, {**teaching, "controller": defaults}
     for collector in (LocalCollector(), RayCollector()):
-        yield "collector", collector.name, resolver.container(collector)
+        yield "collector", collector.name, resolver.to_dict(collector)
 
 
 def sections(model: type[TrainConfig | EvalConfig]) -> dict[str, Any]:
     """Return the fields of a whole configuration that no group chooses, at their defaults."""
     return {
-        name: resolver.container(info.default)
+        name: resolver.to_dict(info.default)
         if hasattr(info.default, "model_dump")
         else info.default
         for name, info in model.model_fields.items()

@@ -200,5 +200,5 @@ def _defaults(cls: type[Settings]) -> dict[str, Any]:
 
 def _plain(config: Settings) -> dict[str, Any]:
     if isinstance(config, Plugin):
-        return resolver.container(config, brief=True)
+        return resolver.to_dict(config, brief=True)
     return config.model_dump(mode="json", context={"brief": True})

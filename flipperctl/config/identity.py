@@ -13,7 +13,7 @@ from typing import Any
 
 from flipperctl import guard
 from flipperctl.api import Plugin
-from flipperctl.config.resolver import container
+from flipperctl.config.resolver import to_dict
 
 
 def identity(plugin: Plugin) -> dict[str, Any]:
@@ -26,7 +26,7 @@ def identity(plugin: Plugin) -> dict[str, Any]:
         PluginError: a setting cannot be written as JSON.
         PluginFailedError: ``files_read`` failed.
     """
-    files, plain = read_files(plugin), container(plugin)
+    files, plain = read_files(plugin), to_dict(plugin)
     names = {file.name for file in files}
     settings = {}
     for name, field in type(plugin).model_fields.items():

@@ -29,7 +29,7 @@ from flipperctl.api import (
 from flipperctl.config.combinations import check_decisions, check_episode
 from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
-from flipperctl.config.resolver import container, create
+from flipperctl.config.resolver import create, to_dict
 from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
     Agent,
@@ -96,18 +96,18 @@ def _loggers(value: object) -> object:
     return {str(k): create("logger", v, f"logger.{k}") for k, v in found.items()}
 
 
-def _containers(value: Mapping[str, Plugin]) -> dict[str, Any]:
-    return {name: container(plugin) for name, plugin in value.items()}
+def _to_dicts(value: Mapping[str, Plugin]) -> dict[str, Any]:
+    return {name: to_dict(plugin) for name, plugin in value.items()}
 
 
-ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(container)]
-AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(container)]
-AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(container)]
-AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(container)]
+ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(to_dict)]
+AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(to_dict)]
+AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(to_dict)]
+AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(to_dict)]
 AnyRewards = Annotated[
-    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_containers)
+    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_to_dicts)
 ]
-AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerializer(_containers)]
+AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerializer(_to_dicts)]
 
 DEFAULT_ENGINE = "planar"
 """Name of the default engine and of the default sensor."""
@@ -144,7 +144,7 @@ class EnvConfig(Settings):
         """Sample a value of each randomised setting, by name in SI units; a switch is 1 or 0."""
         return sample(self._sampled_sections, self.randomise, rng)
 
-    def with_drawn_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
+    def with_sampled_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
         """Return the engine, robot and sensor of an episode with the sampled ``values``.
 
         Raises:

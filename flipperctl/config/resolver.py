@@ -1,6 +1,6 @@
 """Convert names and overrides to validated settings, and settings to plain data.
 
-In: a plugin's name or mapping, a composed container, overrides. Out: frozen settings with plugin
+In: a plugin's name or mapping, composed values, overrides. Out: frozen settings with plugin
 instances inside. Every composed configuration (by Hydra, from a checkpoint, from keyword arguments,
 by ``--resume``) passes through ``parse``.
 """
@@ -93,14 +93,14 @@ def _guarded(plugin: Plugin) -> Plugin:
     return plugin
 
 
-def parse(model: type[SettingsT], container: Mapping[str, Any]) -> SettingsT:
-    """Validate a composed container.
+def parse(model: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
+    """Validate composed values.
 
     Raises:
         ConfigError: one line with the configuration path, the value and what is allowed.
     """
     try:
-        return model(**container)
+        return model(**values)
     except ValidationError as error:
         raise ConfigError(explain(error, "", model)) from error
 
@@ -113,7 +113,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
     Raises:
         ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
     """
-    result = container(config)
+    result = to_dict(config)
     for key, value in overrides.items():
         if (
             key == "rewards" and value == {}
@@ -144,7 +144,7 @@ def _merge(node: dict[str, Any], key: str, value: Any) -> None:
         node[key] = dict(value) if isinstance(value, Mapping) else value
 
 
-def container(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
+def to_dict(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
     """Return the plain data from which ``create`` or ``parse`` makes equal settings.
 
     ``brief``: a plugin inside a plugin is written as its name alone if all its fields have their
@@ -173,14 +173,14 @@ def _unwrap(error: BaseException) -> BaseException:
 
 
 def defaults(cls: type[Plugin]) -> dict[str, Any]:
-    """Return the brief container of a plugin at its defaults.
+    """Return the brief plain data of a plugin at its defaults.
 
     Raises:
         ConfigError: a field has no default, or a default that is not valid.
         PluginError: the plugin's own code raised anything else.
     """
     try:
-        return container(construct(cls, {}), brief=True)
+        return to_dict(construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
             f"{guard.plugin_label(cls)}: its defaults are not valid: "

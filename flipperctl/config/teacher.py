@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from flipperctl.api import Controller, Settings
-from flipperctl.config.resolver import container, create
+from flipperctl.config.resolver import create, to_dict
 from flipperctl.errors import ConfigError
 
 
@@ -19,7 +19,7 @@ def _controller(value: object) -> object:
 
 
 def _plain(value: Controller | None) -> object:
-    return None if value is None else container(value)
+    return None if value is None else to_dict(value)
 
 
 AnyController = Annotated[Controller | None, BeforeValidator(_controller), PlainSerializer(_plain)]

@@ -125,7 +125,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         (self._engine_rng,) = start_rng.spawn(1)
         config, episode = self.config, self.config.episode
         sampled = config.sample(randomise_rng)
-        sections = config.with_drawn_values(sampled)
+        sections = config.with_sampled_values(sampled)
         self.robot = sections[1]
         self.profile = self._generate(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(

@@ -46,10 +46,10 @@ def measures() -> dict[str, Measure]:
     Raises:
         PluginError: a measure has the name of another column, or cannot be made.
     """
-    return {cls.plugin_name: _make(cls) for cls in (*map(_core, CORE), *further_measures())}
+    return {cls.plugin_name: _make(cls) for cls in (*map(_core, CORE), *other_measures())}
 
 
-def further_measures() -> list[type[Measure]]:
+def other_measures() -> list[type[Measure]]:
     """Return the measures beyond ``CORE``, sorted by name."""
     return [
         cls

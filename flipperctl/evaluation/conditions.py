@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Settings
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, container, resolver
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, resolver, to_dict
 from flipperctl.config.identity import content_digest, read_files
 from flipperctl.messages import unit
 
@@ -39,7 +39,7 @@ class Conditions:
     @classmethod
     def of(cls, config: EvalConfig) -> Conditions:
         """Return the conditions of an evaluation."""
-        whole = container(config.environment())
+        whole = to_dict(config.environment())
         left_out = {
             "sim": config.sim.without_effect,
             "perception": set(ObservationLayout.model_fields),  # set by the policy
@@ -72,7 +72,7 @@ class Conditions:
         text = json.dumps(self.settings, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data: ``name``, ``hash`` and the settings that were hashed."""
         return {"name": self.name, "hash": self.hash, **self.settings}
 
@@ -110,7 +110,7 @@ class Conditions:
 
     def _differences(self, section: str, *excluded: str) -> str:
         default, values = self.defaults[section], self.settings[section]
-        plain = {"name": values.get("name"), **container(default)}
+        plain = {"name": values.get("name"), **to_dict(default)}
         changed = [k for k, v in values.items() if v != plain[k] and k not in excluded]
         model = type(default)
         chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []

@@ -11,7 +11,7 @@ from typing import Any
 
 from flipperctl.api import Outcome
 from flipperctl.checkpoint.recording import RecordedEpisode
-from flipperctl.env.metrics import further_measures
+from flipperctl.env.metrics import other_measures
 from flipperctl.rollout.episode import SEARCH
 
 _REWARD = "reward_"
@@ -65,7 +65,7 @@ class EpisodeResult:
         """
         rest = dict(row)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
-        further = {m.plugin_name: rest.pop(m.plugin_name) for m in further_measures()}
+        further = {m.plugin_name: rest.pop(m.plugin_name) for m in other_measures()}
         return cls(
             episode,
             seed=rest.pop("seed"),

@@ -15,7 +15,7 @@ class Interval:
     """Lower end; None, like ``high``, if there are too few values for an interval."""
     high: float | None
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the numbers by name."""
         return asdict(self)
 

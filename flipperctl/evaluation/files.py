@@ -31,7 +31,7 @@ def write(folder: Path, result: EvaluationResult) -> None:
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     write_csv(folder / "episodes.csv", list(episode_rows(result)))
-    write_json(folder / SUMMARY, result.container())
+    write_json(folder / SUMMARY, result.to_dict())
     write_tables(folder, result)
 
 

@@ -1,6 +1,6 @@
 """The results of an evaluation as typed values that convert to plain data for JSON.
 
-``container()`` has the keys of ``eval --json`` and ``summary.json``, in their order.
+``to_dict()`` has the keys of ``eval --json`` and ``summary.json``, in their order.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Outcomes:
         counts = Counter(outcomes)
         return cls(**{str(outcome): counts[outcome] for outcome in Outcome})
 
-    def container(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, int]:
         """Return the counts by outcome, including zeros."""
         return asdict(self)
 
@@ -49,7 +49,7 @@ class Passable:
     beyond: int
     """Number of further episodes that the policy crossed and no reference did."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return asdict(self)
 
@@ -71,7 +71,7 @@ class NotReached:
     further: Mapping[str, Estimate] = field(default_factory=dict)
     """Further measures with ``reached_only``, by name."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         plain = asdict(self)
         further: dict[str, Any] = plain.pop("further")
@@ -115,23 +115,23 @@ class Summary:
     """Values that a policy reported about its searches, by name: the mean of numbers over episodes,
     and the count of each word."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "terrain": self.terrain,
             "episodes": self.episodes,
             "success_rate": self.success_rate,
-            "success": self.success.container(),
-            "outcomes": self.outcomes.container(),
+            "success": self.success.to_dict(),
+            "outcomes": self.outcomes.to_dict(),
             "t_cost": _data(self.t_cost),
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
             "flipper_travel": _data(self.flipper_travel),
             **{name: _data(found) for name, found in self.further.items()},
-            **({"passable": self.passable.container()} if self.passable else {}),
-            "not_reached": self.not_reached.container() if self.not_reached else None,
-            "max_pitch": self.max_pitch.container(),
-            "return": self.episode_return.container(),
+            **({"passable": self.passable.to_dict()} if self.passable else {}),
+            "not_reached": self.not_reached.to_dict() if self.not_reached else None,
+            "max_pitch": self.max_pitch.to_dict(),
+            "return": self.episode_return.to_dict(),
             **({"search": dict(self.search)} if self.search else {}),
             **_parts(self.parts),
         }
@@ -154,10 +154,10 @@ class Differences:
     parts: Mapping[str, Differences]
     """Differences on each kind of terrain by label; empty unless several were sampled."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
-            "success": self.success.container(),
+            "success": self.success.to_dict(),
             "t_cost": _data(self.t_cost),
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
@@ -175,12 +175,12 @@ class BaselineResult:
     difference: Differences
     episodes: tuple[EpisodeResult, ...]
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data, without individual episodes."""
         return {
             "controller": self.controller,
-            **self.summary.container(),
-            "difference": self.difference.container(),
+            **self.summary.to_dict(),
+            "difference": self.difference.to_dict(),
         }
 
 
@@ -203,7 +203,7 @@ class SceneResult:
         return self.summary.terrain
 
     @property
-    def is_one_drive(self) -> bool:
+    def has_identical_episodes(self) -> bool:
         """Whether there are several episodes whose outcomes and measures are all identical."""
         measured = {
             (e.outcome, e.t_cost, e.pitch_variation_100hz, e.max_pitch, e.episode_return)
@@ -216,13 +216,13 @@ class SceneResult:
         """Number of episodes of the policy and its baselines."""
         return len(self.episodes) + sum(len(other.episodes) for other in self.baselines)
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data, without individual episodes."""
         return {
-            **self.summary.container(),
+            **self.summary.to_dict(),
             "controller": self.controller,
             "seed": self.seed,
-            "conditions": self.conditions.container(),
+            "conditions": self.conditions.to_dict(),
             **_baselines(self.baselines),
         }
 
@@ -244,7 +244,7 @@ class Interruption:
         begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
         return f"{begun}; not begun: {', '.join(self.not_begun)}" if self.not_begun else begun
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "interrupted": True,
@@ -268,31 +268,31 @@ class EvaluationResult:
         """Label of the policy; several are separated by commas."""
         return ", ".join(dict.fromkeys(scene.controller for scene in self.scenes))
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data, without individual episodes."""
         stopped = self.interruption
         return {
             "controller": self.controller,
-            **({} if stopped is None else stopped.container()),
-            "scenes": [scene.container() for scene in self.scenes],
+            **({} if stopped is None else stopped.to_dict()),
+            "scenes": [scene.to_dict() for scene in self.scenes],
         }
 
     def to_json(self) -> str:
         """Return the document of ``eval --json``."""
-        return json.dumps(self.container(), indent=2)
+        return json.dumps(self.to_dict(), indent=2)
 
 
 def _data(interval: Interval | None) -> dict[str, Any] | None:
-    return None if interval is None else interval.container()
+    return None if interval is None else interval.to_dict()
 
 
 def _baselines(baselines: Sequence[BaselineResult]) -> dict[str, Any]:
     """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
-    found = [baseline.container() for baseline in baselines]
+    found = [baseline.to_dict() for baseline in baselines]
     first = {"baseline": found[0]} if found else {}
     return first | ({"baselines": found} if len(found) > 1 else {})
 
 
 def _parts(parts: Mapping[str, Summary] | Mapping[str, Differences]) -> dict[str, Any]:
     """Return the entry ``parts``, or nothing if there are no parts."""
-    return {"parts": {label: p.container() for label, p in parts.items()}} if parts else {}
+    return {"parts": {label: p.to_dict() for label, p in parts.items()}} if parts else {}

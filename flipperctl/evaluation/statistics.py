@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from flipperctl.api import Measure, Outcome
-from flipperctl.env.metrics import further_measures
+from flipperctl.env.metrics import other_measures
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
@@ -60,7 +60,7 @@ def _summary(
         episode_return=measure([e.episode_return for e in episodes]),
         further={
             m.plugin_name: _measure(_further(m, good if m.reached_only else episodes))
-            for m in further_measures()
+            for m in other_measures()
         },
         passable=_passable(episodes),
         parts=parts,
@@ -110,9 +110,7 @@ def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
         pitch_variation_100hz=measure([e.pitch_variation_100hz for e in failed]),
         flipper_travel=measure([e.flipper_travel for e in failed]),
         further={
-            m.plugin_name: measure(_further(m, failed))
-            for m in further_measures()
-            if m.reached_only
+            m.plugin_name: measure(_further(m, failed)) for m in other_measures() if m.reached_only
         },
     )
 
@@ -158,7 +156,7 @@ def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Di
         t_cost=_difference(pairs, lambda e: e.t_cost),
         pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
         pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),
-        further={m.plugin_name: _further_difference(m, played) for m in further_measures()},
+        further={m.plugin_name: _further_difference(m, played) for m in other_measures()},
         parts=parts,
     )
 

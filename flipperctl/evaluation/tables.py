@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.env.metrics import further_measures, heading
+from flipperctl.env.metrics import heading, other_measures
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.results import EvaluationResult, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
@@ -81,7 +81,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 def latex(result: EvaluationResult) -> str:
     """Return a LaTeX tabular, which needs the package booktabs."""
     stopped = result.interruption
-    further = [_escape(heading(measure)) for measure in further_measures()]
+    further = [_escape(heading(measure)) for measure in other_measures()]
     headings = (*_HEADINGS, *further, _LAST)
     lines = [
         *([] if stopped is None else [f"% {_escape(stopped.text)}"]),
@@ -164,10 +164,7 @@ def _cells(summary: Summary) -> list[Cell]:
         Cell("pitch_variation", summary.pitch_variation, 2),
         Cell("max_pitch", summary.max_pitch, 2),
         Cell("flipper_travel", summary.flipper_travel, 2),
-        *(
-            Cell(m.plugin_name, summary.further[m.plugin_name], m.digits)
-            for m in further_measures()
-        ),
+        *(Cell(m.plugin_name, summary.further[m.plugin_name], m.digits) for m in other_measures()),
         Cell(
             "not_reached_pitch_variation_100hz",
             failed.pitch_variation_100hz if failed else None,

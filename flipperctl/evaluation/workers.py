@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any
 
 from flipperctl import plugins
-from flipperctl.config import EnvConfig, container, parse
+from flipperctl.config import EnvConfig, parse, to_dict
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
@@ -75,7 +75,7 @@ class EpisodeWorkers:
 
         After a stop, finished results are yielded up to the first unfinished one.
         """
-        document = container(config.environment())
+        document = to_dict(config.environment())
         paths = plugins.configured_paths()
         task = _Task(next(self._numbers), document, source, seed, record, paths)
         if self._pool is None:

@@ -38,7 +38,7 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
         "decision_period": robot.decision_period,
         "robot": robot.model_dump(mode="json", exclude_none=True),
         "terrain": config.terrain.plugin_name,
-        "terrain_config": resolver.container(config.terrain),
+        "terrain_config": resolver.to_dict(config.terrain),
         "seed": config.seed,
         "network": config.network.plugin_name,
     }

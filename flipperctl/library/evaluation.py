@@ -27,7 +27,7 @@ class Evaluation(EvaluationResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data: the document of ``flipperctl eval --json``."""
-        return self.container()
+        return self.to_dict()
 
     def show(self) -> None:
         """Print the tables that ``flipperctl eval`` prints."""

@@ -55,7 +55,7 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
     path, controller = find(policy)
     if controller is not None:
         made = resolver.create("controller", {"name": controller, **fields}, "controller")
-        return LoadedPolicy(PolicySource(settings=resolver.container(made)), None, fields)
+        return LoadedPolicy(PolicySource(settings=resolver.to_dict(made)), None, fields)
     assert path is not None  # find returns one of the two
     if fields:
         raise RequestError(

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from flipperctl.api import Settings
-from flipperctl.config import container
+from flipperctl.config import to_dict
 from flipperctl.config.defaults import GROUPS, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError
@@ -100,7 +100,7 @@ def _entry(name: object, value: object, key: str) -> str:
 def _plain(value: object) -> object:
     """Return the value without the types of numpy, paths, tuples, enumerations and settings."""
     if isinstance(value, Settings):
-        return container(value, brief=True)
+        return to_dict(value, brief=True)
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):

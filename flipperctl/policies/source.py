@@ -42,7 +42,7 @@ class PolicySource:
         Raises:
             ConfigError: there is no such controller, or its defaults are not valid.
         """
-        return cls(settings=resolver.container(resolver.create("controller", name, path)))
+        return cls(settings=resolver.to_dict(resolver.create("controller", name, path)))
 
     def label(self) -> str:
         """Return the name that tables and files use.

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from flipperctl import checkpoint
-from flipperctl.config import TrainConfig, container, parse
+from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.training import timing
@@ -92,7 +92,7 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
 
 def write_config(directory: Path, config: TrainConfig) -> None:
     """Write the configuration as ``config.yaml``."""
-    write_bytes(directory / CONFIG, OmegaConf.to_yaml(container(config)).encode())
+    write_bytes(directory / CONFIG, OmegaConf.to_yaml(to_dict(config)).encode())
 
 
 def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
@@ -116,7 +116,7 @@ def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
 
     Loggers may differ: they record a run and do not change it.
     """
-    plain = [container(config.model_copy(update={"logger": {}})) for config in (there, here)]
+    plain = [to_dict(config.model_copy(update={"logger": {}})) for config in (there, here)]
     first, second = (dict(_leaves(settings)) for settings in plain)
     return [
         f"{key}: {first.get(key, 'none')} there, {second.get(key, 'none')} here"

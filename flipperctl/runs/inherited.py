@@ -15,7 +15,7 @@ from typing import Any
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.api import ObservationLayout, Policy, registry
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, container
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.absent import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.conditions import Conditions
@@ -45,12 +45,12 @@ class Inherited:
     @classmethod
     def of(cls, config: TrainConfig | EvalConfig) -> Inherited:
         """Return the sections of a checkpoint, or of an exported file if it is an EvalConfig."""
-        own = container(config.environment())
-        own["terrain"] = container(config.terrain, brief=True)
+        own = to_dict(config.environment())
+        own["terrain"] = to_dict(config.terrain, brief=True)
         layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
         chosen = {name: own.pop(name) for name in ("terrain", "rewards")}
-        kept = {"robot": own.pop("robot"), "perception": layout, "eval": container(config.eval)}
-        default = container(EvalConfig(terrain=config.terrain))
+        kept = {"robot": own.pop("robot"), "perception": layout, "eval": to_dict(config.eval)}
+        default = to_dict(EvalConfig(terrain=config.terrain))
         nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
         return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
 

@@ -78,7 +78,7 @@ def _source(label: str, fields: Mapping[str, Any], tell: Callable[[str], None]) 
     known = resolver.get("controller", label, "--compare").model_fields
     own = {name: value for name, value in fields.items() if name in known}
     made: Controller = resolver.create("controller", {"name": label, **own}, "controller")
-    return PolicySource(settings=resolver.container(made))
+    return PolicySource(settings=resolver.to_dict(made))
 
 
 def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:

@@ -54,7 +54,7 @@ class AuditResult:
     """Seed of the evaluation."""
     conditions: Conditions
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the document of ``inspect reward --json``."""
         return {
             "controller": self.controller,
@@ -64,7 +64,7 @@ class AuditResult:
             "return": self.mean_return,
             "terms": {name: asdict(term) for name, term in self.terms.items()},
             "seed": self.seed,
-            "conditions": self.conditions.container(),
+            "conditions": self.conditions.to_dict(),
         }
 
 

@@ -48,7 +48,7 @@ class Probe:
         """Whether the measurement is within the tolerance."""
         return bool(abs(self.found - self.expected) <= self.tolerance)  # found may be numpy's
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {**asdict(self), "holds": self.holds}
 

@@ -87,7 +87,7 @@ class EngineEpisode:
         near = self.pitch_rms <= PITCH_TOLERANCE and abs(self.time_ratio) <= TIME_TOLERANCE
         return self.equal_outcomes and (near or not self.both_reached)
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {**asdict(self), "agrees": self.agrees}
 
@@ -111,7 +111,7 @@ class EngineComparison:
         """Episodes in which both reached the finish."""
         return [e for e in self.episodes if e.both_reached]
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         reached = self.reached
         return {
@@ -119,12 +119,12 @@ class EngineComparison:
             "controller": self.controller,
             "engines": list(self.engines),
             "seed": self.seed,
-            "conditions": self.conditions.container(),
+            "conditions": self.conditions.to_dict(),
             "equal_outcomes": sum(e.equal_outcomes for e in self.episodes) / len(self.episodes),
             "agree": sum(e.agrees for e in self.episodes) / len(self.episodes),
             "pitch_rms": mean(e.pitch_rms for e in reached),
             "time_ratio": mean(e.time_ratio for e in reached),
-            "episodes": [e.container() for e in self.episodes],
+            "episodes": [e.to_dict() for e in self.episodes],
         }
 
 

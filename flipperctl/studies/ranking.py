@@ -50,7 +50,7 @@ class PolicyMeasures:
     t_cost: Interval | None
     """Time from start to finish [s]."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "success_rate": self.success_rate,
@@ -79,13 +79,13 @@ class Contradiction:
     p_holm: float
     """The same, corrected for all pairs of policies, rewards and scenes (Holm) [-]."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "paid": self.paid,
             "calm": self.calm,
-            "return_difference": self.return_difference.container(),
-            "pitch_variation_100hz_difference": self.pitch_variation_100hz_difference.container(),
+            "return_difference": self.return_difference.to_dict(),
+            "pitch_variation_100hz_difference": self.pitch_variation_100hz_difference.to_dict(),
             "terms": dict(self.terms),
             "p": self.p,
             "p_holm": self.p_holm,
@@ -106,14 +106,14 @@ class RewardRanking:
     tests: int
     """Number of pairs of policies that were tested."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "rewards": self.rewards,
             "verdict": str(self.verdict),
             "by_return": list(self.returns),
             "returns": {label: _data(found) for label, found in self.returns.items()},
-            "contradictions": [c.container() for c in self.contradictions],
+            "contradictions": [c.to_dict() for c in self.contradictions],
         }
 
 
@@ -133,21 +133,21 @@ class SceneRanking:
     """Measures by policy, smallest θ̂_R at 100 Hz first."""
     rankings: tuple[RewardRanking, ...]
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
             "terrain": self.terrain,
             "seed": self.seed,
-            "conditions": self.conditions.container(),
+            "conditions": self.conditions.to_dict(),
             "episodes": self.episodes,
             "common": self.common,
             "by_pitch_variation_100hz": list(self.policies),
-            "policies": {label: found.container() for label, found in self.policies.items()},
-            "rankings": [ranking.container() for ranking in self.rankings],
+            "policies": {label: found.to_dict() for label, found in self.policies.items()},
+            "rankings": [ranking.to_dict() for ranking in self.rankings],
         }
 
 
-def common_draws(played: Played) -> dict[str, list[EpisodeResult]]:
+def common_episodes(played: Played) -> dict[str, list[EpisodeResult]]:
     """Return each policy's episodes with the seeds that every policy crossed."""
     crossed = [{e.seed for e in episodes if e.reached} for episodes in played.values()]
     seeds = set.intersection(*crossed)
@@ -156,7 +156,7 @@ def common_draws(played: Played) -> dict[str, list[EpisodeResult]]:
 
 def measures(played: Played) -> dict[str, PolicyMeasures]:
     """Return the measures of each policy, smallest θ̂_R at 100 Hz first."""
-    common = common_draws(played)
+    common = common_episodes(played)
     found = {
         label: PolicyMeasures(
             success_rate=sum(e.reached for e in episodes) / len(episodes),
@@ -183,7 +183,7 @@ def rank(
     ``prefix`` precedes the terms' names in the episodes' rewards. Potential-based shaping is
     left out: its discounted sum is the same for every behaviour, but the plain sum is not.
     """
-    common = common_draws(played)
+    common = common_episodes(played)
     names = [name for name, term in terms.items() if not isinstance(term, Shaping)]
 
     def paid(episode: EpisodeResult) -> float:
@@ -266,4 +266,4 @@ def _mean(
 
 
 def _data(found: Interval | None) -> dict[str, float] | None:
-    return None if found is None else found.container()
+    return None if found is None else found.to_dict()

@@ -15,7 +15,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
-from flipperctl.studies.ranking import SceneRanking, common_draws, measures, rank
+from flipperctl.studies.ranking import SceneRanking, common_episodes, measures, rank
 
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""
@@ -56,7 +56,7 @@ def compare_rewards(
         config.eval.seed,
         Conditions.of(config),
         episodes=config.eval.episodes,
-        common=len(next(iter(common_draws(played).values()))),
+        common=len(next(iter(common_episodes(played).values()))),
         policies=measures(played),
         rankings=tuple(
             rank(label, terms, played, prefix=f"{label}.") for label, terms in scene.rewards.items()

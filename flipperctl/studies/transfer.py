@@ -78,7 +78,7 @@ class Failure:
     side: float
     """Lateral distance from the middle of the ground at the end [m]."""
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return asdict(self)
 
@@ -114,7 +114,7 @@ class TransferResult:
         """Number of failures by cause, the most frequent first."""
         return dict(Counter(str(f.cause) for f in self.failures).most_common())
 
-    def container(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         first, second = self.engines
         return {
@@ -122,14 +122,14 @@ class TransferResult:
             "controller": self.controller,
             "engines": [first, second],
             "seed": self.seed,
-            "conditions": self.conditions.container(),
-            first: self.default.container(),
-            second: self.other.container(),
-            "success_gap": self.success_gap.container(),
+            "conditions": self.conditions.to_dict(),
+            first: self.default.to_dict(),
+            second: self.other.to_dict(),
+            "success_gap": self.success_gap.to_dict(),
             "kept": self.kept,
-            "gap": self.gap.container(),
+            "gap": self.gap.to_dict(),
             "causes": self.causes,
-            "failures": [failure.container() for failure in self.failures],
+            "failures": [failure.to_dict() for failure in self.failures],
         }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from flipperctl.api import Measure
-from flipperctl.env.metrics import further_measures, heading
+from flipperctl.env.metrics import heading, other_measures
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
@@ -39,7 +39,7 @@ def table(result: EvaluationResult, label: str) -> Table:
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
         *(HEADING, PAPERS_HEADING, *((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
-        *map(heading, further_measures()),
+        *map(heading, other_measures()),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
     found = Table(headings, title, words=["outcomes"])
@@ -55,7 +55,7 @@ def table(result: EvaluationResult, label: str) -> Table:
             interval_text(summary.t_cost, 1),
             interval_text(summary.max_pitch),
             interval_text(summary.flipper_travel),
-            *(interval_text(summary.further[m.plugin_name], m.digits) for m in further_measures()),
+            *(interval_text(summary.further[m.plugin_name], m.digits) for m in other_measures()),
         ]
 
     for name, scene in _named(result):
@@ -82,7 +82,7 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
         *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
-        *(_difference_heading(measure) for measure in further_measures()),
+        *(_difference_heading(measure) for measure in other_measures()),
     ]
     found = Table(headings, title)
     for name, other in compared:
@@ -127,7 +127,7 @@ def _passable_cells(summary: Summary) -> list[str]:
 
 
 def _outcomes(summary: Summary) -> str:
-    counts = summary.outcomes.container()
+    counts = summary.outcomes.to_dict()
     return " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count)
 
 
@@ -153,5 +153,5 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
         interval_text(variation),
         interval_text(difference.pitch_variation),
         interval_text(difference.t_cost, 1),
-        *(interval_text(difference.further[m.plugin_name], m.digits) for m in further_measures()),
+        *(interval_text(difference.further[m.plugin_name], m.digits) for m in other_measures()),
     ]

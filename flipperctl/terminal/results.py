@@ -14,7 +14,7 @@ from flipperctl.terminal.streams import print_note
 def print_result(result: EvaluationResult, label: str | None) -> None:
     """Print the tables with the policy's ``label``, or the JSON document if ``label`` is None."""
     for scene in result.scenes:
-        if scene.is_one_drive:
+        if scene.has_identical_episodes:
             print_note(
                 f"{scene.terrain}: all {len(scene.episodes)} episodes are identical, since nothing "
                 "is random; their intervals are meaningless (episode.start_noise, "

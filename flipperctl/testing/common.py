@@ -42,9 +42,9 @@ def documented(cls: type[Plugin]) -> None:
 
 def survives_a_checkpoint(plugin: Plugin) -> None:
     """Check that the plugin is unchanged after it is written as JSON and read again."""
-    written = resolver.container(plugin)
+    written = resolver.to_dict(plugin)
     again = resolver.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)
     require(
         again == plugin and type(again) is type(plugin),
-        f"it changes in a checkpoint: {written} becomes {resolver.container(again)}",
+        f"it changes in a checkpoint: {written} becomes {resolver.to_dict(again)}",
     )

@@ -10,7 +10,7 @@ from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Policy
-from flipperctl.config import TrainConfig, container
+from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.exploring import ExploringPolicy
@@ -58,7 +58,7 @@ class EpisodeSource:
         config = self._config
         if config.train.mode == "exact":
             return self._in_process_collector(stop)
-        document, paths = container(config), plugins.configured_paths()
+        document, paths = to_dict(config), plugins.configured_paths()
         workers: RolloutWorkers
         if config.collector.name == "ray":
             from flipperctl.rollout.ray_workers import RayWorkers

@@ -14,7 +14,7 @@ from typing import Any
 
 from flipperctl import guard
 from flipperctl.api import Listener, Logger, RunInfo
-from flipperctl.config import TrainConfig, container
+from flipperctl.config import TrainConfig, to_dict
 from flipperctl.errors import MissingExtraError
 
 
@@ -26,7 +26,7 @@ def openers(
     ``resume_at``: decision from which the run continues; None for a new run. The functions raise
     MissingExtraError if a package that the logger needs is not installed.
     """
-    plain = container(config)
+    plain = to_dict(config)
 
     def opener(key: str, logger: Logger) -> Callable[[], Listener]:
         return lambda: GuardedLogger(logger, RunInfo(directory, directory / key, plain, resume_at))

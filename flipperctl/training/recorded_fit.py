@@ -13,7 +13,7 @@ from typing import Any
 
 from flipperctl.api import ObservationLayout, Robot
 from flipperctl.checkpoint.recording import PartialEnvironment, Recording
-from flipperctl.config import TrainConfig, container
+from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.errors import ConfigError
 
@@ -41,7 +41,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
 
     It is empty if none differ.
     """
-    ours = container(config.environment())
+    ours = to_dict(config.environment())
     ours["randomise"] = _with_paths(ours["randomise"])
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
@@ -83,8 +83,8 @@ def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironme
 
 
 def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
-    ours = container(robot)
-    theirs = {**container(Robot()), **environment.robot}  # an earlier version lacks some settings
+    ours = to_dict(robot)
+    theirs = {**to_dict(Robot()), **environment.robot}  # an earlier version lacks some settings
     texts = list(_differing("robot", ours, theirs))
     if not texts:
         return
@@ -100,7 +100,7 @@ def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> N
 
 def _check_rewards(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
     rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
-    if config.teacher.td_weight and rewards != container(config.environment())["rewards"]:
+    if config.teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
         raise ConfigError(
             f"teacher.episodes: {path} was recorded with other rewards "
             f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "

@@ -33,7 +33,7 @@ def test_it_lists_every_setting_of_the_configuration(experiment: str, tmp_path: 
 
 
 def leaves(node: Any, path: str = "") -> list[tuple[str, Any]]:
-    """Each value of a container, under the path that a description gives it."""
+    """Each value of nested data, under the path that a description gives it."""
     if isinstance(node, dict):
         inner = [
             leaf

@@ -4,11 +4,11 @@ from typing import Any
 
 import pytest
 
-from flipperctl.config import TrainConfig, container, parse, with_overrides
+from flipperctl.config import TrainConfig, parse, to_dict, with_overrides
 from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import ConfigError
 
-PLAIN = container(TrainConfig(terrain="flat", network="mlp"))
+PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
 OLD = {key: value for key, value in PLAIN.items() if key != "logger"}
 """A configuration of version 0.2, which has no loggers."""
 
@@ -35,12 +35,10 @@ def test_a_training_of_version_0_2_has_its_events() -> None:
 def test_a_resumed_run_may_have_other_loggers() -> None:
     config = parse(TrainConfig, PLAIN)
     both = with_overrides(config, {"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
-    assert container(both)["logger"]["wandb"]["project"] == "stairs"
+    assert to_dict(both)["logger"]["wandb"]["project"] == "stairs"
     assert list(both.logger) == ["wandb"]
     one = with_overrides(both, {"logger.wandb.mode": "offline"})
-    assert container(one)["logger"]["wandb"] == container(both)["logger"]["wandb"] | {
-        "mode": "offline"
-    }
+    assert to_dict(one)["logger"]["wandb"] == to_dict(both)["logger"]["wandb"] | {"mode": "offline"}
 
 
 @pytest.mark.parametrize(

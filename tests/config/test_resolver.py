@@ -2,7 +2,7 @@
 
 import pytest
 
-from flipperctl.config import EnvConfig, Teacher, container, parse, resolver, with_overrides
+from flipperctl.config import EnvConfig, Teacher, parse, resolver, to_dict, with_overrides
 from flipperctl.errors import ConfigError
 
 
@@ -22,8 +22,8 @@ def test_settings_without_a_name_are_an_error(settings: object) -> None:
 
 def test_a_plugins_container_makes_an_equal_plugin() -> None:
     mix = resolver.create("terrain", {"name": "mix", "parts": ["flat", "step"]}, "terrain")
-    assert resolver.create("terrain", container(mix), "terrain") == mix
-    assert container(mix, brief=True)["parts"] == ["flat", "step"]
+    assert resolver.create("terrain", to_dict(mix), "terrain") == mix
+    assert to_dict(mix, brief=True)["parts"] == ["flat", "step"]
     assert [p.plugin_name for p in resolver.nested_plugins(mix)] == ["mix", "flat", "step"]
 
 
@@ -39,7 +39,7 @@ def test_nested_and_dotted_overrides_and_a_whole_container_make_the_same_setting
     base = EnvConfig(terrain="stair")
     dotted = with_overrides(base, {"terrain.rise": 0.1, "rewards.pitch.window": 4})
     nested = with_overrides(base, {"terrain": {"rise": 0.1}, "rewards": {"pitch": {"window": 4}}})
-    assert dotted == nested == parse(EnvConfig, container(nested))
+    assert dotted == nested == parse(EnvConfig, to_dict(nested))
     assert dotted != base
 
 

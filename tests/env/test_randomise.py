@@ -7,7 +7,7 @@ import pytest
 
 from flipperctl import plugins
 from flipperctl.api import Robot
-from flipperctl.config import EnvConfig, container, resolver, with_overrides
+from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.config.randomise import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
@@ -115,7 +115,7 @@ def test_the_order_of_paths_and_none_do_not_matter() -> None:
         one, {"randomise.sim.gravity": None, "randomise": {"sim": {"friction": None}}}
     )
     # Files and hashes of configurations without paths are those of version 0.2.
-    assert "sim" not in container(dropped)["randomise"]
+    assert "sim" not in to_dict(dropped)["randomise"]
     assert with_overrides(one, {}) == one
 
 
@@ -241,14 +241,14 @@ def test_every_sampled_robot_is_possible() -> None:
     )
     for seed in range(50):
         drawn = found.sample(np.random.default_rng(seed))
-        _, robot, _ = found.with_drawn_values(drawn)
+        _, robot, _ = found.with_sampled_values(drawn)
         assert robot.flipper_axle > 0
         assert Robot(**robot.model_dump()) == robot
 
 
 def test_a_sampled_value_is_validated_beside_the_others() -> None:
     with pytest.raises(ConfigError, match=r"^randomise\.track_radius: chassis_length \(0\.76 m\)"):
-        config().with_drawn_values({"track_radius": 0.45, "flipper_length": 1.5})
+        config().with_sampled_values({"track_radius": 0.45, "flipper_length": 1.5})
 
 
 def test_a_delay_must_fit_into_a_decision() -> None:
@@ -257,6 +257,6 @@ def test_a_delay_must_fit_into_a_decision() -> None:
 
 
 def test_sections_are_as_the_episode_drew_them() -> None:
-    sim, robot, perception = config().with_drawn_values({"friction": 0.5, "delay": 0.1})
+    sim, robot, perception = config().with_sampled_values({"friction": 0.5, "delay": 0.1})
     assert (sim, robot) == (Planar(friction=0.5), Robot())
     assert perception == PlanarSensor(delay=0.1)

@@ -16,7 +16,7 @@ def of(**overrides: object) -> Conditions:
 
 
 def test_the_hash_is_that_of_the_canonical_json_of_what_stands_beside_it() -> None:
-    found = of().container()
+    found = of().to_dict()
     assert found.pop("name") == "nominal"
     short = found.pop("hash")
     text = json.dumps(found, sort_keys=True, separators=(",", ":"))
@@ -60,12 +60,12 @@ def test_the_hash_covers_the_content_of_recorded_ground(tmp_path: Path) -> None:
         "terrain": {"name": "mirror", "terrain": {"name": "profile_file", "path": str(file)}}
     }
     missing = of(**settings)
-    assert missing.container()["files"] == [None]
+    assert missing.to_dict()["files"] == [None]
     found = []
     for text in ("x,z\n0,0\n1,0.1\n", "x,z\n0,0\n1,0.2\n"):
         file.write_text(text)
         found.append(of(**settings))
-        assert found[-1].container()["files"] == [hashlib.sha256(text.encode()).hexdigest()]
+        assert found[-1].to_dict()["files"] == [hashlib.sha256(text.encode()).hexdigest()]
     assert len({missing.hash, *(conditions.hash for conditions in found)}) == 3
 
 

@@ -68,7 +68,7 @@ def test_onnx_describes_itself(saved: checkpoint.Checkpoint, onnx_file: Path) ->
     assert float(properties["flipperctl.decision_period"]) == pytest.approx(0.6)
     assert json.loads(properties["flipperctl.robot"])["chassis_length"] == 0.76
     assert properties["flipperctl.terrain"] == "step"
-    terrain = resolver.container(saved.config().terrain)
+    terrain = resolver.to_dict(saved.config().terrain)
     assert json.loads(properties["flipperctl.terrain_config"]) == terrain
     assert properties["flipperctl.seed"] == "7"
     assert float(properties["flipperctl.bin_width"]) == 0.15

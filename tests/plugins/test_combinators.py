@@ -135,11 +135,11 @@ def test_a_curriculum_takes_steps_between_0_and_1() -> None:
     assert found.next_difficulty(0.5, True) == pytest.approx(0.8)
     assert found.next_difficulty(0.8, True) == 1.0
     assert found.next_difficulty(0.3, False) == 0.0
-    mix = made("mix", parts=["flat", resolver.container(found)])
+    mix = made("mix", parts=["flat", resolver.to_dict(found)])
     assert mix.first_difficulty == 0.5
     assert mix.next_difficulty(0.5, True) == pytest.approx(0.8)
     low = made("step", low=-0.25, high=0.25)
-    assert mix.at(0.5) == made("mix", parts=["flat", resolver.container(low)])
+    assert mix.at(0.5) == made("mix", parts=["flat", resolver.to_dict(low)])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import container
+from flipperctl.config import to_dict
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
@@ -28,7 +28,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_th
     config_store.register_defaults()
     words = [f"experiment={name}", f"seed={saved.config().seed}"]
     (experiment,) = compose.compose_train(Overrides.parse(words))
-    assert container(saved.config()) == container(experiment)
+    assert to_dict(saved.config()) == to_dict(experiment)
     config = saved.config().environment()
     results = list(play_episodes(config, PolicySource(checkpoint=path), episodes=5, seed=0))
     assert sum(result.reached for result in results) >= 4

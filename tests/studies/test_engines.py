@@ -30,7 +30,7 @@ def test_both_engines_agree_on_the_same_actions(terrain: str) -> None:
     found = compare_engines(config(terrain), OKADA)
     assert [e.agrees for e in found.episodes] == [True, True]
     assert len(found.reached) == 2
-    document = found.container()
+    document = found.to_dict()
     assert document["engines"] == ["planar", "mujoco"]
     assert (document["equal_outcomes"], document["agree"]) == (1.0, 1.0)
     assert document["pitch_rms"] < 0.05

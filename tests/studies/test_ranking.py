@@ -69,7 +69,7 @@ def test_a_reward_that_prices_the_smooth_way_out_is_flagged() -> None:
     assert contradiction.terms == {"travel": pytest.approx(8.6), "swing": pytest.approx(-8.0)}
     assert list(found.returns) == ["level", "planner"]
     assert list(measures(played)) == ["planner", "level"]
-    assert found.container()["contradictions"][0]["paid"] == "level"
+    assert found.to_dict()["contradictions"][0]["paid"] == "level"
 
 
 def test_a_reward_that_pays_the_calm_policy_agrees() -> None:
@@ -111,7 +111,7 @@ def test_no_common_draw_gives_no_measures() -> None:
         "level": episodes([1.0], 8, 0.0, outcomes=["stuck"]),
         "planner": episodes([1.0], 8, 0.0),
     }
-    assert measures(played)["planner"].container() == {
+    assert measures(played)["planner"].to_dict() == {
         "success_rate": 1.0,
         "pitch_variation_100hz": None,
         "pitch_variation": None,

@@ -87,7 +87,7 @@ def test_the_exported_policy_acts_as_the_trained_one(
 
 def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None:
     from flipperctl.agent.d3qn import D3qn, arrays
-    from flipperctl.config import container
+    from flipperctl.config import to_dict
     from flipperctl.rollout.actor import Actor
     from flipperctl.rollout.values import RolloutRequest
 
@@ -97,7 +97,7 @@ def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None
         assert isinstance(network, Network)
         agent = D3qn(network, layout, 9, settings.agent, seed=1)
         weights = arrays(agent.online)
-        actors = [Actor(container(settings), []) for _ in range(2)]
+        actors = [Actor(to_dict(settings), []) for _ in range(2)]
         requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
         actors[1].evaluate(weights, 3)  # must not change the next rollout
         one, again, other = (

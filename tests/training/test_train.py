@@ -203,7 +203,7 @@ def test_a_reward_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) 
 
 
 def plugins_of(config: TrainConfig) -> dict[str, dict[str, object]]:
-    return {name: resolver.container(term) for name, term in config.rewards.items()}
+    return {name: resolver.to_dict(term) for name, term in config.rewards.items()}
 
 
 def test_a_failing_write_keeps_the_checkpoint_before(

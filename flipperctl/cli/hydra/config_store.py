@@ -14,7 +14,7 @@ from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
 from flipperctl.api import ObservationLayout, Plugin, Robot, registry
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, container
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.defaults import GROUPS, LISTS, entries, sections
 from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
@@ -95,9 +95,9 @@ def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str
 
     ``layout`` is its observation layout, if that differs as well. Overrides change both.
     """
-    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": container(robot)}
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": to_dict(robot)}
     if layout is not None:
-        node["perception"] = container(layout)
+        node["perception"] = to_dict(layout)
     ConfigStore.instance().store(name=EVAL_ROBOT, node=node)
     return EVAL_ROBOT
 

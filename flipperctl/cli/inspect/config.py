@@ -38,7 +38,7 @@ def run(
 
     from flipperctl.cli.hydra import compose
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.config import container
+    from flipperctl.config import to_dict
     from flipperctl.config.describe import list_settings
     from flipperctl.terminal.settings import print_settings
 
@@ -51,5 +51,5 @@ def run(
         else:
             print_settings(found)
         return
-    plain = container(config)
+    plain = to_dict(config)
     print(json.dumps(plain, indent=2) if as_json else OmegaConf.to_yaml(plain).rstrip())

@@ -46,7 +46,7 @@ def run(
 
     found = _probes(list(overrides or []), checkpoint)
     holds = all(probe.holds for probe in found)
-    document = {"holds": holds, "probes": [probe.container() for probe in found]}
+    document = {"holds": holds, "probes": [probe.to_dict() for probe in found]}
     show(document, lambda: print_probes(found), as_json=as_json)
     require_conventions(found)
 

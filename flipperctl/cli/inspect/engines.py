@@ -55,5 +55,5 @@ def run(
     for config, source in asked:
         with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
             found.append(compare_engines(config, source, report))
-    document = {"scenes": [scene.container() for scene in found]}
+    document = {"scenes": [scene.to_dict() for scene in found]}
     show(document, lambda: print_engines(found), as_json=as_json)

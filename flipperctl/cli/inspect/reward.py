@@ -68,7 +68,7 @@ def run(
     count = config.eval.episodes
     with episodes_progress(label, count) as report:
         found = audit(config, source, episodes=count, report=report)
-    show(found.container(), lambda: print_audit(found), as_json=as_json)
+    show(found.to_dict(), lambda: print_audit(found), as_json=as_json)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
@@ -88,5 +88,5 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     with EpisodeWorkers() as workers:
         ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
     found = decide(ranked)
-    document = {"scenes": [scene.container() for scene in found]}
+    document = {"scenes": [scene.to_dict() for scene in found]}
     show(document, lambda: print_comparison(found), as_json=as_json)

@@ -52,5 +52,5 @@ def run(
 
         seeds = {row["seed"]: profile for profile, row in sampled}
         save(sample_figure(name, seeds, config.robot), output)
-    document = {"terrain": resolver.container(config.terrain), "draws": rows}
+    document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
     show(document, lambda: print_terrain(name, rows, output), as_json=as_json)

@@ -7,12 +7,12 @@ import pytest
 from flipperctl.api import Shaping
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import EnvConfig, EvalConfig, Teacher, TrainConfig, container, with_overrides
+from flipperctl.config import EnvConfig, EvalConfig, Teacher, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.sim.planar import PlanarSensor
 
-MPC = container(Mpc())
+MPC = to_dict(Mpc())
 
 
 def compose_train(words: list[str]) -> list[TrainConfig]:
@@ -109,7 +109,7 @@ def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
         (config,) = compose_train([override] if override else [])
         assert list(config.logger) == names
     (config,) = compose_train(["logger=wandb", "logger.wandb.project=stairs"])
-    assert container(config)["logger"]["wandb"]["project"] == "stairs"
+    assert to_dict(config)["logger"]["wandb"]["project"] == "stairs"
 
 
 def test_there_is_a_teacher_only_on_request() -> None:
@@ -122,24 +122,24 @@ def test_there_is_a_teacher_only_on_request() -> None:
 
 def test_a_teacher_and_its_settings_are_chosen_by_name() -> None:
     (config,) = compose_train(["teacher=mpc", "teacher.controller.beam=5", "teacher.td_weight=0"])
-    assert container(config.teacher.controller) == {**MPC, "beam": 5}
+    assert to_dict(config.teacher.controller) == {**MPC, "beam": 5}
     assert config.teacher.td_weight == 0
     (config,) = compose_train(["experiment=taught", "terrain=ramp"])
-    assert container(config.teacher.controller)["name"] == "mpc"
+    assert to_dict(config.teacher.controller)["name"] == "mpc"
     assert config.terrain.plugin_name == "ramp"
     assert config.rewards == EnvConfig(terrain="ramp").rewards
 
 
 def test_the_taught_experiment_takes_any_teacher() -> None:
     (own,) = compose_train(["experiment=taught"])
-    assert container(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8, "of_each": 1}
+    assert to_dict(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8, "of_each": 1}
     for name in ("okada", "mpc", "none"):
         (config,) = compose_train(["experiment=taught", f"teacher={name}"])
         (alone,) = compose_train([f"teacher={name}"])
         assert config.teacher == alone.teacher  # nothing of the experiment's own teacher stays
         assert config.agent == own.agent
     (config,) = compose_train(["experiment=taught", "teacher.controller.beam=6"])
-    assert container(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
+    assert to_dict(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
 
 
 def test_the_ways_of_teaching_differ_from_the_taught_experiment_in_their_loss_alone() -> None:
@@ -153,7 +153,7 @@ def test_the_ways_of_teaching_differ_from_the_taught_experiment_in_their_loss_al
     for name, changes in ways.items():
         (config,) = compose_train([f"experiment=taught_{name}", "terrain=ramp"])
         expected = {f"teacher.{key}": value for key, value in changes.items()}
-        assert container(config) == container(with_overrides(whole, expected))
+        assert to_dict(config) == to_dict(with_overrides(whole, expected))
 
 
 # Presets of rewards
