@@ -17,8 +17,8 @@ import typer.main
 
 from benchmarks import __main__ as benchmarks
 from docs import generate
-from flipperctl.cli import bench
 from flipperctl.cli.main import COMMANDS, app, run_app
+from flipperctl.runs import measures as measures_run
 
 ROOT = Path(__file__).parents[1]
 NAMES = ["README.md", "CONTRIBUTING.md", "SECURITY.md"]
@@ -115,8 +115,8 @@ def measures() -> list[str]:
 @pytest.mark.parametrize("words", measures())
 def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[str] = []
-    monkeypatch.setattr(bench, "run_measures", lambda *_, **__: called.append(words))
-    run_app(benchmarks.app, shlex.split(words), "benchmarks")
+    monkeypatch.setattr(measures_run, "run_measures", lambda *_, **__: called.append(words) or {})
+    run_app(benchmarks.app, [*shlex.split(words), "--json"], "benchmarks")
     assert called == [words]
 
 

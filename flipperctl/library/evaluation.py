@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from flipperctl.evaluation.files import episode_rows
 from flipperctl.evaluation.results import EvaluationResult
@@ -17,17 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(EvaluationResult):
-    """Policies on their scenes, as typed values in ``scenes``; SI units throughout."""
+    """Policies on their scenes, as typed values in ``scenes``; SI units throughout.
+
+    ``to_dict()`` returns plain data, the document of ``flipperctl eval --json``.
+    """
 
     def __repr__(self) -> str:
         scenes = ", ".join(
             f"{s.terrain}: success {interval_text(s.summary.success)}" for s in self.scenes
         )
         return f"Evaluation({self.controller}; {scenes})"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data: the document of ``flipperctl eval --json``."""
-        return self.to_dict()
 
     def show(self) -> None:
         """Print the tables that ``flipperctl eval`` prints."""
