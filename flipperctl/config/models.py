@@ -104,9 +104,7 @@ ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerialize
 AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(to_dict)]
 AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(to_dict)]
 AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(to_dict)]
-AnyRewards = Annotated[
-    dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_to_dicts)
-]
+AnyRewards = Annotated[dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_to_dicts)]
 AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerializer(_to_dicts)]
 
 DEFAULT_ENGINE = "planar"
