@@ -156,7 +156,11 @@ def test_the_same_name_in_another_family_is_free(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [("gone.py", "does not exist"), ("notes.txt", r"is no \.py file"), ("empty", r"no \.py file")],
+    [
+        ("gone.py", "does not exist"),
+        ("notes.txt", r"is not a \.py file"),
+        ("empty", r"no \.py file"),
+    ],
 )
 def test_a_path_without_plugins_says_why(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / "notes.txt").touch()

@@ -80,7 +80,7 @@ def test_the_default_engine_is_not_compared_with_itself(tmp_path: Path) -> None:
     for command in (OKADA, ["inspect", "engines"]):
         done = call(*command, "sim=planar", cwd=tmp_path)
         assert done.code == 2
-        assert "choose another one, as in sim=mujoco" in done.err
+        assert "choose another one, such as sim=mujoco" in done.err
 
 
 def test_inspect_engines_lists_what_disagrees(tmp_path: Path) -> None:

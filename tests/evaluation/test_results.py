@@ -29,6 +29,8 @@ from flipperctl.evaluation.scenes import compare
 from flipperctl.evaluation.statistics import summarise
 from tests.evaluation.samples import sample
 
+pytestmark = pytest.mark.usefixtures("core_measures")
+
 RECORDED = Path(__file__).parent / "recorded"
 TEXTS = ("outcome", "terrain", "crossed_by")
 COUNTS = ("episode", "seed", "decisions")

@@ -13,6 +13,8 @@ from flipperctl.evaluation.statistics import (
 )
 from tests.evaluation.samples import sample
 
+pytestmark = pytest.mark.usefixtures("core_measures")
+
 
 def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> None:
     episodes = [

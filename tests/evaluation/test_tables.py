@@ -4,6 +4,8 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from flipperctl.evaluation.conditions import Conditions, scene_names
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.results import EvaluationResult, SceneResult
@@ -11,6 +13,8 @@ from flipperctl.evaluation.scenes import compare
 from flipperctl.evaluation.statistics import summarise
 from flipperctl.evaluation.tables import interval_text, latex, write_tables
 from tests.evaluation.samples import sample
+
+pytestmark = pytest.mark.usefixtures("core_measures")
 
 CONDITIONS = Conditions("nominal", {}, {})
 
