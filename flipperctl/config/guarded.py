@@ -39,8 +39,8 @@ _REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
     ("terrain", "labelled"): TerrainError,
 }
 """(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
-_PASSED_ON = ("notices",)
-"""Methods whose ValueError is passed on unchanged because the caller interprets it."""
+_PASSED_ON: dict[str, type[BaseException]] = {"notices": ValueError, "open": BaseException}
+"""Method → the errors that it passes on unchanged because the caller interprets them."""
 _NAMES = {"labelled": "generate"}
 """Method of the contract → the author's method that it calls, which errors name."""
 
@@ -106,9 +106,9 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
         try:
             result = function(self, *given, **named)
         except BaseException as error:
-            refuses = isinstance(error, ValueError)
-            if (refuses and name in _PASSED_ON) or not is_called_by_core(error):
+            if isinstance(error, _PASSED_ON.get(name, ())) or not is_called_by_core(error):
                 raise
+            refuses = isinstance(error, ValueError)
             key = self.kind, name
             if refuses and (refusal := _REFUSALS.get(key)):
                 raise_named(error, self, shown, refusal, plain=True)
