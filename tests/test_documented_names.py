@@ -17,7 +17,6 @@ import typer.main
 
 from benchmarks import __main__ as benchmarks
 from docs import generate
-from flipperctl.cli import bench
 from flipperctl.cli.main import COMMANDS, app, run_app
 
 ROOT = Path(__file__).parents[1]
@@ -115,7 +114,12 @@ def measures() -> list[str]:
 @pytest.mark.parametrize("words", measures())
 def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[str] = []
-    monkeypatch.setattr(bench, "run_measures", lambda *_, **__: called.append(words))
+
+    def run(*_: object, **__: object) -> dict[str, object]:
+        called.append(words)
+        return {"measures": {}}
+
+    monkeypatch.setattr("flipperctl.runs.measures.run_measures", run)
     run_app(benchmarks.app, shlex.split(words), "benchmarks")
     assert called == [words]
 
