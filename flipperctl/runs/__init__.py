@@ -1,1 +1,1 @@
-"""Life of a run: its folder, who holds it, sweeps and searches over runs."""
+"""The life of a run: its folder and lock, and sweeps and searches over runs."""

@@ -156,8 +156,8 @@ def clear_leftovers(directory: Path) -> None:
 def discard(directory: Path, loggers: Iterable[str]) -> None:
     """Remove the files of a new run and its loggers that was refused before its first decision.
 
-    The caller holds the lock of the run, whose file goes too: a process that has opened it finds
-    that it was removed. Other files in the directory stay.
+    The caller holds the lock of the run, whose file is removed, too: a process that has opened it
+    notices that. Other files in the directory stay.
     """
     clear_leftovers(directory)
     for name in (*_WRITTEN, _LOCK):

@@ -1,8 +1,8 @@
 """The lock of a run or results directory: one process at a time works in it.
 
 In: the directory. Out: a context in which this process holds the lock; a second process fails at
-once with an error that names the holder. The lock is one of the operating system, which releases it
-when its process dies; a file system without locks gets a lock file that names its process.
+once with an error that names the holder. The operating system releases the lock when the
+process dies; on a file system without locks, a lock file names the process.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from flipperctl.files import failure, write_json
 
 _UNSUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
 _PATIENCE = 1.0
-"""Time to wait for the holder's note, after which the holder counts as unknown [s]."""
+"""Time to wait for the holder's note before the holder counts as unknown [s]."""
 
 
 @contextmanager
@@ -35,8 +35,8 @@ def hold(directory: Path, name: str = "run", use: str = "being trained") -> Iter
 
     ``name`` distinguishes the locks of one directory: a sweep and its only run may share one. The
     files ``.<name>.lock`` and ``.<name>.lock.json`` (a note on the holder) lie in the directory.
-    The first stays there: if it were removed while another process opens it, two could hold it.
-    ``use`` is what the holder does with the directory, for the error's text.
+    The first is never removed: if it were removed while another process opens it, two processes
+    could hold the lock. ``use`` describes the use of the directory in the error's text.
 
     Raises:
         RunHeldError: another process holds the lock; nothing was written.
@@ -93,7 +93,7 @@ def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
 
 
 def _read_note(note: Path) -> dict[str, Any] | None:
-    """Return the holder's note; None if there is none in time.
+    """Return the holder's note; None if it does not appear in time.
 
     The holder writes its note after it has the lock, so the note may be missing or, after a crash,
     be that of a dead process.

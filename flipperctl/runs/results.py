@@ -106,7 +106,7 @@ def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[Re
 def json_result(folder: Path | None, command: str) -> Iterator[Callable[[Any], None]]:
     """Yield a function that writes a document as ``<command>.json``; it does nothing for None.
 
-    The folder is held meanwhile, as by ``result_folder``, which says what is raised.
+    The folder is locked as by ``result_folder``, which lists the errors.
     """
     if folder is None:
         yield lambda document: None

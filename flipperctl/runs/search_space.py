@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval of numbers; of integers if both ends are."""
+    """An interval of numbers, of integers if both ends are integers."""
 
     low: float
     high: float
@@ -29,7 +29,7 @@ class Interval:
         return isinstance(self.low, int) and isinstance(self.high, int)
 
     def probes(self) -> tuple[float, float, float]:
-        """Return both ends and a number between them, which is no integer unless all are."""
+        """Return both ends and a number between them, a fraction unless both are integers."""
         between = self.low + 0.3819 * (self.high - self.low)
         return self.low, self.high, self.low if self.whole else between
 

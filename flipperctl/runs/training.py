@@ -83,7 +83,7 @@ def start(
         return _begin(config, directory, reports, keep_more)
 
 
-def start_or_go_on(
+def start_or_continue(
     config: TrainConfig,
     directory: Path,
     reports: Reports = Reports(),  # frozen
@@ -116,7 +116,7 @@ def start_or_go_on(
         if (summary := run_folder.finished(directory, config.train.decisions)) is not None:
             reports.tell(f"{quote_path(directory)} is finished")
             return Finished(directory, summary, trained=False)
-        return _go_on(config, directory, reports, saved, stop)
+        return _continue(config, directory, reports, saved, stop)
 
 
 def resume(
@@ -141,7 +141,7 @@ def resume(
         saved, config = run_folder.read(directory)
         config = with_overrides(config, dict(changes))
         check(config)
-        return _go_on(config, directory, reports, saved)
+        return _continue(config, directory, reports, saved)
 
 
 @contextlib.contextmanager
@@ -174,7 +174,7 @@ def _begin(
         raise
 
 
-def _go_on(
+def _continue(
     config: TrainConfig,
     directory: Path,
     reports: Reports,

@@ -1,1 +1,1 @@
-"""The first files of a new plugin, from templates."""
+"""Write the first files of a new plugin from templates."""

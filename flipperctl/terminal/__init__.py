@@ -1,1 +1,1 @@
-"""What commands print: tables, progress, notices, and the commands to run next."""
+"""The output of commands: tables, progress, notices and follow-up commands."""

@@ -128,7 +128,7 @@ def test_policies_compared_by_reward_drive_the_robot_of_their_files(tmp_path: Pa
     assert done.code == 2
     assert done.err == (
         "error: --compare: p.onnx is for robot.angle_limit=0.3, generalist for 1.0472; "
-        "give robot.angle_limit=… for the robot that both drive\n"
+        "give robot.angle_limit=… to choose the robot\n"
     )
     done = call(*compare, "p.onnx,generalist", "robot.angle_limit=0.3", cwd=tmp_path)
     assert done.code == 0, done.err

@@ -1,1 +1,1 @@
-"""All that speaks Hydra: overrides, composition, launchers and sweepers."""
+"""Everything that depends on Hydra: overrides, composition, launchers and sweepers."""

@@ -115,7 +115,7 @@ class _Job:
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
         from flipperctl.runs.search import objective
-        from flipperctl.runs.training import start, start_or_go_on
+        from flipperctl.runs.training import start, start_or_continue
         from flipperctl.terminal.training import print_best, reports
 
         settings = HydraConfig.get()
@@ -130,7 +130,7 @@ class _Job:
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not started")
-            run = start_or_go_on(config, directory, reports(), keep_more=keep, stop=stop)
+            run = start_or_continue(config, directory, reports(), keep_more=keep, stop=stop)
         else:
             run = start(config, directory, reports(), keep_more=keep)
         print_best(run)
