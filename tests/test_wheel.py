@@ -71,7 +71,7 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
         f"flipperctl/configs/{path.relative_to(ROOT / 'configs')}"
         for path in (ROOT / "configs").rglob("*.yaml")
     }
-    templates = (ROOT / "flipperctl" / "cli" / "new" / "templates").iterdir()
+    templates = (ROOT / "flipperctl" / "scaffold" / "templates").iterdir()
     wanted |= {str(path.relative_to(ROOT)) for path in templates}
     assert wanted - held == set()
     assert not any(name.startswith(("tests", "examples", "benchmarks")) for name in held)
@@ -88,7 +88,7 @@ def requirements(wheel: Path) -> list[str]:
 def reuse_machine_code(site: Path) -> None:
     """Copy what numba has compiled of equal sources, which takes it half a minute to do again."""
     place = Path("flipperctl") / "__pycache__" / "machine_code"
-    for module in ("lookahead", "sim", "sim/planar"):
+    for module in ("core", "lookahead", "sim", "sim/planar"):
         # Numba names the folders by the places of the sources.
         ours, theirs = (
             UserProvidedCacheLocator.get_suitable_cache_subpath(

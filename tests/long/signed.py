@@ -59,10 +59,14 @@ def _model(data: bytes) -> tuple[Any, dict[str, str]]:
     return model, {p.key: p.value for p in model.metadata_props}
 
 
+LATER = ("terrain_config", "targets", "joints")
+"""Entries that version 0.1 did not write."""
+
+
 def _old(data: bytes) -> bytes:
     """Return the policy as flipperctl 0.1 wrote it."""
     model, metadata = _model(data)
-    for name in (CHECKSUM, "flipperctl.terrain_config", "flipperctl.targets"):
+    for name in (CHECKSUM, *(f"flipperctl.{later}" for later in LATER)):
         del metadata[name]
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**metadata, "flipperctl.format_version": "1"})

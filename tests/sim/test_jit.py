@@ -20,6 +20,7 @@ from flipperctl.sim import code_cache, jit
 
 MODULES = [
     "flipperctl.lookahead.dynamics",
+    "flipperctl.sim.planar.bins",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
     "flipperctl.sim.thinning",
