@@ -41,6 +41,8 @@ _REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
 """(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
 _PASSED_ON: dict[str, type[BaseException]] = {"notices": ValueError, "open": BaseException}
 """Method → the errors that it passes on unchanged because the caller interprets them."""
+_NO_PLUGINS = (float, int, bool, tuple, type(None))
+"""Types of results that need no guard."""
 _NAMES = {"labelled": "generate"}
 """Method of the contract → the author's method that it calls, which errors name."""
 
@@ -113,7 +115,8 @@ def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
             if refuses and (refusal := _REFUSALS.get(key)):
                 raise_named(error, self, shown, refusal, plain=True)
             raise_named(error, self, shown, _RAISED.get(key, PluginFailedError))
-        if isinstance(result, Plugin):
+        # Most results are numbers, of which the type is known sooner than that they are no plugin.
+        if result.__class__ not in _NO_PLUGINS and isinstance(result, Plugin):
             guard_class(type(result))
         return result
 

@@ -26,7 +26,7 @@ from flipperctl.api import (
     Sensor,
 )
 from flipperctl.env.estimates import EstimateCheck
-from flipperctl.guard import naming, refusal, short_repr
+from flipperctl.guard import raise_named, refusal, short_repr
 
 T = TypeVar("T")
 
@@ -242,8 +242,10 @@ def _samples(sensor: Sensor, instrument: Instrument) -> int | None:
 
 
 def _call(sensor: Sensor, method: str, call: Callable[..., T], *given: Any) -> T:
-    with naming(sensor, method):
+    try:  # not ``naming``, since there are calls in each decision
         return call(*given)
+    except BaseException as error:  # noqa: BLE001  # raised again
+        raise_named(error, sensor, method)
 
 
 def _has(value: object, method: str) -> bool:

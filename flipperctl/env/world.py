@@ -28,7 +28,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
-from flipperctl.guard import naming, refusal, short_repr
+from flipperctl.guard import naming, raise_named, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
@@ -72,8 +72,10 @@ class GuardedWorld:
     @property
     def position(self) -> tuple[float, float]:
         """World coordinates (x, z) of the chassis centre [m]."""
-        with naming(self._engine, "position"):
+        try:
             x, z = self.unguarded.position
+        except BaseException as error:  # noqa: BLE001  # raised again
+            raise_named(error, self._engine, "position")
         self._require_finite("position", (x, z), ("x", "z"))
         return float(x), float(z)
 
@@ -169,8 +171,10 @@ class GuardedWorld:
         self._call("load", saved)
 
     def _call(self, method: str, *given: Any) -> Any:
-        with naming(self._engine, method):
+        try:  # not ``naming``, since there are several calls in each decision
             return getattr(self.unguarded, method)(*given)
+        except BaseException as error:  # noqa: BLE001  # raised again
+            raise_named(error, self._engine, method)
 
     def _refusal(
         self,

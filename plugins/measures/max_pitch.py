@@ -16,4 +16,5 @@ class MaxPitch(Measure):
 
     def __call__(self, episode: Sequence[Transition]) -> float:
         """Return the maximum over all poses, including that at the start [rad]."""
-        return max(float(np.maximum.reduce(np.abs(t.path[:, 2]))) for t in episode)
+        pitches = np.concatenate([t.path[:, 2] for t in episode])
+        return float(np.maximum.reduce(np.abs(pitches)))
