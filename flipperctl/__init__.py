@@ -14,7 +14,7 @@ def __getattr__(name: str) -> object:
     if name in __all__:
         from importlib import import_module
 
-        found: object = getattr(import_module("flipperctl.library"), name)
+        found: object = getattr(import_module("flipperctl.scripting"), name)
     elif name == "__version__":
         found = _version()
     else:

@@ -199,7 +199,7 @@ def test_the_robots_loop_runs(folder: Path) -> None:
 
 
 def test_every_python_example_is_tried() -> None:
-    library = ("flipperctl.train", "flipperctl.load")  # tests/library/test_interface.py
+    library = ("flipperctl.train", "flipperctl.load")  # tests/scripting/test_interface.py
     tried = (*library, "mound.npy", "rgb_array", "stair.onnx", "class StandIn", "Conformance")
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     assert others == set()

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config.defaults import CHOICES
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs import named_policies
@@ -37,7 +38,7 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
     primary = config_store.register_robot(robot)
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}
     configs = {}
-    for combination in overrides.combinations(config_store.CHOICES):
+    for combination in overrides.combinations(CHOICES):
         parts = [(word, _REWARD_KEY.match(word) is not None) for word in combination.words]
         scene = tuple(word for word, rewards in parts if not rewards)
         label = " ".join(word.removeprefix("rewards=") for word, rewards in parts if rewards)

@@ -12,6 +12,7 @@ from pathlib import Path
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import resolver
+from flipperctl.config.defaults import CHOICES
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import find_policy, policy_notes, read_config
@@ -39,7 +40,7 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
 def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
     file = find_policy(checkpoint, print_note)
     overrides = Overrides.parse(words)
-    terrains = [c.choice("terrain") for c in overrides.combinations(config_store.CHOICES)]
+    terrains = [c.choice("terrain") for c in overrides.combinations(CHOICES)]
     trained = read_config(file, terrains, print_note)
     primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)

@@ -31,9 +31,9 @@ def explain(name: str, value: str, known: Sequence[str], primary: str | None) ->
 def _settings(key: str, primary: str) -> Iterator[str]:
     """Yield the paths of settings that equal ``key`` or end with it."""
     from flipperctl import plugins
-    from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_train
     from flipperctl.config import EvalConfig
+    from flipperctl.config.defaults import CHOICES
     from flipperctl.config.describe import paths_named
 
     if primary == "train" and key in _RUN_FOLDER:
@@ -42,4 +42,4 @@ def _settings(key: str, primary: str) -> Iterator[str]:
     plugins.load()
     (default,) = compose_train()
     sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
-    yield from paths_named(key, default, sections, config_store.CHOICES)
+    yield from paths_named(key, default, sections, CHOICES)

@@ -24,6 +24,8 @@ GROUPS = (
     *("sim", "perception", "conditions"),
 )
 """Groups whose choice is stored under a key of the same name."""
+CHOICES = (*GROUPS, "controller", "experiment")
+"""Keys whose value is a name that brings other keys."""
 LISTS = (Logger.kind,)
 """Groups of which several entries may be chosen, each stored under its name below the group."""
 _ENTRY_NAMES = {"rewards": "preset", "conditions": "set"}

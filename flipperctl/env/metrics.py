@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from numbers import Real
 
 import numpy as np
 
 from flipperctl.api import FloatArray, Measure, Transition, registry
 from flipperctl.config import resolver
 from flipperctl.config.randomise import Randomise
+from flipperctl.env.numbers import as_real
 from flipperctl.errors import NonFiniteError, PluginError
-from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
+from flipperctl.guard import definition, plugin_label, refusal, short_repr
 
 CORE = (
     "decisions",
@@ -142,12 +142,10 @@ def _make(cls: type[Measure]) -> Measure:
 
 
 def _value(measure: Measure, episode: Sequence[Transition]) -> float:
-    value: object = measure(episode)
-    with naming(measure, "__call__"):
-        if isinstance(value, np.generic) or getattr(value, "shape", None) == ():
-            value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
-    if not isinstance(value, Real) or isinstance(value, bool):
-        text = f"returned {short_repr(value)}; a finite number is allowed"
+    found: object = measure(episode)
+    value = as_real(found, measure)
+    if value is None or isinstance(value, bool):
+        text = f"returned {short_repr(found)}; a finite number is allowed"
         raise refusal(measure, "__call__", text)
     if not math.isfinite(value):
         text = f"returned {value}; a finite number is allowed"

@@ -8,6 +8,7 @@ from numbers import Real
 from typing import NamedTuple
 
 from flipperctl.api import RewardTerm, Transition
+from flipperctl.env.numbers import as_real
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginError, PluginFailedError
 from flipperctl.guard import definition, plugin_label, refusal, short_repr, with_path
 
@@ -87,10 +88,8 @@ def _prepare(name: str, term: RewardTerm) -> _Term:
 
 def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> float:
     """Return a real number of Python or numpy, or an array or tensor of one number, as a float."""
-    if getattr(value, "shape", None) == ():
-        value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
-    if isinstance(value, Real):
-        return float(value)
+    if (number := as_real(value, term)) is not None:
+        return float(number)
     raise refusal(
         term,
         "__call__",

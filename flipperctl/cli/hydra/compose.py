@@ -18,6 +18,7 @@ from flipperctl.cli.hydra import config_store, errors
 from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
+from flipperctl.config.defaults import CHOICES
 from flipperctl.config.effect import check_effect
 from flipperctl.errors import ConfigError
 from flipperctl.runs.inherited import NOMINAL, TRAINED, explain_missing_training
@@ -88,7 +89,7 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
     """Yield each combination of the sweeps, and its composed configuration."""
     config_store.register_defaults()
     with errors.convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
-        for combination in overrides.combinations(config_store.CHOICES):
+        for combination in overrides.combinations(CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
             try:

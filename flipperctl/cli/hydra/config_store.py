@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from flipperctl.api import ObservationLayout, Plugin, Robot, registry
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, to_dict
-from flipperctl.config.defaults import GROUPS, LISTS, entries, sections
+from flipperctl.config.defaults import LISTS, entries, sections
 from flipperctl.config.randomise import PATH_SECTIONS
 from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
@@ -26,8 +26,6 @@ EVAL_CHECKPOINT, EVAL_EXPORT = "flipperctl_eval_trained", "flipperctl_eval_expor
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
-CHOICES = (*GROUPS, "controller", "experiment")
-"""Keys whose value adds other keys."""
 _TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"

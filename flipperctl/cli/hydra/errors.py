@@ -23,9 +23,8 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.hydra.config_store import CHOICES
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config.defaults import GROUPS, missing_entry
+from flipperctl.config.defaults import CHOICES, GROUPS, missing_entry
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key

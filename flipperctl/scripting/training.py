@@ -7,19 +7,18 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from flipperctl.cli.hydra.compose import compose_train, run_directory
-from flipperctl.cli.hydra.config_store import register_defaults
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError, InterruptedRunError
-from flipperctl.library.beginning import Paths, begin, short_errors
-from flipperctl.library.progress import training_reports
-from flipperctl.library.run import Run
-from flipperctl.library.settings import words
-from flipperctl.library.workers import check_training
 from flipperctl.runs import preflight
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.training import Finished, start
 from flipperctl.runs.training import resume as resume_run
+from flipperctl.scripting.beginning import Paths, begin, short_errors
+from flipperctl.scripting.progress import training_reports
+from flipperctl.scripting.run import Run
+from flipperctl.scripting.settings import words
+from flipperctl.scripting.workers import check_training
 from flipperctl.terminal.training import check_resumed, print_best
 
 _FOLDER = "hydra.run.dir"
@@ -56,7 +55,6 @@ def train(
         FlipperctlError: the training failed, such as PluginFailedError.
     """
     begin(plugins)
-    register_defaults()
     typed = words(settings, overrides)
     shown = training_reports(progress)
     if resume is not None:

@@ -14,12 +14,10 @@ import numpy as np
 
 from flipperctl.api import Settings
 from flipperctl.config import to_dict
-from flipperctl.config.defaults import GROUPS, LISTS
+from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError
 
-_CHOICES = (*GROUPS, "controller", "experiment")
-"""Keys whose value is a name that brings its own settings."""
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _RESERVED = {"null", "true", "false", "nan", "inf"}
 """Words that Hydra does not read as text, in any case."""
@@ -46,11 +44,11 @@ def _words(key: str, value: object) -> Iterator[str]:
         yield f"~{key}"
     elif isinstance(value, Mapping) and value:
         fields = {str(name): _plain(inner) for name, inner in value.items()}
-        if key in _CHOICES and "name" in fields:
+        if key in CHOICES and "name" in fields:
             yield f"{key}={literal(fields.pop('name'), key)}"
         for name, inner in fields.items():
             yield from _words(f"{key}.{name}", inner)
-    elif key in _CHOICES and key not in LISTS and isinstance(value, list) and value:
+    elif key in CHOICES and key not in LISTS and isinstance(value, list) and value:
         if not all(isinstance(name, str) for name in value):
             raise ConfigError(f"{key}: names are allowed in a list; the value is {value!r}")
         yield f"{key}={','.join(literal(name, key) for name in value)}"

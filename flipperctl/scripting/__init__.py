@@ -4,10 +4,10 @@ It composes, locks, writes and refuses as the commands do, since it calls the sa
 names from ``flipperctl``.
 """
 
-from flipperctl.library.evaluating import evaluate
-from flipperctl.library.evaluation import Evaluation
-from flipperctl.library.policy import LoadedPolicy, load
-from flipperctl.library.run import Run
-from flipperctl.library.training import train
+from flipperctl.scripting.evaluating import evaluate
+from flipperctl.scripting.policy import LoadedPolicy, load
+from flipperctl.scripting.result import Evaluation
+from flipperctl.scripting.run import Run
+from flipperctl.scripting.training import train
 
 __all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "train"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flipperctl.library.frames import data_frame
-from flipperctl.library.policy import LoadedPolicy, load
 from flipperctl.runs.folder import METRICS
+from flipperctl.scripting.frames import data_frame
+from flipperctl.scripting.policy import LoadedPolicy, load
 from flipperctl.training.events import read_rows
 
 if TYPE_CHECKING:

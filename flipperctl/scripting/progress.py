@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from flipperctl.evaluation.scenes import Progress, no_progress
-from flipperctl.library import notebook
 from flipperctl.runs.training import Reports
+from flipperctl.scripting import notebook
 from flipperctl.terminal.progress import episodes_progress
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.training import reports

@@ -24,9 +24,9 @@ from flipperctl.errors import (
     PolicyError,
     RequestError,
 )
-from flipperctl.library import notebook, training
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
+from flipperctl.scripting import notebook, training
 from tests.cli.call import call
 from tests.test_documentation import example
 

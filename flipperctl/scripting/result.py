@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from flipperctl.evaluation.files import episode_rows
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.tables import interval_text, scene_rows
-from flipperctl.library.frames import data_frame
+from flipperctl.scripting.frames import data_frame
 from flipperctl.terminal.results import print_result
 
 if TYPE_CHECKING:

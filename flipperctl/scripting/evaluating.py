@@ -10,15 +10,15 @@ from pathlib import Path
 from flipperctl.cli.scenes import scenes
 from flipperctl.errors import RequestError
 from flipperctl.evaluation import scenes as evaluation
-from flipperctl.library import progress as shown
-from flipperctl.library.beginning import Paths, begin, short_errors
-from flipperctl.library.evaluation import Evaluation
-from flipperctl.library.policy import LoadedPolicy, find
-from flipperctl.library.settings import words
-from flipperctl.library.workers import check_evaluation
 from flipperctl.runs.evaluation import EvaluationFiles
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.named_policies import controllers
+from flipperctl.scripting import progress as shown
+from flipperctl.scripting.beginning import Paths, begin, short_errors
+from flipperctl.scripting.policy import LoadedPolicy, find
+from flipperctl.scripting.result import Evaluation
+from flipperctl.scripting.settings import words
+from flipperctl.scripting.workers import check_evaluation
 
 
 @short_errors()

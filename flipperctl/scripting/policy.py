@@ -29,11 +29,11 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PolicyError, RequestError
-from flipperctl.library.beginning import Paths, begin, short_errors
 from flipperctl.messages import close_match
 from flipperctl.policies.abilities import ObservationPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import find_policy, read_config
+from flipperctl.scripting.beginning import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note
 
 

@@ -9,7 +9,7 @@ from flipperctl_plugins.terrains.step import Step
 
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError
-from flipperctl.library.settings import literal, words
+from flipperctl.scripting.settings import literal, words
 
 
 class Kind(Enum):
