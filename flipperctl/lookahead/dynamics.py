@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 from flipperctl.sim.jit import cached
@@ -27,8 +28,11 @@ MOST = 24
 
 # Indices into the array of the model's numbers, see ``Model``.
 HINGE, AXLE, RADIUS, CHASSIS, FLIPPER, TURN_CHASSIS, TURN_FLIPPER, SPEED, RATE = range(9)
-GRAVITY, FRICTION, STEP, ITERATIONS, OVERTURN = range(9, 14)
-NUMBERS = 14
+GRAVITY, FRICTION, STEP, ITERATIONS, OVERTURN, FINISH, TOP, SAMPLE = range(9, 17)
+NUMBERS = 17
+
+RUNNING, OVERTURNED, REACHED = range(3)
+"""How a predicted decision ends."""
 
 _FAST = partial(
     njit, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
@@ -196,6 +200,21 @@ def _solve(
 
 
 @cached(_FAST)
+def chassis(state: FloatArray, k: FloatArray) -> tuple[float, float]:
+    """Return x and z of the chassis centre [m]."""
+    gx, gz, _ = mass_centre(state[6], state[7], k)
+    cos, sin = math.cos(state[2]), math.sin(state[2])
+    return state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
+
+
+@cached(_FAST)
+def _pose(state: FloatArray, k: FloatArray, pose: FloatArray) -> None:
+    """Write x, z [m] of the chassis centre, pitch and flipper angles [rad] into ``pose``, (5,)."""
+    pose[0], pose[1] = chassis(state, k)
+    pose[2], pose[3], pose[4] = state[2], state[6], state[7]
+
+
+@cached(_FAST)
 def advance(
     state: FloatArray,
     steps: int,
@@ -205,19 +224,30 @@ def advance(
     rows: FloatArray,
     extra: FloatArray,
     motion: FloatArray,
-) -> tuple[float, float]:
-    """Simulate ``steps`` steps in place; return the pitch variation and the largest |pitch| [rad].
+    pair: FloatArray,
+    poses: FloatArray,
+) -> tuple[float, float, int]:
+    """Simulate ``steps`` steps in place.
 
-    ``contacts``, ``rows``, ``extra`` and ``motion`` are working memory. It is one function, since
-    its parts would pass a dozen numbers to each other.
+    Return the pitch variation and the largest |pitch| [rad], and how the decision ended.
+    ``poses`` (S + 1, 5) receives the poses of the chassis centre and the flippers' angles every
+    ``SAMPLE`` seconds, interpolated between steps; without rows, none are computed. After an
+    outcome the last pose is repeated. ``contacts``, ``rows``, ``extra``, ``motion`` and ``pair``
+    are working memory. It is one function, since its parts would pass a dozen numbers to each
+    other.
     """
+    samples, sampled, outcome = len(poses), 1, RUNNING
+    former, last = pair[0], pair[1]
+    if samples:
+        _pose(state, k, former)
+        poses[0] = former
     dt, mass = k[STEP], k[CHASSIS] + 2 * k[FLIPPER]
     radius, reach, most = k[RADIUS], k[RADIUS] + _MARGIN, k[RATE] * k[STEP]
     variation, steep = 0.0, 0.0
     gx, gz, inertia = mass_centre(state[6], state[7], k)
     cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
     cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
-    for _ in range(steps):
+    for index in range(steps):
         was_x, was_z = gx, gz
         front_turn = min(most, max(-most, state[8] - state[6]))
         rear_turn = min(most, max(-most, state[9] - state[7]))
@@ -251,17 +281,25 @@ def advance(
         state[2] += motion[2] * dt
         variation += abs(motion[2] * dt)
         steep = max(steep, abs(state[2]))
+        if samples:
+            _pose(state, k, last)
+            time = (index + 1) * dt
+            while sampled < samples and sampled * k[SAMPLE] <= time + 1e-9:
+                share = (time - sampled * k[SAMPLE]) / dt
+                for column in range(5):
+                    poses[sampled, column] = last[column] + share * (former[column] - last[column])
+                sampled += 1
+            former[:] = last
+            higher = last[1] + k[HINGE] * abs(math.sin(last[2]))
+            if last[0] >= k[FINISH] and higher <= k[TOP]:
+                outcome = REACHED
         if steep >= k[OVERTURN]:
+            outcome = OVERTURNED
+        if outcome != RUNNING:
             break
-    return variation, steep
-
-
-@cached(_FAST)
-def chassis(state: FloatArray, k: FloatArray) -> tuple[float, float]:
-    """Return x and z of the chassis centre [m]."""
-    gx, gz, _ = mass_centre(state[6], state[7], k)
-    cos, sin = math.cos(state[2]), math.sin(state[2])
-    return state[0] - (cos * gx - sin * gz), state[1] - (sin * gx + cos * gz)
+    for row in range(sampled, samples):
+        poses[row] = last
+    return variation, steep, outcome
 
 
 @cached(_FAST)
@@ -275,14 +313,20 @@ def expand(
     place: FloatArray,
     variation: FloatArray,
     steep: FloatArray,
+    outcome: NDArray[np.int64],
+    poses: FloatArray,
 ) -> None:
-    """Simulate one decision from each state, (M, ``STATE``), towards its targets, (M, 2)."""
+    """Simulate one decision from each state, (M, ``STATE``), towards its targets, (M, 2).
+
+    ``poses`` is (M, S + 1, 5), or (M, 0, 5) to compute none; see ``advance``.
+    """
     contacts, rows = np.empty((MOST, 6)), np.empty((MOST, 10))
-    extra, motion = np.zeros((3, 5)), np.empty(3)
+    extra, motion, pair = np.zeros((3, 5)), np.empty(3), np.empty((2, 5))
     for row in range(len(states)):
         found[row] = states[row]
         found[row, 8], found[row, 9] = targets[row, 0], targets[row, 1]
-        variation[row], steep[row] = advance(
-            found[row], steps, ground, k, contacts, rows, extra, motion
+        variation[row], steep[row], outcome[row] = advance(
+            *(found[row], steps, ground, k),
+            *(contacts, rows, extra, motion, pair, poses[row]),
         )
         place[row, 0], place[row, 1] = chassis(found[row], k)

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray, Robot
+from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.lookahead import dynamics
 from flipperctl.lookahead.dynamics import STATE
 
@@ -33,6 +34,12 @@ class Branch:
     """Sum of the absolute pitch changes from step to step, (M,) [rad]."""
     steepest: FloatArray
     """Largest absolute pitch of any step, (M,) [rad]."""
+    outcome: NDArray[np.int64]
+    """How each decision ended, (M,): ``RUNNING``, ``OVERTURNED``, or ``REACHED`` where poses were
+    asked for."""
+    poses: FloatArray
+    """Poses from before the decision to its end at 100 Hz, (M, S + 1, 5), if they were asked for,
+    else (M, 0, 5): x [m], z [m], pitch, front and rear flipper angle [rad]."""
 
 
 class Model:
@@ -47,8 +54,14 @@ class Model:
         iterations: int = 10,
         overturn: float = math.pi / 3,
         gravity: float = 9.81,
+        finish: float = math.inf,
+        top: float = math.inf,
     ) -> None:
-        """Extend ``line``, (V, 2) [m] with x never decreasing, by level ground on both sides."""
+        """Extend ``line``, (V, 2) [m] with x never decreasing, by level ground on both sides.
+
+        A robot has reached the ``finish``, x of the chassis centre [m], when both ends of its
+        chassis are below ``top`` [m]. An unknown finish is infinitely far away.
+        """
         self.overturn = overturn
         self._ground = _edges(line)
         axle = robot.flipper_axle
@@ -63,7 +76,8 @@ class Model:
         k[dynamics.SPEED], k[dynamics.RATE] = robot.track_speed, robot.flipper_speed
         k[dynamics.GRAVITY], k[dynamics.FRICTION] = gravity, friction
         k[dynamics.STEP], k[dynamics.ITERATIONS] = step, iterations
-        k[dynamics.OVERTURN] = overturn
+        k[dynamics.OVERTURN], k[dynamics.SAMPLE] = overturn, SAMPLE_PERIOD
+        k[dynamics.FINISH], k[dynamics.TOP] = finish, top
         self._numbers = k
         self._step = step
 
@@ -91,17 +105,25 @@ class Model:
         x, z = dynamics.chassis(state, self._numbers)
         return float(x), float(z)
 
-    def expand(self, states: FloatArray, targets: FloatArray, duration: float) -> Branch:
-        """Simulate ``duration`` [s] from each state, (M, ``STATE``); ``targets`` are (M, 2)."""
+    def expand(
+        self, states: FloatArray, targets: FloatArray, duration: float, *, poses: bool = False
+    ) -> Branch:
+        """Simulate ``duration`` [s] from each state, (M, ``STATE``); ``targets`` are (M, 2).
+
+        With ``poses``, the branch has the poses at 100 Hz, and ends at the finish.
+        """
         count = len(states)
         found, place = np.empty((count, STATE)), np.empty((count, 2))
         variation, steepest = np.empty(count), np.empty(count)
+        outcome = np.empty(count, np.int64)
         steps = math.ceil(duration / self._step - 1e-9)
+        samples = round(steps * self._step / SAMPLE_PERIOD) + 1 if poses else 0
+        path = np.empty((count, samples, 5))
         dynamics.expand(
             *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
-            *(self._ground, self._numbers, found, place, variation, steepest),
+            *(self._ground, self._numbers, found, place, variation, steepest, outcome, path),
         )
-        return Branch(found, place, variation, steepest)
+        return Branch(found, place, variation, steepest, outcome, path)
 
 
 @cache
