@@ -21,7 +21,7 @@ from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.rewards import RewardSum
+from flipperctl.rewards import RewardSum
 from flipperctl.env.world import GuardedWorld
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds

@@ -17,6 +17,7 @@ import inspect
 import sysconfig
 import traceback
 from collections.abc import Callable
+from numbers import Real
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
@@ -124,6 +125,20 @@ def refusal(
     """
     where = definition(owner or plugin, method)
     return raised(f"{plugin_label(plugin)}: {method} {text} ({where})")
+
+
+def as_real(value: object, plugin: Plugin) -> Real | None:
+    """Return the real number that ``__call__`` returned, or that of an array or tensor of one.
+
+    None stands for anything else.
+
+    Raises:
+        PluginFailedError: the code of the value that ``plugin`` returned failed.
+    """
+    with naming(plugin, "__call__"):
+        if getattr(value, "shape", None) == ():
+            value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
+    return value if isinstance(value, Real) else None
 
 
 def plugin_label(plugin: Plugin | type[Plugin]) -> str:

@@ -10,7 +10,7 @@ and rear alike; the pitch is positive nose up.
 import warnings
 from typing import TYPE_CHECKING
 
-from flipperctl.api.candidate import candidate_angle
+from flipperctl.api.candidate import candidate_angle, candidate_angles
 from flipperctl.api.controllers import (
     Controller,
     CostPolicy,
@@ -48,6 +48,7 @@ from flipperctl.api.sensors import (
 )
 from flipperctl.api.surface import MirroredSurface, Surface
 from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
+from flipperctl.api.transitions import LAST_PITCHES, RobotStates, Transitions
 from flipperctl.api.values import (
     MAX_HISTORY,
     ObservationLayout,
@@ -64,6 +65,7 @@ from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGro
 
 __all__ = [
     "ACTIONS",
+    "LAST_PITCHES",
     "MAX_HISTORY",
     "NAME_RULE",
     "NO_LIMITS",
@@ -99,6 +101,7 @@ __all__ = [
     "Robot",
     "RobotGeometry",
     "RobotState",
+    "RobotStates",
     "RunInfo",
     "SensedAngles",
     "SensedGround",
@@ -111,9 +114,11 @@ __all__ = [
     "Surface",
     "Terrain",
     "Transition",
+    "Transitions",
     "World",
     "action_index",
     "candidate_angle",
+    "candidate_angles",
     "controller",
     "engine",
     "is_plugin_name",

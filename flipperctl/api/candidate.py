@@ -37,3 +37,32 @@ def candidate_angle(
         return 0.0
     inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
     return robot.clip(float(np.maximum.reduce(np.arctan2(up, u) + inflation)))
+
+
+def candidate_angles(
+    x: FloatArray,
+    z: FloatArray,
+    pitch: FloatArray,
+    robot: RobotGeometry,
+    *,
+    near: float = 0.1,
+    far: float = 0.45,
+    rear: bool = False,
+) -> FloatArray:
+    """Return ``candidate_angle`` of M poses of these pitches (M,) [rad], (M,) [rad].
+
+    ``x`` and ``z`` are the points of each pose in its frame L, (M, P) [m]; NaN stands for no point.
+    """
+    # numpy's cosine may differ in the last bit, which would decide whether a point counts.
+    listed = pitch.tolist()
+    cos, sin = np.array([[math.cos(a) for a in listed], [math.sin(a) for a in listed]])
+    along = cos[:, None] * x + sin[:, None] * z
+    u = (-along if rear else along) - robot.hinge_offset
+    chosen = np.flatnonzero((u >= near) & (u <= far))
+    row = chosen // max(1, x.shape[1])
+    u, up = u.take(chosen), cos[row] * z.take(chosen) - sin[row] * x.take(chosen)
+    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
+    largest = np.full(len(pitch), -math.inf)
+    np.maximum.at(largest, row, np.arctan2(up, u) + inflation)
+    clipped = np.clip(largest, -robot.angle_limit, robot.angle_limit)
+    return np.where(largest == -math.inf, 0.0, clipped)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,6 +68,18 @@ class Profile:
         """World x of the last edge [m]."""
         return float(self.points[-1, 0])
 
+    def heights(self, x: FloatArray) -> FloatArray:
+        """Return ``height`` at each of x (M,) [m], (M,) [m]."""
+        at, up = self.points.T
+        right = np.searchsorted(at, x, side="right")
+        i, j = np.maximum(right - 1, 0), np.minimum(right, len(at) - 1)
+        between = (right > 0) & (right < len(at))
+        rise, zero = (up[j] - up[i]) * (x - at[i]), np.zeros(len(x))
+        found: FloatArray = up[i] + np.divide(rise, at[j] - at[i], out=zero, where=between)
+        for index in np.flatnonzero(np.searchsorted(at, x) < right):  # on a vertex, perhaps a face
+            found[index] = self.height(float(x[index]))
+        return found
+
     def extended(self, before: float, after: float) -> FloatArray:
         """Return the polyline with level ground of these lengths added, (V + 2, 2) [m]."""
         first, last = self.points[0], self.points[-1]
@@ -105,3 +118,21 @@ class Profile:
         """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""
         along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
         return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
+
+    def around_each(
+        self, x: FloatArray, reach: FloatArray | float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return x and z of ``around`` of each of M positions, twice (M, P) in world [m].
+
+        ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN.
+        """
+        first = np.searchsorted(self.cloud[:, 0], x - reach)
+        counts = np.maximum(0, np.searchsorted(self.cloud[:, 0], x + reach) - first)
+        step = np.arange(counts.max(initial=0))
+        index = np.where(step < counts[:, None], first[:, None] + step, len(self.cloud))
+        return self._columns[0].take(index), self._columns[1].take(index)
+
+    @cached_property
+    def _columns(self) -> FloatArray:
+        """X and z of ``cloud``, and NaN at their end, (2, P + 1) [m]."""
+        return np.vstack([self.cloud, [math.nan, math.nan]]).T.copy()

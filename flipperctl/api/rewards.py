@@ -1,17 +1,29 @@
-"""Reward terms, and potential-based shaping, which preserves every optimal policy."""
+"""Reward terms, and potential-based shaping, which preserves every optimal policy.
+
+A term is a function of one decision; an array form, for speed, computes many at once.
+"""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
+import numpy as np
 from pydantic import Field
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
+from flipperctl.api.transitions import RobotStates, Transitions
 from flipperctl.api.values import RobotGeometry, RobotState, Transition
+from flipperctl.core.arrays import FloatArray
+
+
+def _renew(cls: type, one: str, many: str, default: Callable[..., object]) -> None:
+    """Replace an inherited array form, which may differ from the method that a class overrides."""
+    if one in vars(cls) and many not in vars(cls):
+        setattr(cls, many, default)
 
 
 class RewardTerm(Plugin, ABC):
@@ -20,11 +32,30 @@ class RewardTerm(Plugin, ABC):
     kind: ClassVar[str] = "reward"
     bounds: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
     """Smallest and largest unweighted value; a term at its smallest value counts as saturated."""
+    not_predicted: ClassVar[str] = ""
+    """What the term needs and a prediction lacks, as in "the last edge"; empty: nothing.
+
+    A search predicts decisions on the ground that is perceived. It knows states, poses, actions and
+    the outcome there, but neither the ground beyond, hence not the last edge (``profile.end``) or
+    the finish, nor forces. A search leaves out potential-based shaping anyway.
+    """
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
     @abstractmethod
     def __call__(self, t: Transition) -> float:
         """Return the unweighted reward of one decision [-]."""
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        """Give a class that computes one decision anew the array form that calls it."""
+        super().__init_subclass__(**given)
+        _renew(cls, "__call__", "array", RewardTerm.array)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the unweighted rewards of M decisions, (M,) [-].
+
+        This calls the term for each decision. A term may override it for speed, with equal values.
+        """
+        return np.array([self(t) for t in ts], dtype=np.float64)
 
 
 class Shaping(RewardTerm):
@@ -48,6 +79,20 @@ class Shaping(RewardTerm):
         """Return the unweighted shaping of one decision [-]."""
         after = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
         return self.gamma * after - self.potential(t.before, t.profile, t.robot)
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        """Give a class that computes one potential anew the array form that calls it."""
+        super().__init_subclass__(**given)
+        _renew(cls, "potential", "potentials", Shaping.potentials)
+
+    def potentials(self, states: RobotStates, profile: Profile, robot: RobotGeometry) -> FloatArray:
+        """Return the potentials Φ of M states, (M,) [-]; may be overridden for speed."""
+        return np.array([self.potential(s, profile, robot) for s in states], dtype=np.float64)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the unweighted shaping of M decisions, (M,) [-]."""
+        after = np.where(ts.ended, 0.0, self.potentials(ts.after, ts.profile, ts.robot))
+        return self.gamma * after - self.potentials(ts.before, ts.profile, ts.robot)
 
 
 RewardT = TypeVar("RewardT", bound=RewardTerm)

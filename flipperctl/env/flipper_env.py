@@ -35,11 +35,11 @@ from flipperctl.env.metrics import EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
-from flipperctl.env.rewards import RewardSum
 from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import TerrainError
+from flipperctl.rewards import RewardSum
 
 Observation = NDArray[np.float32]
 

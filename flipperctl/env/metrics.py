@@ -13,9 +13,8 @@ import numpy as np
 from flipperctl.api import FloatArray, Measure, Transition, registry
 from flipperctl.config import resolver
 from flipperctl.config.randomise import Randomise
-from flipperctl.env.numbers import as_real
 from flipperctl.errors import NonFiniteError, PluginError
-from flipperctl.guard import definition, plugin_label, refusal, short_repr
+from flipperctl.guard import as_real, definition, plugin_label, refusal, short_repr
 
 CORE = (
     "decisions",

@@ -15,12 +15,14 @@ from pydantic import Field
 
 from flipperctl.api import (
     ACTIONS,
+    LAST_PITCHES,
     Outcome,
     Perception,
     Profile,
     RewardTerm,
     Terrain,
     Transition,
+    Transitions,
     action_index,
     candidate_angle,
 )
@@ -124,3 +126,13 @@ def transitions() -> tuple[Transition, ...]:
             )
         found += episode
     return tuple(found)
+
+
+@cache
+def transitions_in_arrays() -> tuple[Transitions, ...]:
+    """Return all transitions in arrays, those with few last pitches apart."""
+    groups: dict[object, list[Transition]] = {}
+    for t in transitions():
+        pitches = min(len(t.pitches), LAST_PITCHES)
+        groups.setdefault((id(t.profile), t.path.shape, pitches), []).append(t)
+    return tuple(Transitions.of(group) for group in groups.values())

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import fields
 
-from flipperctl.api import RewardTerm, Transition
+import numpy as np
+
+from flipperctl.api import RewardTerm, Transition, Transitions
 from flipperctl.testing.check import require
-from flipperctl.testing.recorded import transitions
+from flipperctl.testing.recorded import transitions, transitions_in_arrays
 
 _ROUNDING = 1e-9
 
@@ -45,6 +49,41 @@ def pure(reward: RewardTerm) -> None:
             "it may depend only on the transition",
         )
         require(t.pitches.tobytes() == before, f"{_at(t)} it changes the transition's pitches")
+
+
+def same_in_arrays(reward: RewardTerm) -> None:
+    """Check that ``array`` returns what ``__call__`` returns, and does not change its input."""
+    for ts in transitions_in_arrays():
+        before = [array.tobytes() for array in _arrays(ts)]
+        found: object = reward.array(ts)
+        require(
+            isinstance(found, np.ndarray) and found.shape == (len(ts),),
+            f"array of {len(ts)} transitions returns {_described(found)}; an array of floats of "
+            f"shape ({len(ts)},) is allowed",
+        )
+        require(
+            [array.tobytes() for array in _arrays(ts)] == before,
+            "array changes the transitions that it is given",
+        )
+        for t, value in zip(ts, np.asarray(found).tolist(), strict=True):
+            expected = reward(t)
+            require(
+                abs(value - expected) <= _ROUNDING,
+                f"{_at(t)} array returns {value!r} and __call__ {expected!r}; "
+                f"they may differ by {_ROUNDING:g}",
+            )
+
+
+def _arrays(ts: Transitions) -> Iterator[np.ndarray]:
+    """Yield each array of the transitions and of their states."""
+    for part in (ts, ts.before, ts.after):
+        values = (getattr(part, field.name) for field in fields(part))
+        yield from (value for value in values if isinstance(value, np.ndarray))
+
+
+def _described(value: object) -> str:
+    shape = getattr(value, "shape", None)
+    return type(value).__name__ if shape is None else f"one of shape {shape}"
 
 
 def _at(t: Transition) -> str:

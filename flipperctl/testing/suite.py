@@ -80,6 +80,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("finite", reward.finite)
             yield at_all("bounded", reward.bounded)
             yield at_all("pure", reward.pure)
+            yield at_all("arrays", reward.same_in_arrays)
         case "measure":
             from flipperctl.testing import measure
 

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("clearance")
@@ -38,3 +38,24 @@ class Clearance(RewardTerm):
         up = cos * (bumps[:, 1] - z) - sin * (bumps[:, 0] - x)  # in frame R [m]
         gap = -float(up.max()) - t.robot.track_radius
         return -max(0.0, min(1.0, 1.0 - gap / self.enough))
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        cos, sin = np.cos(ts.after.pitch), np.sin(ts.after.pitch)
+        (x, z), half = ts.after.position.T, ts.robot.hinge_offset * cos
+        ground_x, ground_z = ts.profile.around_each(x, half)  # (M, P) [m]
+        begin = ts.profile.heights(x - half)
+        slope = (ts.profile.heights(x + half) - begin) / (2 * half)
+        chord = begin[:, None] + slope[:, None] * (ground_x - (x - half)[:, None])
+        rise = ground_z - chord - self.bump
+        up = cos[:, None] * (ground_z - z[:, None]) - sin[:, None] * (ground_x - x[:, None])
+        highest = np.where(rise > 0, up, -np.inf).max(axis=1, initial=-np.inf)  # in frame R [m]
+        gap = -highest - ts.robot.track_radius  # infinite without a bump
+        rewards: FloatArray = np.clip(gap, 0.0, self.enough) / self.enough - 1.0
+        for index in np.flatnonzero((np.abs(rise) < _ROUNDING).any(axis=1)).tolist():
+            rewards[index] = self(ts[index])
+        return rewards
+
+
+_ROUNDING = 1e-12
+"""A rise this close to the limit [m] may count in one form and not in the other."""

@@ -1,8 +1,9 @@
 """R_end (paper Eq. 7)."""
 
+import numpy as np
 from pydantic import Field
 
-from flipperctl.api import Outcome, RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, Outcome, RewardTerm, Transition, Transitions, reward
 
 
 @reward("end")
@@ -16,3 +17,7 @@ class End(RewardTerm):
         if t.outcome is None:
             return 0.0
         return self.settlement if t.outcome is Outcome.REACHED else -self.settlement
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        return np.where(ts.reached, self.settlement, -self.settlement * ts.ended)

@@ -3,9 +3,18 @@
 import math
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, candidate_angle, reward
+from flipperctl.api import (
+    FloatArray,
+    RewardTerm,
+    Transition,
+    Transitions,
+    candidate_angle,
+    candidate_angles,
+    reward,
+)
 
 
 @reward("flipper")
@@ -40,3 +49,16 @@ class Flipper(RewardTerm):
         candidate = candidate_angle(points, t.after.pitch, t.robot, near=self.near, far=self.far)
         deviation = max(0.0, abs(t.after.front - candidate) - self.tolerance)
         return -min(1.0, self.lambda_1 * deviation)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        reach = ts.robot.hinge_offset + self.far + ts.robot.track_radius
+        x, z = ts.after.position.T
+        along, up = ts.profile.around_each(x, reach)
+        along -= x[:, None]
+        up -= z[:, None]
+        candidates = candidate_angles(
+            along, up, ts.after.pitch, ts.robot, near=self.near, far=self.far
+        )
+        deviation = np.maximum(0.0, np.abs(ts.after.front - candidates) - self.tolerance)
+        return -np.minimum(1.0, self.lambda_1 * deviation)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("impact")
@@ -36,3 +36,13 @@ class Impact(RewardTerm):
         velocity = np.concatenate([t.before.velocity[1:], rise, t.after.velocity[1:]])
         peak = float(np.abs(np.diff(velocity)).max()) / t.sample_period
         return -min(1.0, max(0.0, peak - self.tolerance) / self.worst)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        if ts.path.shape[1] < 2:
+            return np.zeros(len(ts))
+        rise = np.diff(ts.path[:, :, 1]) / ts.sample_period  # (M, S) [m/s]
+        velocity = np.hstack([ts.before.velocity[:, 1:], rise, ts.after.velocity[:, 1:]])
+        peak = np.abs(np.diff(velocity)).max(axis=1) / ts.sample_period
+        excess: FloatArray = np.clip(peak - self.tolerance, 0.0, self.worst)
+        return -excess / self.worst

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("pitch")
@@ -35,3 +35,10 @@ class Pitch(RewardTerm):
         changes = np.abs(pitches[1:] - pitches[:-1])
         variation = float(np.add.reduce(changes)) / len(changes)  # faster than numpy's mean
         return -min(1.0, self.lambda_2 * variation)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        steep = np.abs(ts.after.pitch)
+        growing = (steep > math.pi / 4) & (steep > np.abs(ts.before.pitch))
+        variation = np.abs(np.diff(ts.pitches[:, -self.window :])).mean(axis=1)
+        return np.where(growing, -1.0, -np.minimum(1.0, self.lambda_2 * variation))

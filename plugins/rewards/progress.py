@@ -2,9 +2,10 @@
 
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("progress")
@@ -27,3 +28,8 @@ class Progress(RewardTerm):
         """Return the reward in [-1, 1]."""
         moved = float(t.after.position[0] - t.before.position[0])  # [m]
         return max(-1.0, min(1.0, moved / self.distance))
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        moved = ts.after.position[:, 0] - ts.before.position[:, 0]  # [m]
+        return np.clip(moved / self.distance, -1.0, 1.0)

@@ -2,9 +2,18 @@
 
 from typing import ClassVar
 
+import numpy as np
 from pydantic import Field
 
-from flipperctl.api import Profile, RobotGeometry, RobotState, Shaping, reward
+from flipperctl.api import (
+    FloatArray,
+    Profile,
+    RobotGeometry,
+    RobotState,
+    RobotStates,
+    Shaping,
+    reward,
+)
 
 
 @reward("shaped_progress")
@@ -23,3 +32,8 @@ class ShapedProgress(Shaping):
         """Return Φ in [-1, 0]: 0 past the last edge, falling linearly with the distance to it."""
         left = profile.end - float(state.position[0])
         return -max(0.0, min(1.0, left / self.distance))
+
+    def potentials(self, states: RobotStates, profile: Profile, robot: RobotGeometry) -> FloatArray:
+        """Return Φ of M states, (M,)."""
+        left = profile.end - states.position[:, 0]  # (M,) [m]
+        return -np.clip(left, 0.0, self.distance) / self.distance

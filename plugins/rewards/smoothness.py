@@ -2,7 +2,9 @@
 
 from typing import ClassVar
 
-from flipperctl.api import RewardTerm, Transition, reward
+import numpy as np
+
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("smoothness")
@@ -19,3 +21,9 @@ class Smoothness(RewardTerm):
         """Return the reward in [-1, 0]: -1 if both pairs reverse."""
         pairs = zip(t.action, t.previous_action, strict=True)
         return -sum(abs(now - before) for now, before in pairs) / 4
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        change = np.abs(ts.action - ts.previous_action)  # (M, 2)
+        penalty: FloatArray = change.sum(axis=1) / 4
+        return -penalty

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import FloatArray, RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("stability")
@@ -56,6 +56,38 @@ class Stability(RewardTerm):
         centre = self.flipper_share * float(front[0] + rear[0]) / 2
         return min(centre - float(support[0]), float(support[-1]) - centre)
 
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        robot, state = ts.robot, ts.after
+        ahead = robot.hinge_offset * _directions(state.pitch)  # (M, 2) [m]
+        front = ahead + robot.flipper_axle * _directions(state.pitch + state.front)
+        rear = -ahead - robot.flipper_axle * _directions(state.pitch - state.rear)
+        reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + self.touch
+        ground_x, ground_z = ts.profile.around_each(state.position[:, 0], reach)  # (M, P) [m]
+        ground_x -= state.position[:, :1]
+        ground_z -= state.position[:, 1:]
+        squared = np.minimum(
+            _squared_distances(-ahead, ahead, ground_x, ground_z),
+            np.minimum(
+                _squared_distances(ahead, front, ground_x, ground_z),
+                _squared_distances(rear, -ahead, ground_x, ground_z),
+            ),
+        )
+        gap = np.sqrt(squared) - robot.track_radius
+        touching = gap <= self.touch
+        first = np.where(touching, ground_x, np.inf).min(axis=1, initial=np.inf)
+        last = np.where(touching, ground_x, -np.inf).max(axis=1, initial=-np.inf)
+        centre = self.flipper_share * (front[:, 0] + rear[:, 0]) / 2
+        margin = np.minimum(centre - first, last - centre)  # minus infinity in the air
+        rewards: FloatArray = np.clip(margin, 0.0, self.enough) / self.enough - 1.0
+        for index in np.flatnonzero((np.abs(gap - self.touch) < _ROUNDING).any(axis=1)).tolist():
+            rewards[index] = self(ts[index])
+        return rewards
+
+
+_ROUNDING = 1e-12
+"""A gap this close to the limit [m] may count in one form and not in the other."""
+
 
 def _direction(angle: float) -> FloatArray:
     return np.array([math.cos(angle), math.sin(angle)])
@@ -68,3 +100,21 @@ def _distance(begin: FloatArray, end: FloatArray, points: FloatArray) -> FloatAr
     nearest = offset - np.outer(fraction, along)
     distance: FloatArray = np.hypot(nearest[:, 0], nearest[:, 1])
     return distance
+
+
+def _directions(angle: FloatArray) -> FloatArray:
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _squared_distances(
+    begin: FloatArray, end: FloatArray, x: FloatArray, z: FloatArray
+) -> FloatArray:
+    """Return the squared distances (M, P) [m²] of points (M, P) from the segment of each row."""
+    along = end - begin  # (M, 2)
+    unit = along / (along * along).sum(axis=1, keepdims=True)
+    x, z = x - begin[:, :1], z - begin[:, 1:]
+    fraction = np.minimum(1.0, np.maximum(0.0, x * unit[:, :1] + z * unit[:, 1:]))
+    x -= fraction * along[:, :1]
+    z -= fraction * along[:, 1:]
+    squared: FloatArray = x * x + z * z
+    return squared

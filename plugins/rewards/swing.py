@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import RewardTerm, Transition, reward
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("swing")
@@ -31,3 +31,9 @@ class Swing(RewardTerm):
         pitch = t.path[:, 2]
         variation = float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1])))  # [rad]
         return -min(1.0, self.slope * variation)
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        variation = np.abs(np.diff(ts.path[:, :, 2])).sum(axis=1)  # (M,) [rad]
+        penalty: FloatArray = np.minimum(1.0, self.slope * variation)
+        return -penalty

@@ -2,7 +2,9 @@
 
 from typing import ClassVar
 
-from flipperctl.api import RewardTerm, Transition, reward
+import numpy as np
+
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("travel")
@@ -19,3 +21,9 @@ class Travel(RewardTerm):
         """Return the reward in [-1, 0]: -1 if the pairs turned by two whole steps in total."""
         turned = abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear)
         return -min(1.0, turned / (2 * t.robot.angle_step))
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions, (M,)."""
+        front, rear = ts.after.front - ts.before.front, ts.after.rear - ts.before.rear
+        turned = np.abs(front) + np.abs(rear)  # (M,) [rad]
+        return -np.minimum(1.0, turned / (2 * ts.robot.angle_step))

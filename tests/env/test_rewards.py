@@ -17,7 +17,7 @@ from flipperctl.api import (
     candidate_angle,
 )
 from flipperctl.config import resolver
-from flipperctl.env.rewards import RewardSum
+from flipperctl.rewards import RewardSum
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, tracks of radius 0.1 m
 FLAT = Profile([(0.0, 0.0)])

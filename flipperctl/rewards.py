@@ -1,16 +1,22 @@
-"""The reward, the weighted sum of the configured terms."""
+"""The reward, the weighted sum of the configured terms, of one decision or of many at once.
+
+In: a ``Transition``, or ``Transitions``. Out: the weighted values, checked.
+"""
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from numbers import Real
 from typing import NamedTuple
 
-from flipperctl.api import RewardTerm, Transition
-from flipperctl.env.numbers import as_real
+import numpy as np
+
+from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions
 from flipperctl.errors import FlipperctlError, NonFiniteError, PluginError, PluginFailedError
-from flipperctl.guard import definition, plugin_label, refusal, short_repr, with_path
+from flipperctl.guard import as_real, definition, plugin_label, refusal, short_repr, with_path
 
 _ROUNDING = 1e-9
 """Tolerance of a term's bounds for rounding, relative to bounds above 1 [-]."""
@@ -28,6 +34,8 @@ class _Term(NamedTuple):
     """Declared lower bound, less a tolerance for rounding [-]."""
     high: float
     """Declared upper bound, plus a tolerance for rounding [-]."""
+    has_array: bool
+    """Whether the term computes many decisions at once itself."""
 
 
 class RewardSum:
@@ -50,7 +58,7 @@ class RewardSum:
             PluginFailedError: a term raised an error, or returned no number within its bounds.
         """
         parts = {}
-        for name, term, weight, low, high in self._terms:
+        for name, term, weight, low, high, _ in self._terms:
             try:
                 value = term(t)
             except PluginFailedError as error:
@@ -62,6 +70,45 @@ class RewardSum:
                 raise _value_error(name, term, value, part, t)
             parts[name] = part
         return parts
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the weighted sum of all terms for each of M decisions, (M,) [-].
+
+        Raises:
+            NonFiniteError: a term is not finite; the text names it.
+            PluginFailedError: a term raised an error, or returned no array of M numbers within its
+                bounds.
+        """
+        total = np.zeros(len(ts))
+        if not len(ts):
+            return total
+        for entry in self._terms:
+            if entry.has_array:
+                total += _array_of(entry, ts)
+        if (rest := self._without_array).terms:
+            total += [sum(rest(t).values()) for t in ts]
+        return total
+
+    @property
+    def not_predicted(self) -> dict[str, str]:
+        """What a term needs and a prediction lacks, by the name of each such term.
+
+        Raises:
+            PluginError: a declaration is no text.
+        """
+        found = {name: term.not_predicted for name, term in self.terms.items()}
+        for name, text in found.items():
+            if not isinstance(text, str):
+                raise PluginError(
+                    f"rewards.{name}: {plugin_label(self.terms[name])}: not_predicted is "
+                    f"{short_repr(text)}; a text is allowed ({definition(self.terms[name])})"
+                )
+        return {name: text for name, text in found.items() if text}
+
+    @cached_property
+    def _without_array(self) -> RewardSum:
+        """The terms that compute one decision at a time."""
+        return RewardSum({entry.name: entry.term for entry in self._terms if not entry.has_array})
 
 
 def _prepare(name: str, term: RewardTerm) -> _Term:
@@ -83,7 +130,41 @@ def _prepare(name: str, term: RewardTerm) -> _Term:
         )
     low, high = map(float, bounds)
     room = _ROUNDING * max(1.0, *(abs(b) for b in (low, high) if math.isfinite(b)), 0.0)
-    return _Term(name, term, float(weight), low=low - room, high=high + room)
+    has_array = inspect.unwrap(type(term).array) is not RewardTerm.array  # without its guard
+    return _Term(name, term, float(weight), low - room, high + room, has_array)
+
+
+def _array_of(entry: _Term, ts: Transitions) -> FloatArray:
+    """Return the weighted values of a term with an array form, (M,) [-]."""
+    name, term, weight, low, high, _ = entry
+    try:
+        found: object = term.array(ts)
+    except PluginFailedError as error:
+        raise with_path(error, term, f"rewards.{name}") from error.__cause__
+    values = _checked_array(name, term, found, len(ts))
+    least, largest = float(values.min()), float(values.max())  # NaN if one of them is
+    weighted = abs(weight) * max(abs(least), abs(largest))
+    if not (low <= least and largest <= high and weighted <= _LARGEST):
+        for value, t in zip(values.tolist(), ts, strict=True):
+            part = weight * value
+            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):
+                raise _value_error(name, term, value, part, t, "array")
+    return weight * values
+
+
+def _checked_array(name: str, term: RewardTerm, values: object, count: int) -> FloatArray:
+    """Return what ``array`` returned, if it is an array of ``count`` real numbers."""
+    what = short_repr(values)
+    if isinstance(values, np.ndarray):
+        if values.dtype.kind in "fiu" and values.shape == (count,):
+            return values
+        what = f"an array of {values.dtype} and shape {values.shape}"
+    raise refusal(
+        term,
+        "array",
+        f"returned {what} as rewards.{name}; an array of floats of shape ({count},) is allowed",
+        PluginFailedError,
+    )
 
 
 def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> float:
@@ -100,26 +181,31 @@ def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> floa
 
 
 def _value_error(
-    name: str, term: RewardTerm, value: float, part: float, t: Transition
+    name: str,
+    term: RewardTerm,
+    value: float,
+    part: float,
+    t: Transition,
+    method: str = "__call__",
 ) -> FlipperctlError:
     """Return the exception for a value that is not finite, too large or out of its bounds."""
     module, qualname = type(term).__module__, type(term).__qualname__
-    where = f"rewards.{name}: the term {term.plugin_name!r} ({module}.{qualname}): __call__"
+    where = f"rewards.{name}: the term {term.plugin_name!r} ({module}.{qualname}): {method}"
     at = f"at time {t.after.time:.2f} s"
     if not math.isfinite(part):
         weighted = "" if not math.isfinite(value) else f", times its weight {term.weight:g},"
         return NonFiniteError(
             f"{where} returned {value}{weighted} {at}; a finite number is allowed "
-            f"({definition(term, '__call__')})"
+            f"({definition(term, method)})"
         )
     if abs(part) > _LARGEST:
         return PluginFailedError(
             f"{where} returned {value:g}, times its weight {term.weight:g}, {at}; at most "
             f"{_LARGEST:g} is allowed, since the learner sums in single precision "
-            f"({definition(term, '__call__')})"
+            f"({definition(term, method)})"
         )
     low, high = term.bounds
     return PluginFailedError(
         f"{where} returned {value:g} {at}; its bounds say {low:g} to {high:g} "
-        f"({definition(term, '__call__')})"
+        f"({definition(term, method)})"
     )
