@@ -21,8 +21,8 @@ from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.statistics import quantity, ratio
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rewards import RewardSum
 from flipperctl.env.world import GuardedWorld
+from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.planar.world import PlanarWorld

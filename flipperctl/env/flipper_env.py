@@ -39,7 +39,7 @@ from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.errors import TerrainError
-from flipperctl.rewards import RewardSum
+from flipperctl.reward_sum import RewardSum
 
 Observation = NDArray[np.float32]
 

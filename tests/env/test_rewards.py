@@ -17,7 +17,6 @@ from flipperctl.api import (
     candidate_angle,
 )
 from flipperctl.config import resolver
-from flipperctl.rewards import RewardSum
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, tracks of radius 0.1 m
 FLAT = Profile([(0.0, 0.0)])
@@ -192,12 +191,3 @@ def test_slope_and_window_of_the_swing_are_settings() -> None:
 )
 def test_the_end_settles(outcome: Outcome | None, value: float) -> None:
     assert term("end", settlement=25.0)(transition(outcome=outcome)) == value
-
-
-# The sum
-
-
-def test_each_part_is_weighted_and_kept_apart() -> None:
-    half, twice = (term("end", settlement=10.0, weight=w) for w in (0.5, -2.0))
-    parts = RewardSum({"a": half, "b": twice})
-    assert parts(transition(outcome=Outcome.REACHED)) == {"a": 5.0, "b": -20.0}

@@ -15,7 +15,7 @@ from flipperctl.api import Controller, Network, Outcome, Profile, RewardTerm, Te
 from flipperctl.errors import ConformanceError, MissingExtraError
 from flipperctl.export import onnx as onnx_export
 from flipperctl.testing import Conformance, NotChecked, checks, controller
-from flipperctl.testing.recorded import transitions
+from flipperctl.testing.recorded import transitions, transitions_in_arrays
 from flipperctl.testing.variants import variants
 
 
@@ -117,6 +117,39 @@ def test_a_reward_that_fails_is_described_with_the_outcome(
     transitions.cache_clear()
     text = failure(rewarding(pay), check)
     transitions.cache_clear()
+    assert [word for word in words if word not in text] == [], text
+
+
+@pytest.mark.parametrize(
+    ("form", "words"),
+    [
+        (lambda ts: -np.abs(ts.after.pitch) - 1e-6, ["array returns -", "__call__ -", "1e-09"]),
+        (lambda ts: -np.abs(ts.before.pitch), ["array returns -", "(running)"]),
+        (
+            lambda ts: np.zeros((len(ts), 1)),
+            ["one of float64 and shape (", "floats of shape ("],
+        ),
+        (lambda ts: [-abs(t.after.pitch) for t in ts], ["returns list"]),
+        (lambda ts: np.full(len(ts), np.nan), ["array returns nan"]),
+        (lambda ts: -np.abs(ts.after.pitch, out=ts.after.pitch), ["changes the transitions"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_an_array_form_that_differs_is_described(
+    form: Callable[[api.Transitions], object], words: list[str]
+) -> None:
+    class Mine(RewardTerm):
+        """A term with an array form."""
+
+        def __call__(self, t: api.Transition) -> float:
+            return -abs(t.after.pitch)
+
+        def array(self, ts: api.Transitions) -> object:
+            return form(ts)
+
+    transitions_in_arrays.cache_clear()
+    text = failure(Mine, "arrays")
+    transitions_in_arrays.cache_clear()
     assert [word for word in words if word not in text] == [], text
 
 

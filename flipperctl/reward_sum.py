@@ -154,11 +154,12 @@ def _array_of(entry: _Term, ts: Transitions) -> FloatArray:
 
 def _checked_array(name: str, term: RewardTerm, values: object, count: int) -> FloatArray:
     """Return what ``array`` returned, if it is an array of ``count`` real numbers."""
-    what = short_repr(values)
     if isinstance(values, np.ndarray):
         if values.dtype.kind in "fiu" and values.shape == (count,):
             return values
         what = f"an array of {values.dtype} and shape {values.shape}"
+    else:
+        what = short_repr(values)
     raise refusal(
         term,
         "array",

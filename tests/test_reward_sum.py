@@ -1,0 +1,149 @@
+"""The weighted sum of reward terms, of one decision and of many, and what a term may not return."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from flipperctl.api import (
+    Outcome,
+    Profile,
+    RewardTerm,
+    RobotGeometry,
+    RobotState,
+    Transition,
+    Transitions,
+    reward,
+)
+from flipperctl.config import resolver
+from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
+from flipperctl.reward_sum import RewardSum
+
+
+def transition(time: float = 0.6, outcome: Outcome | None = None, pitch: float = 0.0) -> Transition:
+    state = RobotState(np.zeros(2), pitch, 0.0, 0.0, np.zeros(2), 0.0, time)
+    ground, robot = Profile([(0.0, 0.0)]), RobotGeometry()
+    return Transition(state, state, np.zeros(2), (0, 0), ground, robot, outcome)
+
+
+TWO = Transitions.of([transition(0.6), transition(1.2, Outcome.REACHED, pitch=0.3)])
+
+
+def term(name: str, **settings: Any) -> RewardTerm:
+    made = resolver.create("reward", {"name": name, **settings}, f"rewards.{name}")
+    assert isinstance(made, RewardTerm)
+    return made
+
+
+def test_each_part_is_weighted_and_kept_apart() -> None:
+    half, twice = (term("end", settlement=10.0, weight=w) for w in (0.5, -2.0))
+    parts = RewardSum({"a": half, "b": twice})
+    assert parts(transition(outcome=Outcome.REACHED)) == {"a": 5.0, "b": -20.0}
+
+
+@pytest.mark.usefixtures("registry")
+def test_the_sum_of_many_adds_terms_with_and_without_an_array_form() -> None:
+    @reward("tilt")
+    class Tilt(RewardTerm):
+        """The pitch, of one decision at a time."""
+
+        def __call__(self, t: Transition) -> float:
+            return t.after.pitch
+
+    found = RewardSum({"end": term("end", weight=0.5), "tilt": term("tilt", weight=2.0)})
+    assert found.array(TWO) == pytest.approx([0.0, 5.6])
+    assert [sum(found(t).values()) for t in TWO] == pytest.approx([0.0, 5.6])
+    assert RewardSum({}).array(TWO).tolist() == [0.0, 0.0]
+
+
+def summed(form: Callable[[Transitions], Any], weight: float = 1.0) -> RewardSum:
+    """Return the sum of a term whose array form is that."""
+
+    @reward("odd")
+    class Odd(RewardTerm):
+        """A term that computes many decisions at once."""
+
+        bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+
+        def __call__(self, t: Transition) -> float:
+            return 0.0
+
+        def array(self, ts: Transitions) -> Any:
+            return form(ts)
+
+    return RewardSum({"odd": term("odd", weight=weight)})
+
+
+@pytest.mark.parametrize(
+    ("form", "error", "words"),
+    [
+        (lambda ts: [][5], PluginFailedError, ["raised IndexError"]),
+        (lambda ts: [0.0, 0.0], PluginFailedError, ["returned [0.0, 0.0]", "shape (2,)"]),
+        (lambda ts: np.zeros(3), PluginFailedError, ["shape (3,)", "shape (2,) is allowed"]),
+        (lambda ts: np.array([None, 0]), PluginFailedError, ["an array of object"]),
+        (lambda ts: np.array([0.0, np.nan]), NonFiniteError, ["returned nan at time 1.20 s"]),
+        (lambda ts: np.array([-np.inf, 0.0]), NonFiniteError, ["returned -inf at time 0.60 s"]),
+        (lambda ts: np.array([-1.0, 0.5]), PluginFailedError, ["0.5 at time 1.20 s", "-1 to 0"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_an_array_form_that_fails_is_named(
+    form: Callable[[Transitions], Any], error: type[Exception], words: list[str]
+) -> None:
+    with pytest.raises(error) as found:
+        summed(form).array(TWO)
+    text = str(found.value)
+    assert "\n" not in text
+    for word in ("'odd'", "rewards.odd", "array", f"{Path(__file__).name}:", *words):
+        assert word in text, text
+
+
+@pytest.mark.usefixtures("registry")
+def test_weighted_values_of_an_array_form_have_a_limit() -> None:
+    @reward("wide")
+    class Wide(RewardTerm):
+        """A term without bounds."""
+
+        def __call__(self, t: Transition) -> float:
+            return 1e300
+
+        def array(self, ts: Transitions) -> np.ndarray:
+            return np.array([0.0, 1e300])
+
+    with pytest.raises(PluginFailedError, match=r"array returned 1e\+300, .*1e-20, at time 1.20 s"):
+        RewardSum({"wide": term("wide", weight=1e-20)}).array(TWO)
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_term_without_an_array_form_is_named_by_its_call() -> None:
+    @reward("late")
+    class Late(RewardTerm):
+        """A term that fails in its second decision."""
+
+        def __call__(self, t: Transition) -> float:
+            if t.after.time > 1:
+                raise KeyError("seven")
+            return 0.0
+
+    with pytest.raises(PluginFailedError, match=r"\(rewards.late\): __call__ raised KeyError"):
+        RewardSum({"late": term("late")}).array(TWO)
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_term_says_what_a_prediction_lacks() -> None:
+    @reward("remaining")
+    class Remaining(RewardTerm):
+        """A term of the ground's last edge."""
+
+        not_predicted: ClassVar[str] = "the last edge"
+
+        def __call__(self, t: Transition) -> float:
+            return t.profile.end
+
+    terms = {"end": term("end"), "far": term("remaining")}
+    assert RewardSum(terms).not_predicted == {"far": "the last edge"}
+    Remaining.not_predicted = 3
+    with pytest.raises(PluginError, match=r"rewards.far: reward 'remaining': not_predicted is 3"):
+        _ = RewardSum(terms).not_predicted
