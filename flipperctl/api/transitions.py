@@ -60,6 +60,10 @@ class RobotStates:
             **{name: np.array([getattr(s, name) for s in states], np.float64) for name in _STATE}
         )
 
+    def take(self, rows: NDArray[np.intp]) -> RobotStates:
+        """Return some of the states."""
+        return RobotStates(**{name: getattr(self, name)[rows] for name in _STATE})
+
     def __len__(self) -> int:
         return len(self.position)
 
@@ -169,6 +173,22 @@ class Transitions:
 
     def __getitem__(self, index: int) -> Transition:
         return self._rows[index]
+
+    def ending(self, rows: NDArray[np.intp], outcome: Outcome) -> Transitions:
+        """Return some of the decisions as if each had ended its episode with ``outcome``."""
+        return Transitions(
+            before=self.before.take(rows),
+            after=self.after.take(rows),
+            pitches=self.pitches[rows],
+            action=self.action[rows],
+            previous_action=self.previous_action[rows],
+            path=self.path[rows],
+            flippers=self.flippers[rows],
+            profile=self.profile,
+            robot=self.robot,
+            outcome=(outcome,) * len(rows),
+            sample_period=self.sample_period,
+        )
 
     @cached_property
     def ended(self) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ variation of the chassis.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -40,6 +40,10 @@ class Branch:
     poses: FloatArray
     """Poses from before the decision to its end at 100 Hz, (M, S + 1, 5), if they were asked for,
     else (M, 0, 5): x [m], z [m], pitch, front and rear flipper angle [rad]."""
+
+    def take(self, rows: NDArray[np.int64]) -> Branch:
+        """Return some of the decisions."""
+        return Branch(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 class Model:

@@ -1,0 +1,225 @@
+"""Values of the states that a robot can reach on one known ground, for any reward.
+
+In: a prediction model of the ground, and reward terms. Out: states with the value of every action.
+
+The model explores all flipper settings along the whole ground. States that fall into one cell of
+position, pitch and flipper targets are represented by the first of them, and a decision that ends
+in a cell leads to the cell's representative. Value iteration on this graph (Bellman 1957) gives the
+value of each action in each state, also in those that no good policy would visit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import ACTIONS, FloatArray, Outcome, Profile, Robot
+from flipperctl.lookahead.dynamics import RUNNING
+from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
+from flipperctl.lookahead.nodes import Nodes, transitions
+from flipperctl.lookahead.search import moves
+from flipperctl.reward_sum import RewardSum
+
+_SHARE = 0.5
+"""Length of a cell as a share of the way of a decision at full speed [-]."""
+_PITCH, _HEIGHT = 0.08, 0.1
+"""Size of a cell in pitch [rad] and in height [m]."""
+_MOST = 60_000
+"""Number of represented states from which no further ones are explored [-]."""
+_DROP, _SETTLE = 0.45, 1.5
+"""Height of the robots above the ground at the start [m], and time to come to rest [s]."""
+_BEYOND = 1.5
+"""Distance before the start and past the finish at which the exploration ends [m]."""
+_SLOW = 0.1
+"""Share of the way of a decision at full speed below which the robot stands [-]."""
+_ACCURACY = 1e-3
+"""Largest change of a value in the last sweep [-]."""
+_SWEEPS = 1000
+
+
+@dataclass(frozen=True)
+class Course:
+    """A known ground with start and finish."""
+
+    profile: Profile
+    start: float
+    """World x of the chassis centre at the start [m]."""
+    finish: float
+    """World x that the chassis centre must pass [m]."""
+    patience: int
+    """Number of decisions without progress after which the robot counts as stuck [-]."""
+
+
+class _Edges(NamedTuple):
+    """Decisions, row by row."""
+
+    parent: NDArray[np.int64]
+    action: NDArray[np.int64]
+    child: NDArray[np.int64]
+    """Represented state after the decision; -1 where the episode ends."""
+    reward: FloatArray
+    """Expected reward [-]."""
+    kept: FloatArray
+    """Factor of the next value: the discount times the probability that the episode goes on."""
+
+
+class Graph:
+    """The represented states of a course, with the value of each action."""
+
+    def __init__(
+        self, course: Course, model: Model, robot: Robot, rewards: RewardSum, gamma: float
+    ) -> None:
+        """Explore the course, then compute the values with the discount ``gamma`` per decision.
+
+        ``model`` knows the ground and the finish of the course.
+        """
+        self._course, self._model, self._robot = course, model, robot
+        self._rewards, self._gamma = rewards, gamma
+        self._cells: dict[tuple[int, ...], int] = {}
+        self._waves: list[Nodes] = []
+        edges = list(self._explore())
+        shape = len(self._cells), len(ACTIONS)
+        self.child = np.full(shape, -1)
+        """Represented state to which each action leads, -1 where the episode ends, (N, 9)."""
+        reward, kept = np.full(shape, -np.inf), np.zeros(shape)
+        for e in edges:
+            self.child[e.parent, e.action] = e.child
+            reward[e.parent, e.action], kept[e.parent, e.action] = e.reward, e.kept
+        self.nodes = Nodes.joined(self._waves)
+        self.values = _iterated(reward, kept, self.child)
+        """Value of each action, (N, 9) [-]; -inf for a turn beyond a stop."""
+
+    def best(self) -> FloatArray:
+        """Return the value of each represented state, (N,) [-]."""
+        return np.asarray(self.values.max(axis=1))
+
+    def lookup(self, nodes: Nodes) -> NDArray[np.int64]:
+        """Return the represented state of each node's cell, (M,); -1 without one."""
+        return np.array([self._cells.get(key, -1) for key in self._keys(nodes)], np.int64)
+
+    def values_at(self, nodes: Nodes) -> FloatArray:
+        """Return the value of each action in any states, (M, 9) [-].
+
+        One decision is predicted; its end counts as the state that represents its cell. The value
+        is -inf for a turn beyond a stop, and where no state represents the end.
+        """
+        found = self._decide(nodes)
+        best = np.where(found.child < 0, 0.0, self.best()[found.child])
+        values = np.full((len(nodes), len(ACTIONS)), -np.inf)
+        values[found.parent, found.action] = found.reward + found.kept * best
+        return values
+
+    def _explore(self) -> Iterator[_Edges]:
+        """Represent the reachable states wave by wave; yield the decisions of each wave."""
+        frontier, base = self._represent(self._roots()), 0
+        while len(frontier) and len(self._cells) < _MOST:
+            found = self._decide(frontier, represent=True)
+            yield found._replace(parent=found.parent + base)
+            base += len(frontier)
+            frontier = self._waves[-1]
+
+    def _roots(self) -> Nodes:
+        """Return robots at the start with each flipper setting, which have come to rest."""
+        course, robot = self._course, self._robot
+        most = int(robot.angle_limit / robot.angle_step + 1e-9)
+        angles = np.arange(-most, most + 1) * robot.angle_step
+        x = course.start - _SETTLE * robot.track_speed
+        z = course.profile.height(course.start) + robot.track_radius + _DROP
+        states = np.array([self._model.state((x, z, 0.0), (f, r)) for f in angles for r in angles])
+        found = self._model.expand(states, states[:, TARGETS:], _SETTLE)
+        standing = found.take(np.flatnonzero(found.outcome == RUNNING))
+        return Nodes.at_rest(standing.states, standing.places)
+
+    def _keys(self, nodes: Nodes) -> list[tuple[int, ...]]:
+        robot, states = self._robot, nodes.states
+        length = _SHARE * robot.track_speed * robot.decision_period
+        cells = np.column_stack(
+            [
+                np.floor(nodes.places[:, 0] / length),
+                np.round(nodes.places[:, 1] / _HEIGHT),
+                np.round(states[:, 2] / _PITCH),
+                np.round(states[:, TARGETS:] / robot.angle_step),
+            ]
+        )
+        return [tuple(row) for row in cells.astype(np.int64).tolist()]
+
+    def _represent(self, nodes: Nodes) -> Nodes:
+        """Let the first node of each new cell represent it; return these nodes."""
+        fresh = []
+        for row, key in enumerate(self._keys(nodes)):
+            if key not in self._cells:
+                self._cells[key] = len(self._cells)
+                fresh.append(row)
+        self._waves.append(nodes.take(np.array(fresh, np.int64)))
+        return self._waves[-1]
+
+    def _decide(self, nodes: Nodes, *, represent: bool = False) -> _Edges:
+        """Predict every decision from each node; with ``represent``, add the new cells.
+
+        The path of a decision ends at the state that represents its end, so that the reward terms
+        pay for the difference.
+        """
+        course, robot, period = self._course, self._robot, self._robot.decision_period
+        parent, action, targets = moves(nodes.states[:, TARGETS:], robot)
+        before = nodes.take(parent)
+        branch = self._model.expand(before.states, targets, period, poses=True)
+        after = before.after(branch, action, period)
+        x, going = after.places[:, 0], branch.outcome == RUNNING
+        inside = (x < course.finish + _BEYOND) & (x > course.start - _BEYOND)
+        rows = np.flatnonzero(going & inside)
+        if represent:
+            self._represent(after.take(rows))
+        child = np.full(len(parent), -1)
+        child[rows] = self.lookup(after.take(rows))
+        rows = np.flatnonzero(child >= 0)
+        after = after.moved_to(Nodes.joined(self._waves).take(child[rows]), rows)
+        branch = replace(branch, poses=_redirected(branch.poses, after, rows))
+        ts = transitions(before, after, branch, course.profile, robot)
+        reward, kept = self._rewards.array(ts), np.where(child < 0, 0.0, self._gamma)
+        # An episode ends as stuck after some time without progress. The states do not hold that
+        # time, so it ends with equal probability at each decision in which the robot stands.
+        slow = x - before.places[:, 0] < _SLOW * robot.track_speed * period
+        hazard = np.where(going & slow, 1.0 / course.patience, 0.0)
+        hazard[going & (child < 0)] = 1.0
+        rows = np.flatnonzero(hazard)
+        if len(rows):
+            stuck = self._rewards.array(ts.ending(rows, Outcome.STUCK))
+            reward[rows] += hazard[rows] * (stuck - reward[rows])
+            kept[rows] *= 1.0 - hazard[rows]
+        return _Edges(parent, action, child, reward, kept)
+
+
+def _redirected(poses: FloatArray, after: Nodes, rows: NDArray[np.int64]) -> FloatArray:
+    """Return poses (M, S + 1, 5) that end in the states ``after``, for some ``rows``.
+
+    The way to another position is spread over the decision, which would else end with an impact.
+    The pitch jumps at the end, since a spread difference could hide pitch variation.
+    """
+    found, share = poses[rows], np.linspace(0.0, 1.0, poses.shape[1])[:, None]
+    end = after.take(rows)
+    found[:, :, :2] += share * (end.places - found[:, -1, :2])[:, None]
+    found[:, -1, 2] = end.states[:, 2]
+    found[:, -1, 3:] = end.states[:, FLIPPERS:TARGETS]
+    poses = poses.copy()
+    poses[rows] = found
+    return poses
+
+
+def _iterated(reward: FloatArray, kept: FloatArray, child: NDArray[np.int64]) -> FloatArray:
+    """Return the values r + kept · max V(child), (N, 9), by value iteration."""
+    # A state that was not explored any further goes on at the lowest reward that was seen.
+    closed = ~np.isfinite(reward).any(axis=1)
+    reward = reward.copy()
+    reward[closed] = reward[np.isfinite(reward)].min()
+    best = np.zeros(len(reward))
+    for _ in range(_SWEEPS):
+        values = reward + kept * best[child]
+        found = values.max(axis=1)
+        if np.abs(found - best).max() < _ACCURACY:
+            break
+        best = found
+    return values
