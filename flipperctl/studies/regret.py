@@ -52,7 +52,7 @@ class PolicyReturn:
     above_level: Interval
     """Its return minus that of ``LEVEL`` [-]."""
     fraction: float | None
-    """The part of the best known gain over ``LEVEL`` that it earns; None if there is no gain."""
+    """The part of the best known gain over ``LEVEL`` that it earns; None without such a gain."""
     returns: tuple[float, ...]
     """Return of each episode [-]."""
 
@@ -76,7 +76,7 @@ class BestReference:
     regret: Interval
     """Its return minus that of the policy, paired by seed [-]."""
     fraction: float | None
-    """The part of its gain over ``LEVEL`` that the policy earns; None if there is no gain."""
+    """The part of its gain over ``LEVEL`` that the policy earns; None without such a gain."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -193,6 +193,12 @@ def _interval(values: FloatArray) -> Interval:
 
 
 def _fraction(values: FloatArray, best: FloatArray, level: FloatArray) -> float | None:
-    """Return the part of the mean gain of ``best`` over ``level`` that ``values`` have."""
-    gain = float((best - level).mean())
-    return float((values - level).mean()) / gain if gain > _ROUNDING else None
+    """Return the part of the mean gain of ``best`` over ``level`` that ``values`` have.
+
+    None if the gain is not positive, or no larger than noise: its 95 % interval contains 0. Divided
+    by such a gain, one lucky episode of a reference would make any number.
+    """
+    gain = _interval(best - level)
+    if gain.mean <= _ROUNDING or (gain.low is not None and gain.low <= 0):
+        return None
+    return float((values - level).mean()) / gain.mean

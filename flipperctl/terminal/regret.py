@@ -23,7 +23,7 @@ _STILL = "holding the flippers still"
 _WORDS = {
     Verdict.LESS: f"EARNS LESS THAN {_STILL.upper()}",
     Verdict.MORE: f"earns more than {_STILL}",
-    Verdict.UNDECIDED: f"not told apart from {_STILL}",
+    Verdict.UNDECIDED: f"not shown to earn more than {_STILL}",
 }
 _ALARM = "bold red"
 
@@ -83,11 +83,11 @@ def regret_line(found: Mapping[str, Any] | None) -> str:
     """
     if found is None:
         return ""
-    own = Interval(**found["policy"]["return"])
+    own, above = (Interval(**found["policy"][name]) for name in ("return", "above_level"))
     rules = (f"{name} {one['return']['mean']:.2f}" for name, one in found["references"].items())
     returns = ", ".join([f"return {interval_text(own)}", *rules])
-    episodes = f"{found['episodes']} episodes"
-    return f"On its own reward, {episodes}: {returns}: {_WORDS[Verdict(found['verdict'])]}.\n"
+    words = f"{_WORDS[Verdict(found['verdict'])]}, difference {interval_text(above, sign='+')}"
+    return f"On its own reward, {found['episodes']} episodes: {returns}: {words}.\n"
 
 
 def fraction_text(found: float | None) -> str:
@@ -99,9 +99,15 @@ def _comparison(scene: SceneRegret) -> str:
     few = f" (fewer than {FEWEST} episodes)" if scene.episodes < FEWEST else ""
     above, best = scene.policy.above_level, scene.best_reference
     return (
-        f"{_WORDS[scene.verdict]}{few}, difference {interval_text(above, sign='+')}; "
-        f"the best reference, {best.name}, has {interval_text(best.regret, sign='+')} over it"
+        f"{_WORDS[scene.verdict]}{few}, difference {interval_text(above, sign='+')}; to the best "
+        f"reference, {best.name}: {interval_text(_negative(best.regret), sign='+')}"
     )
+
+
+def _negative(found: Interval) -> Interval:
+    if found.low is None or found.high is None:
+        return Interval(-found.mean, None, None)
+    return Interval(-found.mean, -found.high, -found.low)
 
 
 def _named(scenes: Sequence[SceneRegret]) -> Iterator[tuple[str, SceneRegret]]:

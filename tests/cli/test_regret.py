@@ -64,7 +64,7 @@ def test_the_table_has_a_sentence_on_holding_still(tmp_path: Path) -> None:
     words = ["--controller", "okada", "--against", "level", "terrain=flat", "--episodes", "2"]
     done = call("inspect", "reward", "--regret", *words, cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "okada on flat, rewards paper: not told apart from holding the flippers" in done.out
+    assert "okada on flat, rewards paper: not shown to earn more than holding" in done.out
     assert "best known of each episode" in done.out
 
 
