@@ -134,6 +134,23 @@ def test_ctrl_c_leaves_a_finished_run(
     assert list((tmp_path / "run").rglob("*.part")) == []
 
 
+def test_a_run_that_died_while_it_was_compared_is_compared_when_it_is_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def die(*given: Any) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as context:
+        context.setattr(final_regret, "measure_regret", die)
+        assert call(*train(2), cwd=tmp_path).code == 1
+    summary = tmp_path / "run" / "summary.json"
+    assert not summary.exists()
+    done = call("train", "--resume", "run", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "On its own reward, 2 episodes" in done.err
+    assert json.loads(summary.read_text())["regret"]["episodes"] == 2
+
+
 def test_a_failure_is_told_and_the_run_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
