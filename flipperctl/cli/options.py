@@ -41,7 +41,7 @@ ControllerName = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
 ]
 DefaultOkada = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+    str | None, typer.Option(metavar="NAME", help="A controller plugin, by default okada.")
 ]
 Picture = Annotated[
     Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")

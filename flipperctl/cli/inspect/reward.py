@@ -54,7 +54,7 @@ def run(
     ] = False,
     against: Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help="References of --regret [level,okada,mpc]."),
+        typer.Option(metavar="NAMES", help="References of --regret, by default level,okada,mpc."),
     ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
