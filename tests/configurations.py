@@ -40,6 +40,7 @@ FIXED = {
     "train.mode": "exact",
     "train.decisions": DECISIONS,
     "train.validation_episodes": 1,
+    "train.regret_episodes": 0,
     "agent.learning_starts": 16,
     "agent.batch_size": 8,
     "episode.run_out": 0.2,

@@ -25,6 +25,7 @@ NOT_DRAWN = {
 }
 COSTLY = {
     "train.validation_episodes": 2,
+    "train.regret_episodes": 2,
     "train.threads": 2,
     "agent.batch_size": 256,
     "episode.slack": 5,

@@ -136,7 +136,7 @@ def with_budget(command: list[str]) -> list[str]:
         quick = ["engines"] if every else []  # each has a test in tests/bench
         words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
         return [*words, *quick, "--small", "--repeats", "2"]
-    if command[0] in ("eval", "transfer") or {"--compare", "engines"} & set(command):
+    if command[0] in ("eval", "transfer") or {"--compare", "--regret", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()

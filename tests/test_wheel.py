@@ -17,6 +17,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "terrain=step", "seed=7", "train.decisions=300", "train.validation_episodes=2"]
+TRAIN += ["train.regret_episodes=1"]
 
 COMMANDS = """
 import gymnasium

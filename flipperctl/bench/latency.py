@@ -131,7 +131,8 @@ def peak(bench: Bench[BenchSettings], folder: Path) -> float:
     command = [
         *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
         *(f"train.decisions={decisions}", f"train.validate_every={decisions}"),
-        *("train.validation_episodes=1", f"hydra.run.dir={folder / 'peak'}"),
+        *("train.validation_episodes=1", "train.regret_episodes=0"),
+        f"hydra.run.dir={folder / 'peak'}",
     ]
     peak_kib = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
     return int(peak_kib) / 1024

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.config import TrainConfig
 
 
 class Command(TyperCommand):
@@ -59,11 +62,9 @@ class Command(TyperCommand):
                 self._refuse(name, args, known)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
-        from flipperctl.cli.unknown_option import explain
-
         overridable = any("OVERRIDE" in str(param.metavar) for param in self.params)
         primary = self.primary if overridable else None
-        raise RequestError(explain(name, _value(name, args), known, primary))
+        raise _unknown(name, _value(name, args), known, primary)
 
 
 class TrainingCommand(Command):
@@ -92,12 +93,21 @@ class Group(TyperGroup):
         return super().parse_args(ctx, args)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
-        from flipperctl.cli.unknown_option import explain
-
         named = next((self.commands[word] for word in args if word in self.commands), None)
         value = "" if (found := _value(name, args)) in self.commands else found
         primary = getattr(named, "primary", TrainingCommand.primary)
-        raise RequestError(explain(name, value, known, primary))
+        raise _unknown(name, value, known, primary)
+
+
+def _unknown(name: str, value: str, known: list[str], primary: str | None) -> RequestError:
+    from flipperctl.terminal.unknown_option import explain
+
+    def default() -> TrainConfig:
+        from flipperctl.cli.hydra.compose import compose_train, only_one
+
+        return only_one(compose_train())
+
+    return RequestError(explain(name, value, known, primary, default))
 
 
 def _value(name: str, args: Sequence[str]) -> str:

@@ -77,17 +77,17 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    options.require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
-    from flipperctl.runs.named_policies import controllers
+    from flipperctl.runs.named_policies import controllers, require_one_policy
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.results import print_result
     from flipperctl.terminal.streams import print_note
 
+    require_one_policy(checkpoint, controller, overrides)
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     found = scenes(arguments, checkpoint, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())

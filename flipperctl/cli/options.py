@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flipperctl.errors import RequestError
 from flipperctl.runs import follow_up
 
 
@@ -43,7 +41,7 @@ ControllerName = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
 ]
 DefaultOkada = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A controller plugin [okada].")
+    str | None, typer.Option(metavar="NAME", help="A controller plugin, by default okada.")
 ]
 Picture = Annotated[
     Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
@@ -52,33 +50,3 @@ Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per sc
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]
 Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
-
-
-def require_one_policy(
-    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
-) -> None:
-    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
-
-    Raises:
-        RequestError: none or both are given.
-    """
-    if (checkpoint is None) != (controller is None):
-        return
-    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
-    if checkpoint is None and words:
-        raise RequestError(
-            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
-            f"policy, or --controller {words[0]}, if it is a controller"
-        )
-    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
-
-
-def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
-    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
-
-    Raises:
-        RequestError: both are given.
-    """
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
-    return None if checkpoint else controller or "okada"

@@ -1,20 +1,24 @@
-"""The scenes, rewards and policies that ``inspect reward --compare`` compares.
+"""The scenes, rewards and policies of ``inspect reward --compare`` and ``--regret``.
 
-In: overrides and names of policies. Out: scenes, each with one or several sets of reward terms,
-and the policies' sources.
+In: overrides and names of policies. Out: scenes with their sets of reward terms, and the policies'
+sources.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.scenes import scenes
 from flipperctl.config.defaults import CHOICES
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs import named_policies
+from flipperctl.studies.regret_episodes import RegretScene
 from flipperctl.studies.reward_comparison import Rewards, RewardScene
 from flipperctl.terminal.streams import print_note
 
@@ -39,9 +43,7 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}
     configs = {}
     for combination in overrides.combinations(CHOICES):
-        parts = [(word, _REWARD_KEY.match(word) is not None) for word in combination.words]
-        scene = tuple(word for word, rewards in parts if not rewards)
-        label = " ".join(word.removeprefix("rewards=") for word, rewards in parts if rewards)
+        scene, label = _split(combination)
         ((config, _),) = compose.compose_eval(combination, primary)
         if not config.rewards:
             raise ConfigError(f"rewards: {label!r} leaves no term to rank policies by")
@@ -60,11 +62,48 @@ def policies(names: str, words: Sequence[str]) -> tuple[dict[str, PolicySource],
         ConfigError: there is no such policy, or no controller has an overridden field.
         CheckpointError: a checkpoint cannot be read.
     """
-    labels = named_policies.policy_labels(names)
-    overrides = Overrides.parse(words)
-    own = overrides.where(lambda key: key.startswith(_FIELD)).values()
+    fields, others = _controller_fields(Overrides.parse(words), "--compare")
+    return named_policies.policies(names, fields, print_note), others
+
+
+def regret_scenes(
+    words: Sequence[str], checkpoint: Path | None, controller: str | None, against: str
+) -> list[RegretScene]:
+    """Return a scene for each combination of the lists of settings, rewards included.
+
+    Exactly one of ``checkpoint`` and ``controller`` must be given. ``against`` names the
+    references; with a checkpoint, ``controller.<field>`` applies to each that has the field.
+
+    Raises:
+        FlipperctlError: an override or a name is wrong, or a policy cannot be built.
+    """
+    overrides, fields = Overrides.parse(words), dict[str, Any]()
+    if checkpoint is not None:
+        fields, overrides = _controller_fields(overrides, "--against")
+    others = named_policies.policies(against, fields, print_note, "--against", fewest=1)
+    labels = [_split(combination)[1] for combination in overrides.combinations(CHOICES)]
+    default, name = "own" if checkpoint else _DEFAULT, str(checkpoint or controller)
+    found = scenes(overrides.words, checkpoint, controller)
+    for config, _ in found:
+        for source in others.values():
+            source.build(config)  # raises for a wrong layout or robot, before the episodes
+    return [
+        RegretScene(config, label or default, name, source, others)
+        for (config, source), label in zip(found, labels, strict=True)
+    ]
+
+
+def _split(combination: Overrides) -> tuple[tuple[str, ...], str]:
+    """Return the overrides of all but the rewards, and a label of those of the rewards."""
+    parts = [(word, _REWARD_KEY.match(word) is not None) for word in combination.words]
+    label = " ".join(word.removeprefix("rewards=") for word, rewards in parts if rewards)
+    return tuple(word for word, rewards in parts if not rewards), label
+
+
+def _controller_fields(overrides: Overrides, option: str) -> tuple[dict[str, Any], Overrides]:
+    """Return the overrides of ``controller.<field>`` by field, and the others."""
     if "controller" in overrides.typed:
-        raise RequestError("controller: --compare names the controllers; leave the override out")
-    fields = {key.removeprefix(_FIELD): value for key, value in own.items()}
+        raise RequestError(f"controller: {option} names the controllers; leave the override out")
+    own = overrides.where(lambda key: key.startswith(_FIELD)).values()
     others = overrides.where(lambda key: not key.startswith(_FIELD))
-    return named_policies.policies(labels, fields, print_note), others
+    return {key.removeprefix(_FIELD): value for key, value in own.items()}, others

@@ -50,15 +50,13 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    options.require_one_policy(checkpoint, controller, overrides)
-    if film and only is None:
-        raise RequestError("--film shows one episode; name it with --only INDEX")
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.report.drawn_film import film_episode
     from flipperctl.report.film import check_film
+    from flipperctl.runs.named_policies import require_one_policy
     from flipperctl.runs.results import json_result
     from flipperctl.studies.engines import in_default_engine
     from flipperctl.studies.transfer import transfer_scenes
@@ -66,6 +64,9 @@ def run(
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.transfer import print_transfer
 
+    require_one_policy(checkpoint, controller, overrides)
+    if film and only is None:
+        raise RequestError("--film shows one episode; name it with --only INDEX")
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     asked = scenes(with_engine(arguments), checkpoint, controller)
     for config, _ in asked:

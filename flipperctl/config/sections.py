@@ -194,6 +194,13 @@ class Train(Settings):
         description="episodes per validation, always with the same terrains and starts [-]",
     )
     validation_seed: int = Field(0, ge=0, description="seed of the validation episodes [-]")
+    regret_episodes: int = Field(
+        12,
+        ge=0,
+        le=10_000,
+        description="episodes after the last validation in which the best policy's return is "
+        "compared with those of simple rules; 0 for none [-]",
+    )
     checkpoint_every: int = Field(
         10_000,
         ge=1,

@@ -18,6 +18,36 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import find_policy
 
 
+def require_one_policy(
+    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
+
+    Raises:
+        RequestError: none or both are given.
+    """
+    if (checkpoint is None) != (controller is None):
+        return
+    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
+    if checkpoint is None and words:
+        raise RequestError(
+            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
+            f"policy, or --controller {words[0]}, if it is a controller"
+        )
+    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
+
+    Raises:
+        RequestError: both are given.
+    """
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    return None if checkpoint else controller or "okada"
+
+
 def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
     """Return controllers at their defaults; ``names`` are separated by commas.
 
@@ -35,47 +65,46 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
     return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
 
 
-def policy_labels(names: str) -> list[str]:
-    """Return the names of policies to compare, which are separated by commas.
-
-    Raises:
-        RequestError: there are fewer than two names, or one is repeated.
-    """
-    labels = [name.strip() for name in names.split(",")]
-    if len(set(labels)) < max(2, len(labels)) or not all(labels):
-        raise RequestError(
-            f"--compare: at least two different names are allowed, as in level,okada; got {names!r}"
-        )
-    return labels
-
-
 def policies(
-    labels: Sequence[str], fields: Mapping[str, Any], tell: Callable[[str], None]
+    names: str,
+    fields: Mapping[str, Any],
+    tell: Callable[[str], None],
+    option: str = "--compare",
+    fewest: int = 2,
 ) -> dict[str, PolicySource]:
     """Return the named policies; ``fields`` apply to each controller that has such a field.
 
-    ``tell`` is called with a line if a run has no best policy yet.
+    ``names`` are separated by commas and were given with ``option``. ``tell`` is called with a line
+    if a run has no best policy yet.
 
     Raises:
+        RequestError: there are fewer than ``fewest`` names, or one is repeated.
         ConfigError: there is no such policy, or no controller has one of the fields.
         CheckpointError: a checkpoint cannot be read.
     """
-    sources = {label: _source(label, fields, tell) for label in labels}
+    labels = [name.strip() for name in names.split(",")]
+    if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
+        least = "two different names are" if fewest > 1 else "one name is"
+        allowed = f"at least {least} allowed, as in level,okada, each once"
+        raise RequestError(f"{option}: {allowed}; got {names!r}")
+    sources = {label: _source(label, fields, tell, option) for label in labels}
     known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
     for field in fields:
         if field not in known:
             raise ConfigError(
-                f"controller.{field}: no compared controller has such a field"
+                f"controller.{field}: no controller of {option} has such a field"
                 f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
             )
     return sources
 
 
-def _source(label: str, fields: Mapping[str, Any], tell: Callable[[str], None]) -> PolicySource:
+def _source(
+    label: str, fields: Mapping[str, Any], tell: Callable[[str], None], option: str
+) -> PolicySource:
     path = Path(label)
     if path.exists() or label in checkpoints.shipped_policies():
         return PolicySource(checkpoint=find_policy(path, tell))
-    known = resolver.get("controller", label, "--compare").model_fields
+    known = resolver.get("controller", label, option).model_fields
     own = {name: value for name, value in fields.items() if name in known}
     made: Controller = resolver.create("controller", {"name": label, **own}, "controller")
     return PolicySource(settings=resolver.to_dict(made))

@@ -25,6 +25,7 @@ from flipperctl.errors import (
 )
 from flipperctl.files import make_folder
 from flipperctl.runs import folder as run_folder
+from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.lock import hold
@@ -211,7 +212,12 @@ def _train(
     trainer.listeners += _listeners(trainer, resume_at, reports)
     try:
         with interrupts("finishing the episode and saving …") as interrupted:
-            summary = trainer.run(lambda: interrupted() or stop())
+
+            def stopped() -> bool:
+                return interrupted() or stop()
+
+            regret = FinalRegret(trainer.config, directory, stopped, reports.tell)
+            summary = trainer.run(stopped, regret)
     except (FlipperctlError, OSError) as error:
         if directory.is_dir():
             raise
@@ -223,6 +229,12 @@ def _train(
         raise InterruptedRunError(
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
             f"Resume with: {command('train', '--resume', directory)}"
+        )
+    if regret.interrupted:
+        raise InterruptedRunError(
+            "interrupted while the best policy was compared with simple rules; the training is "
+            "finished and saved. "
+            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
         )
     return Finished(directory, summary, trained=True)
 

@@ -14,11 +14,12 @@ from enum import StrEnum
 from itertools import combinations
 from typing import Any
 
-from flipperctl.api import RewardTerm, Shaping
+from flipperctl.api import RewardTerm
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import FEWEST, holm, interval, mean_p
+from flipperctl.studies.returns import paying_terms
 
 _SIGNIFICANT = 0.05
 """Largest corrected p-value of a contradiction [-]."""
@@ -181,10 +182,10 @@ def rank(
 
     The contradictions are candidates until ``decide`` has corrected their p-values.
     ``prefix`` precedes the terms' names in the episodes' rewards. Potential-based shaping is
-    left out: its discounted sum is the same for every behaviour, but the plain sum is not.
+    left out (``returns.paying_terms``).
     """
     common = common_episodes(played)
-    names = [name for name, term in terms.items() if not isinstance(term, Shaping)]
+    names = paying_terms(terms)
 
     def paid(episode: EpisodeResult) -> float:
         return sum(episode.rewards[prefix + name] for name in names)

@@ -12,6 +12,7 @@ from flipperctl.runs.training import Finished, Reports
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.pitch_variation import pitch_variation_text
 from flipperctl.terminal.progress import progress
+from flipperctl.terminal.regret import regret_line
 from flipperctl.terminal.streams import print_note
 
 
@@ -31,7 +32,7 @@ def check_resumed(config: TrainConfig) -> None:
 
 
 def print_best(run: Finished) -> None:
-    """Print the best validation of a newly trained run, and the commands to use it."""
+    """Print the best validation of a newly trained run, its return, and the commands to use it."""
     if not run.trained:
         return
     best = run.summary["best"]
@@ -39,6 +40,7 @@ def print_best(run: Finished) -> None:
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{pitch_variation_text(best, 2)}, {best['t_cost']:.1f} s. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
+        f"{regret_line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )

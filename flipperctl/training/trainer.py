@@ -86,12 +86,17 @@ class Trainer:
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)
 
-    def run(self, stop: Callable[[], bool] = lambda: False) -> dict[str, Any]:
+    def run(
+        self,
+        stop: Callable[[], bool] = lambda: False,
+        regret: Callable[[], dict[str, Any] | None] = lambda: None,
+    ) -> dict[str, Any]:
         """Train until the budget is spent or ``stop`` returns True.
 
-        ``stop`` is called between episodes, in validations, and while waiting for workers. Returns
-        the summary, which is also written to ``summary.json``. The listeners are closed even after
-        an error.
+        ``stop`` is called between episodes, in validations, and while waiting for workers.
+        ``regret`` is called once if the budget is spent, after the last checkpoint; its result
+        is part of the summary. Returns the summary, which is also written to ``summary.json``. The
+        listeners are closed even after an error.
         """
         opened: list[Closable] = [*self.listeners]
         with closing(opened):
@@ -106,6 +111,7 @@ class Trainer:
             self._save_all(collector.outstanding())
             self._recorder.finish()
             summary = self.summary(finished)
+            summary["regret"] = regret() if finished else None
             write_json(self.directory / "summary.json", summary)
             return summary
 

@@ -73,7 +73,7 @@ def test_cfg_prints_the_composed_configuration_and_trains_nothing(tmp_path: Path
 def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "flipperctl", "train", "terrain=step", "hydra.run.dir=r"]
     budget = ["train.decisions=100000", "agent.learning_starts=50", "train.workers=2"]
-    budget += ["train.validation_episodes=2"]
+    budget += ["train.validation_episodes=2", "train.regret_episodes=0"]
     process = subprocess.Popen([*command, *budget], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     metrics = tmp_path / "r" / "metrics.csv"
     while not metrics.is_file() or metrics.read_text().count("\n") < 3:

@@ -27,6 +27,7 @@ QUICK = [
     "train.validate_every=100",
     "train.checkpoint_every=70",
     "train.validation_episodes=1",
+    "train.regret_episodes=1",
     "agent.learning_starts=50",
     "agent.epsilon_decisions=200",
     "agent.batch_size=32",

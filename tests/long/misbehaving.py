@@ -28,7 +28,8 @@ ROOM = 6 * 2**30
 """Address space that a command may use beyond that of this process [B]."""
 BRIEF = (
     *("train.decisions=60", "train.validate_every=30", "agent.batch_size=8"),
-    *("train.validation_episodes=1", "agent.learning_starts=16", "agent.epsilon_decisions=1"),
+    *("train.validation_episodes=1", "train.regret_episodes=0", "agent.epsilon_decisions=1"),
+    "agent.learning_starts=16",
     *("agent.epsilon_start=0", "agent.epsilon_end=0", "episode.run_out=0.2"),
 )
 SHORT = ("terrain=flat", *BRIEF)

@@ -31,7 +31,7 @@ from tests.cli.call import call
 from tests.test_documentation import example
 
 BUDGET = (
-    '{"decisions": 150, "validation_episodes": 1, "mode": "exact"},\n'
+    '{"decisions": 150, "validation_episodes": 1, "mode": "exact", "regret_episodes": 1},\n'
     '    agent={"learning_starts": 100}'
 )
 

@@ -22,6 +22,8 @@ COMMANDS = {
     "transfer": ["transfer", "--controller", "level", "terrain=flat", "--episodes", "1"],
     "compare": ["inspect", "reward", "--compare", "okada,level", "terrain=flat", "--episodes", "1",
                 "rewards=paper,tuned"],
+    "regret": ["inspect", "reward", "--regret", "--controller", "okada", "--against", "level",
+               "terrain=flat", "--episodes", "5"],
     "audit": ["inspect", "reward", "terrain=flat", "--episodes", "1"],
     "engines": ["inspect", "engines", "terrain=flat", "--episodes", "1"],
     "terrain": ["inspect", "terrain", "stair", "--draws", "3"],

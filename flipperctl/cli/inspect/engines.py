@@ -39,14 +39,15 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_default, with_engine, with_flags
+    from flipperctl.runs.named_policies import controller_or_okada
     from flipperctl.studies.engines import compare_engines, in_default_engine
     from flipperctl.terminal.document import show
     from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress
 
+    chosen = controller_or_okada(checkpoint, controller)
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
     found = []
     asked = scenes(with_engine(arguments), checkpoint, chosen)

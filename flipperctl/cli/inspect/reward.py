@@ -1,7 +1,8 @@
-"""``flipperctl inspect reward``: audit reward terms, and rank policies by rewards."""
+"""``flipperctl inspect reward``: audit reward terms, rank policies by rewards, and find regret."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,6 +21,12 @@ than another although its θ̂_R is larger, and both paired differences are sign
 5 %, corrected by Holm for the number of comparisons). controller.<field> applies to each compared
 controller with that field; eval.seed and eval.jobs set the seed and the number of processes.
 
+--regret compares the return of a policy on its own reward with those of --against on the same
+episodes, and says if it earns less than holding the flippers still (level). The best known return
+is the highest of each episode; regret is what the policy lacks. All episodes count, also those
+that did not reach the finish (--compare leaves them out), since their returns include the penalty
+at their end. With --checkpoint, controller.<field> applies to the controllers of --against.
+
 [bold]Examples[/]
 
   flipperctl inspect reward terrain=stair
@@ -29,6 +36,8 @@ controller with that field; eval.seed and eval.jobs set the seed and the number 
   flipperctl inspect reward --compare level,okada terrain=step,ramp rewards=paper,tuned,smooth
 
   flipperctl inspect reward --compare okada,generalist,planner terrain=ramp controller.width=8
+
+  flipperctl inspect reward --regret --checkpoint runs/stair/2026-01-31_12-00-00 terrain=stair,ramp
 """
 
 
@@ -40,6 +49,13 @@ def run(
         str | None,
         typer.Option(metavar="NAMES", help="Policies to rank, such as level,okada,planner."),
     ] = None,
+    regret: Annotated[
+        bool, typer.Option("--regret", help="The return that a policy lacks.")
+    ] = False,
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="References of --regret, by default level,okada,mpc."),
+    ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
     ] = None,
@@ -47,14 +63,22 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    chosen = options.controller_or_okada(checkpoint, controller)
     from flipperctl.config.words import with_default, with_flags
+    from flipperctl.runs import named_policies
 
+    chosen = named_policies.controller_or_okada(checkpoint, controller)
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
+    if against is not None and not regret:
+        raise RequestError("--against names the references of --regret; add --regret")
     if compare is not None:
-        if checkpoint is not None or controller is not None:
-            raise RequestError("--compare names all policies; omit --checkpoint and --controller")
+        if checkpoint is not None or controller is not None or regret:
+            other = "--regret" if regret else "--checkpoint and --controller"
+            raise RequestError(f"--compare names all policies; omit {other}")
         _compare(compare, arguments, as_json)
+        return
+    if regret:
+        named_policies.require_one_policy(checkpoint, controller, overrides)
+        _regret(arguments, checkpoint, controller, against or "level,okada,mpc", as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
@@ -90,3 +114,18 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     found = decide(ranked)
     document = {"scenes": [scene.to_dict() for scene in found]}
     show(document, lambda: print_comparison(found), as_json=as_json)
+
+
+def _regret(
+    words: list[str], checkpoint: Path | None, controller: str | None, against: str, as_json: bool
+) -> None:
+    from flipperctl.cli.reward_scenes import regret_scenes
+    from flipperctl.studies.regret_episodes import measure_regrets
+    from flipperctl.terminal.document import show
+    from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.regret import print_regret
+
+    scenes = regret_scenes(words, checkpoint, controller, against)
+    found = measure_regrets(scenes, episodes_progress)
+    document = {"scenes": [scene.to_dict() for scene in found]}
+    show(document, lambda: print_regret(found), as_json=as_json)

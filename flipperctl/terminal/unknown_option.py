@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from flipperctl.messages import closest
+
+if TYPE_CHECKING:
+    from flipperctl.config import TrainConfig
 
 _RUN_FOLDER = {"output": "hydra.run.dir", "out": "hydra.run.dir", "output_dir": "hydra.run.dir"}
 """The setting of a training for the folder that other commands call --output."""
 
 
-def explain(name: str, value: str, known: Sequence[str], primary: str | None) -> str:
+def explain(
+    name: str,
+    value: str,
+    known: Sequence[str],
+    primary: str | None,
+    default: Callable[[], TrainConfig],
+) -> str:
     """Return the error text for the option ``name``, which was typed with ``value``.
 
-    ``known`` are the subcommand's options; ``primary`` names the configuration of its overrides.
+    ``known`` are the subcommand's options; ``primary`` names the configuration of its overrides,
+    and ``default`` returns that of a training without overrides.
     """
     key = name.lstrip("-").replace("-", "_")
-    found = list(_settings(key, primary)) if primary else []
+    found = list(_settings(key, primary, default)) if primary else []
     if found:
         shown = " or ".join(
             shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found
@@ -28,10 +39,9 @@ def explain(name: str, value: str, known: Sequence[str], primary: str | None) ->
     return f"no such option: {name}" + (f"; did you mean {options[close]!r}?" if close else "")
 
 
-def _settings(key: str, primary: str) -> Iterator[str]:
+def _settings(key: str, primary: str, default: Callable[[], TrainConfig]) -> Iterator[str]:
     """Yield the paths of settings that equal ``key`` or end with it."""
     from flipperctl import plugins
-    from flipperctl.cli.hydra.compose import compose_train
     from flipperctl.config import EvalConfig
     from flipperctl.config.defaults import CHOICES
     from flipperctl.config.describe import paths_named
@@ -40,6 +50,6 @@ def _settings(key: str, primary: str) -> Iterator[str]:
         yield _RUN_FOLDER[key]
         return
     plugins.load()
-    (default,) = compose_train()
-    sections = type(default).model_fields if primary == "train" else EvalConfig.model_fields
-    yield from paths_named(key, default, sections, CHOICES)
+    config = default()
+    sections = type(config).model_fields if primary == "train" else EvalConfig.model_fields
+    yield from paths_named(key, config, sections, CHOICES)
