@@ -31,6 +31,7 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
+from flipperctl.api.groups import StateGroups
 from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
 from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
@@ -111,6 +112,7 @@ __all__ = [
     "SharedSetting",
     "Simulator",
     "Start",
+    "StateGroups",
     "Surface",
     "Terrain",
     "Transition",

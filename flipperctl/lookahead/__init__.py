@@ -2,5 +2,6 @@
 
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.planner import Planner
+from flipperctl.lookahead.value_iteration import ValueIteration
 
-__all__ = ["Mpc", "Planner"]
+__all__ = ["Mpc", "Planner", "ValueIteration"]

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from flipperctl.api import Settings
+from flipperctl.api import Robot, Settings
 
 if TYPE_CHECKING:
-    from flipperctl.lookahead.search import CostWeights
+    from flipperctl.lookahead.costs import CostWeights
 
 STEEP_FROM, STEEP = 0.9, 30.0
 """Pitch above which steepness is charged, below overturning [rad], and its cost weight [s/rad]."""
@@ -94,15 +94,16 @@ class MpcSettings(Settings):
         "repeatable [s]",
     )
 
-    def cost_weights(self, hurry: int = 0) -> CostWeights:
+    def cost_weights(self, robot: Robot, hurry: int = 0) -> CostWeights:
         """Return the cost weights of a plan.
 
         Those of pitch variation and final pitch are divided ``hurry`` times by ``HURRY``.
         """
-        from flipperctl.lookahead.search import HURRY, CostWeights
+        from flipperctl.lookahead.costs import HURRY, CostWeights
 
         calm = HURRY**-hurry
         return CostWeights(
+            robot=robot,
             pitch_variation=calm * self.swing,
             pitch=calm * self.pitch,
             lean=self.lean,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     ACTIONS,
+    LAST_PITCHES,
     FloatArray,
     Outcome,
     Profile,
@@ -23,8 +24,6 @@ from flipperctl.api import (
 from flipperctl.lookahead.dynamics import OVERTURNED, REACHED
 from flipperctl.lookahead.model import FLIPPERS, Branch
 
-LAST_PITCHES = 8
-"""Number of last pitches that nodes remember [-]."""
 TURNS = np.array(ACTIONS)
 """Turns (front, rear) of each action, (9, 2)."""
 _OUTCOMES = np.array([None, None, None], dtype=object)

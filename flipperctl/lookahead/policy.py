@@ -104,9 +104,9 @@ class MpcPolicy:
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
         size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
-        calm = Search(robot, settings.cost_weights(), width=settings.beam, **size)
+        calm = Search(robot, settings.cost_weights(robot), width=settings.beam, **size)
         width = round(settings.wider * settings.beam * hurry)
-        wide = Search(robot, settings.cost_weights(hurry), width=width, **size)
+        wide = Search(robot, settings.cost_weights(robot, hurry), width=width, **size)
         plan, self.simulated = None, 0
         if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)
@@ -123,14 +123,7 @@ class MpcPolicy:
         """Return the nominal robot's simulation on the perceived ground, and its present state."""
         settings = self._settings
         line, motion = self._perceive(p, robot)
-        model = Model(
-            line,
-            robot,
-            friction=settings.friction if p.friction is None else p.friction,
-            step=settings.step,
-            iterations=settings.iterations,
-            overturn=settings.overturn,
-        )
+        model = self._model(line, p, robot)
         speed = robot.track_speed
         pose = (0.0, _touching(line, p, robot), p.pitch)
         rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
@@ -144,6 +137,28 @@ class MpcPolicy:
         if settings.latency:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
+
+    def _model(
+        self,
+        line: FloatArray,
+        p: Perception,
+        robot: Robot,
+        *,
+        finish: float = math.inf,
+        top: float = math.inf,
+    ) -> Model:
+        """Return the prediction model of the ``line``, (V, 2) in frame L [m]."""
+        settings = self._settings
+        return Model(
+            line,
+            robot,
+            friction=settings.friction if p.friction is None else p.friction,
+            step=settings.step,
+            iterations=settings.iterations,
+            overturn=settings.overturn,
+            finish=finish,
+            top=top,
+        )
 
     def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
         """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""

@@ -1,6 +1,6 @@
 """A beam search over flipper commands on the ground around the robot.
 
-In: the robot's present state on a piece of ground, and cost weights. Out: the cheapest sequence of
+In: the robot's present state on a piece of ground, and an objective. Out: the cheapest sequence of
 actions, and the cost of the best sequence that begins with each action.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,33 +21,43 @@ HOLD = action_index(0, 0)
 _TURNS = np.array(ACTIONS, dtype=np.float64)
 _CELL = np.array([0.03, 0.03, 0.03, 0.1, 0.1])
 """Nodes whose x, z [m], pitch and flipper targets [rad] fall into one cell are merged."""
-HURRY = 5.0
-"""Divisor of the cost weight of pitch variation in a hurry [-]. A third of the beam is chosen with
-the smaller weight, so that plans that climb survive beside plans that wait."""
 
 
-@dataclass(frozen=True)
-class CostWeights:
-    """Weights of the terms of a plan's cost, which is in seconds."""
+class Scores(NamedTuple):
+    """The costs of M plans that are one decision longer than before, in the objective's unit."""
 
-    pitch_variation: float
-    """Weight of the pitch variation [s/rad]."""
-    pitch: float
-    """Weight of the absolute pitch at the horizon [s/rad]."""
-    lean: float
-    """Weight of the absolute pitch after each decision [s/rad]."""
-    flippers: float
-    """Weight of each absolute flipper angle after each decision [s/rad]."""
-    turn: float
-    """Cost of turning a flipper pair in one decision [s]."""
-    standstill: float
-    """Additional weight of time lost beyond ``standstill_from`` [s/s]."""
-    standstill_from: float
-    """Lost time from which a plan counts as standing still [s]."""
-    steep: float
-    """Weight of the largest pitch of a plan beyond ``steep_from`` [s/rad]."""
-    steep_from: float
-    """Pitch above which a plan is charged for steepness, below overturning [rad]."""
+    cost: FloatArray
+    """Cost of each plan, with an estimate of what follows its end."""
+    hurried: FloatArray
+    """Cost by which a third of the beam is chosen, so that plans that climb survive beside plans
+    that wait."""
+    ended: NDArray[np.bool_]
+    """Whether the episode ends here, so that the cost is final."""
+    lost_time: FloatArray
+    """Time lost by each plan compared with driving at full speed [s]."""
+    account: Account
+    """What the plans have cost so far."""
+
+
+class Account(Protocol):
+    """What the plans of a level's nodes have cost so far."""
+
+    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+        """Return the scores of longer plans: ``action`` (M,) from the nodes ``parent`` (M,)."""
+
+    def take(self, rows: NDArray[np.int64]) -> Account:
+        """Return the account of some of the nodes."""
+
+
+class Objective(Protocol):
+    """What a search minimises."""
+
+    @property
+    def poses(self) -> bool:
+        """Whether the poses between two decisions are needed."""
+
+    def begin(self, model: Model, root: FloatArray) -> Account:
+        """Return the account of a search from the state ``root``, (``STATE``,)."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,8 @@ class Plan:
     lost_time: float
     """Time lost by the plan compared with driving at full speed [s]."""
     costs: FloatArray
-    """Cost of the best plan that begins with each action, (9,) [s]; inf where none survived."""
+    """Cost of the best plan that begins with each action, (9,), in the objective's unit; inf where
+    none survived."""
     simulated: int
     """Number of simulated decisions [-]."""
 
@@ -71,20 +83,29 @@ class _Level:
     """The nodes of one depth, cheapest first."""
 
     states: FloatArray
-    variation: FloatArray
-    """Pitch variation from the root [rad]."""
-    paid: FloatArray
-    """Cost of postures and turns from the root [s]."""
-    steep: FloatArray
-    """Largest absolute pitch from the root [rad]."""
+    account: Account
     first: NDArray[np.int64]
     """First action of each node's plan."""
     parent: NDArray[np.int64]
     """Index of each node's parent in the previous level."""
     action: NDArray[np.int64]
     """Action that led to each node."""
+    lost_time: FloatArray
     seed: int
     """Index of the node that follows the previous plan, or -1."""
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """The cheapest plan that ends the episode."""
+
+    cost: float
+    level: int
+    """Depth of the node before its last decision."""
+    parent: int
+    action: int
+    state: FloatArray
+    lost_time: float
 
 
 @dataclass(frozen=True)
@@ -92,7 +113,7 @@ class Search:
     """A search of one size; no run depends on an earlier one."""
 
     robot: Robot
-    weights: CostWeights
+    objective: Objective
     width: int
     """Nodes that are kept at each depth."""
     depth: int
@@ -113,30 +134,31 @@ class Search:
         The plan ``former`` is kept in the beam whatever its cost. Once ``time.perf_counter`` passes
         ``deadline`` [s], the search ends at the depth that it has reached.
         """
-        robot, weights = self.robot, self.weights
-        begin, _ = model.chassis(root)
-        zero, none = np.zeros(1), np.array([-1])
-        levels = [_Level(root[None], zero, zero, zero, none, none, none, 0)]
-        costs = np.full(len(ACTIONS), np.inf)
-        lost_time = np.zeros(1)
+        robot, poses = self.robot, self.objective.poses
+        none, begin = np.array([-1]), self.objective.begin(model, root)
+        levels = [_Level(root[None], begin, none, none, none, np.zeros(1), 0)]
+        costs, best = np.full(len(ACTIONS), np.inf), math.inf
+        final, ended = np.full(len(ACTIONS), np.inf), None
         simulated = 0
         for step in range(self.depth):
             here = levels[-1]
             parent, action, targets = moves(here.states[:, TARGETS:], robot)
-            found = model.expand(here.states[parent], targets, robot.decision_period)
+            found = model.expand(here.states[parent], targets, robot.decision_period, poses=poses)
             simulated += len(parent)
             first = action if step == 0 else here.first[parent]
-            variation = here.variation[parent] + found.pitch_variation
-            paid = here.paid[parent] + _step_cost(found.states, action, weights)
-            steep = np.maximum(here.steep[parent], found.steepest)
-            distance = found.places[:, 0] - begin
-            lost = robot.decision_period * (step + 1) - distance / robot.track_speed
-            lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
-            rest = paid + _final_cost(found.states, lost, steep, weights)
-            cost = rest + weights.pitch_variation * variation
-            alive = found.steepest < model.overturn
+            scores = here.account.extend(parent, action, found)
+            cost = scores.cost
+            if len(rows := np.flatnonzero(scores.ended)):
+                np.minimum.at(final, first[rows], cost[rows])
+                row = rows[cost[rows].argmin()]
+                if ended is None or cost[row] < ended.cost:
+                    ended = _Ended(
+                        *(float(cost[row]), step, int(parent[row]), int(action[row])),
+                        *(found.states[row], float(scores.lost_time[row])),
+                    )
+            alive = ~scores.ended & (found.steepest < model.overturn)
             if not alive.any():
-                if step:
+                if step or ended is not None:
                     break
                 alive = found.steepest == found.steepest.min()  # as far from falling as possible
             follows = np.flatnonzero(
@@ -144,21 +166,31 @@ class Search:
                 & (parent == here.seed)
                 & (action == (former[step] if step < len(former) else HOLD))
             )
-            hurried = rest + weights.pitch_variation / HURRY * variation
-            kept = self._keep(found, (cost, hurried), first, alive, follows)
+            kept = self._keep(found, (cost, scores.hurried), first, alive, follows)
             seed = int(np.flatnonzero(kept == follows[0])[0]) if len(follows) else -1
-            lost_time = lost[kept]
-            costs = np.full(len(ACTIONS), np.inf)
+            costs, best = np.full(len(ACTIONS), np.inf), float(cost[kept[0]])
             np.minimum.at(costs, first[alive], cost[alive])
             levels.append(
                 _Level(
-                    *(found.states[kept], variation[kept], paid[kept], steep[kept]),
-                    *(first[kept], parent[kept], action[kept], seed),
+                    states=found.states[kept],
+                    account=scores.account.take(kept),
+                    first=first[kept],
+                    parent=parent[kept],
+                    action=action[kept],
+                    lost_time=scores.lost_time[kept],
+                    seed=seed,
                 )
             )
             if time.perf_counter() > deadline:
                 break
-        return _trace(levels, float(lost_time[0]), costs, simulated)
+        if ended is not None and (ended.cost < best or len(levels) == 1):
+            actions, states = _trace(levels[: ended.level + 1], ended.parent)
+            actions, states = (*actions, ended.action), np.vstack([states, ended.state])
+            lost_time = ended.lost_time
+        else:
+            actions, states = _trace(levels, 0)
+            lost_time = float(levels[-1].lost_time[0])
+        return Plan(actions, states, lost_time, np.minimum(costs, final), simulated)
 
     def _keep(
         self,
@@ -196,27 +228,6 @@ def moves(
     return node, action, np.clip(turned[node, action], -robot.angle_limit, robot.angle_limit)
 
 
-def _step_cost(states: FloatArray, action: NDArray[np.int64], weights: CostWeights) -> FloatArray:
-    """Return the cost of the turns in one decision and of the postures after it, (M,) [s]."""
-    return np.asarray(
-        weights.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
-        + weights.lean * np.abs(states[:, 2])
-        + weights.turn * np.abs(_TURNS[action]).sum(axis=1)
-    )
-
-
-def _final_cost(
-    states: FloatArray, lost: FloatArray, steep: FloatArray, weights: CostWeights
-) -> FloatArray:
-    """Return the cost of lost time, largest pitch and final pitch of plans, (M,) [s]."""
-    return np.asarray(
-        lost
-        + weights.standstill * np.maximum(0.0, lost - weights.standstill_from)
-        + weights.pitch * np.abs(states[:, 2])
-        + weights.steep * np.maximum(0.0, steep - weights.steep_from)
-    )
-
-
 def _distinct(found: Branch, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the position of the first of ``rows`` in each cell, in ascending order."""
     states = found.states[rows]
@@ -225,13 +236,13 @@ def _distinct(found: Branch, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.sort(index)
 
 
-def _trace(levels: list[_Level], lost_time: float, costs: FloatArray, simulated: int) -> Plan:
+def _trace(levels: list[_Level], node: int) -> tuple[tuple[int, ...], FloatArray]:
+    """Return the actions and the states that lead to a ``node`` of the last level."""
     actions: list[int] = []
     states: list[FloatArray] = []
-    node = 0
     for level in reversed(levels[1:]):
         actions.append(int(level.action[node]))
         states.append(level.states[node])
         node = int(level.parent[node])
     states.append(levels[0].states[0])
-    return Plan(tuple(actions[::-1]), np.array(states[::-1]), lost_time, costs, simulated)
+    return tuple(actions[::-1]), np.array(states[::-1])

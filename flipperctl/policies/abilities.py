@@ -6,13 +6,13 @@ the cost of every action, is part of the public API: ``flipperctl.api.CostPolicy
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import Controller, Perception, Policy, Simulator
+from flipperctl.api import Controller, Perception, Policy, RewardTerm, Simulator, StateGroups
 
 
 @runtime_checkable
@@ -22,6 +22,10 @@ class LabellingPolicy(Policy, Protocol):
     @property
     def label(self) -> NDArray[np.float32]:
         """Distribution over actions at the last decision, (9,)."""
+
+    @property
+    def groups(self) -> StateGroups | None:
+        """States of the episode's ground with their values; None if they are not known."""
 
 
 @runtime_checkable
@@ -39,6 +43,27 @@ class ObservationPolicy(Protocol):
 
         They are the newest of the episode, the last one is new to the policy.
         """
+
+
+@runtime_checkable
+class ValuingPolicy(Policy, Protocol):
+    """A policy that knows the values of states beside its way."""
+
+    def groups(self, rng: np.random.Generator, /) -> StateGroups:
+        """Return groups of states of the episode's ground with the values of their actions."""
+
+
+@runtime_checkable
+class RewardUser(Protocol):
+    """A controller whose policy plans for reward terms."""
+
+    def paying(self, rewards: Mapping[str, RewardTerm], /) -> Controller:
+        """Return the same settings with the reward terms that count."""
+
+
+def paying(controller: Controller, rewards: Mapping[str, RewardTerm]) -> Controller:
+    """Return the controller with the reward terms, if its policy plans for some."""
+    return controller.paying(rewards) if isinstance(controller, RewardUser) else controller
 
 
 @runtime_checkable

@@ -16,6 +16,7 @@ class DemonstratingPolicy:
         self._policy, self._labeller = policy, labels.Labeller(policy)
         self.label = labels.from_action(0)
         """The distribution over actions at the last decision, (9,)."""
+        self.groups = None
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode."""

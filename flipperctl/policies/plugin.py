@@ -14,10 +14,12 @@ from flipperctl.api import (
     Perception,
     Policy,
     Simulator,
+    StateGroups,
 )
 from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.guard import naming, refusal, short_repr
+from flipperctl.policies.abilities import ValuingPolicy
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
@@ -31,9 +33,12 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
         policy = controller.build()
         complete = all(callable(getattr(policy, name, None)) for name in ("reset", "act"))
         offers_costs = isinstance(policy, CostPolicy)
+        offers_groups = offers_costs and isinstance(policy, ValuingPolicy)
     if not complete:
         text = f"returned {short_repr(policy)}; an object with reset and act is allowed"
         raise refusal(controller, "build", text)
+    if offers_groups:
+        return PluginValuingPolicy(controller, policy)
     return (PluginCostPolicy if offers_costs else PluginPolicy)(controller, policy)
 
 
@@ -83,3 +88,22 @@ class PluginCostPolicy(PluginPolicy):
         """Tell the policy which action was taken after its ``costs``."""
         with naming(self._controller, "took"):
             self._policy.took(action)
+
+
+class PluginValuingPolicy(PluginCostPolicy):
+    """Runs a policy that knows the values of states beside its way."""
+
+    def groups(self, rng: np.random.Generator) -> StateGroups:
+        """Return the policy's groups of states with finite values."""
+        with naming(self._controller, "groups"):
+            found: object = self._policy.groups(rng)
+            shaped = isinstance(found, StateGroups) and (
+                found.values.shape == (*found.observations.shape[:2], len(ACTIONS))
+                and bool(np.isfinite(found.values).all())
+                and bool(np.isfinite(found.observations).all())
+            )
+        if not shaped:
+            text = f"returned {short_repr(found)}; StateGroups of finite numbers are allowed"
+            raise refusal(self._controller, "groups", text, owner=type(self._policy))
+        assert isinstance(found, StateGroups)
+        return found

@@ -13,7 +13,7 @@ from flipperctl.api import Controller, Policy, Robot
 from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
-from flipperctl.policies.abilities import PolicyUser
+from flipperctl.policies.abilities import PolicyUser, paying
 from flipperctl.policies.exported import (
     ExportedPolicy,
     check_robot,
@@ -88,7 +88,7 @@ class PolicySource:
             if isinstance(controller, PolicyUser) and controller.policy:
                 file = find(Path(controller.policy))
                 controller = controller.starting_from(PolicySource(file).build(config))
-            return plugin_policy(controller)
+            return plugin_policy(paying(controller, config.rewards))
         if is_exported(self.checkpoint):
             return _exported(self.checkpoint, config)
         return _trained(self.checkpoint, config)

@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from flipperctl.api import ACTIONS, Perception, Policy, Simulator
+from flipperctl.api import ACTIONS, Perception, Policy, Simulator, StateGroups
 from flipperctl.config import Teacher
 from flipperctl.policies import labels
+from flipperctl.policies.abilities import ValuingPolicy
 
 
 class TaughtPolicy:
@@ -40,6 +41,8 @@ class TaughtPolicy:
         self._simulator: Simulator | None = None
         self.label = labels.from_action(0)
         """The teacher's distribution over actions at the last decision, (9,)."""
+        self.groups: StateGroups | None = None
+        """States of the episode's ground with their values, of a teacher that knows them."""
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode of both policies and choose which one acts."""
@@ -48,6 +51,8 @@ class TaughtPolicy:
         if self._settings.privileged:
             simulator.restart()  # the policies may have simulated in it
             self._simulator = simulator
+        if isinstance(self._teacher, ValuingPolicy):
+            self.groups = self._teacher.groups(self._rng)
         share = self._settings.student_share if self._student_learns() else 0.0
         self._student_acts = self._rng.random() < share
 

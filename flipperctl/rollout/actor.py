@@ -16,7 +16,7 @@ from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.abilities import LabellingPolicy
+from flipperctl.policies.abilities import LabellingPolicy, paying
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.taught import TaughtPolicy
@@ -45,7 +45,9 @@ class Actor:
         self._seed = settings.seed
         self._teaching, self._learning_starts = settings.teacher, settings.agent.learning_starts
         teacher = settings.teacher.controller
-        self._teacher = None if teacher is None else plugin_policy(teacher)
+        self._teacher = None
+        if teacher is not None:
+            self._teacher = plugin_policy(paying(teacher, settings.rewards))
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
@@ -84,6 +86,7 @@ class Actor:
             rewards=rewards,
             ending=ending,
             labels=labelled,
+            groups=None if labelling is None else labelling.groups,
         )
 
     def _load(self, weights: Weights) -> None:

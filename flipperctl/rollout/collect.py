@@ -108,6 +108,7 @@ class InProcessCollector:
             observation = stacked(d.perception.recent, frames)
             next_observation = stacked(d.next_perception.recent, frames)
             label = None if self._labelling is None else self._labelling.label
+            valued = self._labelling if ending is not None else None
             yield Step(
                 observation=observation,
                 action=d.action,
@@ -115,6 +116,7 @@ class InProcessCollector:
                 next_observation=next_observation,
                 ending=ending,
                 label=label,
+                groups=None if valued is None else valued.groups,
             )
 
     def evaluate(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.api import StateGroups
 from flipperctl.rollout.episode import Row
 
 Weights = Mapping[str, NDArray[Any]]
@@ -33,6 +34,8 @@ class Step:
     """``seed``, ``outcome`` and metrics of the episode after its last step; None before."""
     label: NDArray[np.float32] | None = None
     """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
+    groups: StateGroups | None = None
+    """After the last step, the states that the teacher valued on the episode's ground."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,8 @@ class Rollout:
     """Seed, outcome, metrics and difficulty of the episode."""
     labels: NDArray[np.float32] | None = None
     """The teacher's distributions over actions, (T, 9), if there is a teacher."""
+    groups: StateGroups | None = None
+    """States of the episode's ground that the teacher valued."""
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in their order."""
@@ -82,4 +87,5 @@ class Rollout:
                 next_observation=after,
                 ending=ending,
                 label=label,
+                groups=None if ending is None else self.groups,
             )

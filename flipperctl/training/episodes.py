@@ -13,6 +13,7 @@ from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.abilities import paying
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.taught import TaughtPolicy
@@ -89,7 +90,7 @@ class EpisodeSource:
         if teacher.controller is not None:
             policy = TaughtPolicy(
                 policy,
-                plugin_policy(teacher.controller),
+                plugin_policy(paying(teacher.controller, self._config.rewards)),
                 teacher,
                 lambda: self._progress.decision >= starts,
                 self._rng,

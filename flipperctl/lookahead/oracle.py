@@ -1,0 +1,132 @@
+"""The policy of ``value_iteration``: it knows the ground, and the value of every state on it.
+
+In: the simulator of an episode. Out: the actions of the largest return, their values, and groups of
+states for a student.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from flipperctl.api import LAST_PITCHES, FloatArray, Perception, RewardTerm, Simulator, StateGroups
+from flipperctl.config import Episode
+from flipperctl.core.targets import TargetRule
+from flipperctl.errors import ConfigError
+from flipperctl.lookahead.graph import Course, Graph
+from flipperctl.lookahead.groups import sample_groups, with_stops
+from flipperctl.lookahead.model import TARGETS, Model, compile_now
+from flipperctl.lookahead.nodes import TURNS, Nodes
+from flipperctl.lookahead.policy import nominal
+from flipperctl.reward_sum import RewardSum
+
+if TYPE_CHECKING:
+    from flipperctl.lookahead.value_iteration import ValueIteration
+
+_EPISODE = Episode()
+"""A ``Simulator`` does not tell its episode's own settings; values are those of the defaults."""
+
+
+class OraclePolicy:
+    """Explores the ground of an episode, then takes the actions of the largest value."""
+
+    def __init__(self, settings: ValueIteration, rewards: Mapping[str, RewardTerm]) -> None:
+        """Prepare for any episode.
+
+        Raises:
+            ConfigError: a reward term needs what predictions lack.
+        """
+        self._settings, self._rewards = settings, RewardSum(rewards)
+        for name, text in self._rewards.not_predicted.items():
+            raise ConfigError(f"rewards.{name}: a search cannot predict this term: {text}")
+
+    def reset(self, simulator: Simulator) -> None:
+        """Explore the ground."""
+        compile_now()
+        settings = self._settings
+        p = simulator.perceive_exactly()
+        simulator.restart()
+        self._simulator, self._layout = simulator, p.layout
+        robot = self._robot = nominal(p.robot)
+        profile, state = simulator.profile, simulator.state
+        top = profile.height(simulator.finish) + robot.track_radius + _EPISODE.clearance
+        self._model = Model(
+            profile.points,
+            robot,
+            friction=settings.friction if p.friction is None else p.friction,
+            step=settings.step,
+            iterations=settings.iterations,
+            overturn=_EPISODE.overturn,
+            finish=simulator.finish,
+            top=top,
+        )
+        course = Course(
+            profile,
+            start=float(state.position[0]),
+            finish=simulator.finish,
+            patience=_EPISODE.stuck_decisions(robot.decision_period),
+        )
+        self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
+        self._targets = state.front, state.rear
+        self._turns = (0, 0)
+        self._pitches = [state.pitch] * LAST_PITCHES
+
+    def act(self, p: Perception) -> int:
+        """Return the action of the largest value in the true state."""
+        action = int(self.costs(p).argmin())
+        self.took(action)
+        self._simulator.step(action)
+        return action
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the negative value of each action in the true state, (9,) [-]."""
+        values = with_stops(self._graph.values_at(self._here()))[0]
+        finite = np.isfinite(values)
+        if not finite.any():  # off every represented state: as far from them as can be
+            return np.zeros(len(values))
+        return np.asarray(-np.where(finite, values, values[finite].min()))
+
+    def took(self, action: int) -> None:
+        """Remember the action that was taken."""
+        robot, state = self._robot, self._simulator.state
+        turns = tuple(int(turn) for turn in TURNS[action])
+        rule = TargetRule(robot.angle_step, robot.angle_limit)
+        self._targets = rule.next_targets(
+            self._targets, (state.front, state.rear), [turn * robot.angle_step for turn in turns]
+        )
+        self._turns = turns[0], turns[1]
+
+    def groups(self, rng: np.random.Generator) -> StateGroups:
+        """Return groups of states of the episode's ground with the values of their actions."""
+        settings, robot = self._settings, self._robot
+        return sample_groups(
+            self._graph,
+            self._simulator.profile.extended(3.0, 3.0),
+            self._layout,
+            rng,
+            count=settings.groups,
+            off_path=settings.off_path,
+            way=robot.track_speed * robot.decision_period,
+        )
+
+    def _here(self) -> Nodes:
+        """Return the true state as a node."""
+        state, robot = self._simulator.state, self._robot
+        self._pitches = [*self._pitches, state.pitch][-LAST_PITCHES:]
+        x, z = state.position
+        found = self._model.state(
+            (float(x), float(z), state.pitch),
+            (state.front, state.rear),
+            (float(state.velocity[0]), float(state.velocity[1]), state.pitch_rate),
+        )
+        rule = TargetRule(robot.angle_step, robot.angle_limit)
+        found[TARGETS:] = rule.next_targets(self._targets, (state.front, state.rear), (0.0, 0.0))
+        return Nodes(
+            states=found[None],
+            places=state.position[None],
+            pitches=np.array([self._pitches]),
+            turns=np.array([self._turns]),
+            time=np.array([state.time]),
+        )

@@ -1,0 +1,122 @@
+"""The policy of ``mpc`` with a value: it plans for the largest return on the perceived ground.
+
+In: perceptions alone. Out: actions. The finish is not perceived; it is presumed one run-out past
+the last edge that is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from flipperctl.api import (
+    ACTIONS,
+    LAST_PITCHES,
+    FloatArray,
+    ObservationLayout,
+    Perception,
+    Profile,
+    RewardTerm,
+    Robot,
+    Simulator,
+)
+from flipperctl.config import Episode
+from flipperctl.lookahead.heights import Ground
+from flipperctl.lookahead.model import Model
+from flipperctl.lookahead.mpc_settings import MpcSettings
+from flipperctl.lookahead.nodes import Nodes
+from flipperctl.lookahead.policy import MpcPolicy
+from flipperctl.lookahead.returns import Returns, Value
+from flipperctl.lookahead.search import Plan, Search
+from flipperctl.reward_sum import RewardSum
+
+_EPISODE = Episode()
+"""A robot does not know its episode's own settings; plans are made for the defaults."""
+_EDGE = 0.03
+"""Height difference to the ground ahead that counts as an edge [m]."""
+_PATIENCE, _WIDEST = 3, 4
+"""Decisions of standing after which the search widens again, and its largest multiple [-]."""
+
+
+class ReturnPolicy(MpcPolicy):
+    """Plans for the largest return; remembers map, targets, plan, and its last pitches."""
+
+    def __init__(
+        self,
+        settings: MpcSettings,
+        rewards: dict[str, RewardTerm],
+        value: Value,
+        layout: ObservationLayout,
+        gamma: float,
+    ) -> None:
+        """``layout``: that of the observations of ``value``; ``gamma``: discount per decision."""
+        super().__init__(settings)
+        self._rewards, self._value = RewardSum(rewards), value
+        self._layout, self._gamma = layout, gamma
+
+    def reset(self, simulator: Simulator) -> None:
+        """Forget the last episode; the simulator is not used."""
+        super().reset(simulator)
+        self._pitches: list[float] = []
+        self._turns = 0, 0
+        self._time = 0.0
+
+    def took(self, action: int) -> None:
+        """Remember the turns that were taken."""
+        super().took(action)
+        self._turns = ACTIONS[action]
+        self._time += self._robot.decision_period
+
+    def _plan_from(self, p: Perception) -> Plan:
+        self._pitches = [*(self._pitches or [p.pitch] * LAST_PITCHES), p.pitch][-LAST_PITCHES:]
+        return super()._plan_from(p)
+
+    def _model(
+        self,
+        line: FloatArray,
+        p: Perception,
+        robot: Robot,
+        *,
+        finish: float = math.inf,
+        top: float = math.inf,
+    ) -> Model:
+        """Return the prediction model with the presumed finish."""
+        self._line, level = line, line[-1, 1]
+        uneven = np.flatnonzero(np.abs(line[:, 1] - level) > _EDGE)
+        edge = line[min(uneven[-1] + 1, len(line) - 1), 0] if len(uneven) else -math.inf
+        top = level + robot.track_radius + _EPISODE.clearance
+        return super()._model(line, p, robot, finish=edge + _EPISODE.run_out, top=top)
+
+    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search for the largest return, the wider the longer the robot has stood."""
+        settings = self._settings
+        place = np.array([model.chassis(root)])
+        objective = Returns(
+            rewards=self._rewards,
+            value=self._value,
+            gamma=self._gamma,
+            profile=Profile(self._line),
+            ground=Ground(self._line, self._layout),
+            robot=robot,
+            root=Nodes(
+                states=root[None],
+                places=place,
+                pitches=np.array([self._pitches]),
+                turns=np.array([self._turns]),
+                time=np.array([self._time]),
+            ),
+            standing=self._standing,
+            patience=_EPISODE.stuck_decisions(robot.decision_period),
+        )
+        width = settings.beam * min(_WIDEST, 1 + self._standing // _PATIENCE)
+        search = Search(
+            robot,
+            objective,
+            width=width,
+            depth=settings.horizon,
+            beam_per_action=settings.of_each,
+        )
+        plan = search.run(model, root, self._former, deadline)
+        self.simulated = plan.simulated
+        return plan

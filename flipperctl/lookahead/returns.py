@@ -1,0 +1,104 @@
+"""The return of plans: configured reward terms, and a learned value at the horizon.
+
+In: reward terms, a value function, and what is known of the ground. Out: the objective of a search,
+whose cost is the negative discounted return.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray, Outcome, Profile, Robot
+from flipperctl.lookahead.dynamics import RUNNING
+from flipperctl.lookahead.heights import Ground
+from flipperctl.lookahead.model import Branch, Model
+from flipperctl.lookahead.nodes import Nodes, transitions
+from flipperctl.lookahead.search import Scores
+from flipperctl.reward_sum import RewardSum
+
+Value = Callable[[NDArray[np.float32]], FloatArray]
+"""Returns the expected discounted return from observations (M, N + 3), (M,) [-]."""
+_SLOW = 0.3
+"""Share of the way at full speed below which a plan stands [-]."""
+
+
+@dataclass(frozen=True)
+class Returns:
+    """The objective of one decision's search."""
+
+    rewards: RewardSum
+    value: Value
+    gamma: float
+    """Discount per decision [-]."""
+    profile: Profile
+    """The known ground."""
+    ground: Ground
+    """The same ground, as it would be perceived."""
+    robot: Robot
+    root: Nodes
+    """The robot before its decision, one node."""
+    standing: int
+    """Number of decisions in which the robot has stood until now."""
+    patience: int
+    """Number of decisions without progress after which an episode ends as stuck [-]."""
+
+    @property
+    def poses(self) -> bool:
+        """Reward terms see the poses between decisions."""
+        return True
+
+    def begin(self, model: Model, root: FloatArray) -> ReturnAccount:
+        """Return the account of a search from the state ``root``."""
+        return ReturnAccount(self, replace(self.root, states=root[None]), 0, np.zeros(1))
+
+
+@dataclass(frozen=True)
+class ReturnAccount:
+    """The discounted reward of the plans of M nodes."""
+
+    objective: Returns
+    nodes: Nodes
+    depth: int
+    """Number of decisions from the root."""
+    earned: FloatArray
+    """Discounted rewards from the root, (M,) [-]."""
+
+    def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
+        """Return the account of some of the nodes."""
+        return replace(self, nodes=self.nodes.take(rows), earned=self.earned[rows])
+
+    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+        """Return the scores of plans that are one decision longer."""
+        o, period = self.objective, self.objective.robot.decision_period
+        before = self.nodes.take(parent)
+        after = before.after(found, action, period)
+        ts = transitions(before, after, found, o.profile, o.robot)
+        reward = o.rewards.array(ts)
+        ended = found.outcome != RUNNING
+        ahead = np.zeros(len(parent))
+        going = np.flatnonzero(~ended)
+        ahead[going] = o.value(o.ground.observations(found.places[going], found.states[going]))
+        distance = found.places[:, 0] - o.root.places[0, 0]
+        way = o.robot.track_speed * period * (self.depth + 1)
+        if o.standing:
+            # The longer the robot has stood, the likelier the episode ends before it moves. The
+            # value does not know how long it has stood.
+            rows = np.flatnonzero(~ended & (distance < _SLOW * way))
+            risk = min(1.0, (o.standing + self.depth + 1) / o.patience)
+            if len(rows):
+                stuck = o.rewards.array(ts.ending(rows, Outcome.STUCK))
+                reward[rows] += risk * (stuck - reward[rows])
+                ahead[rows] *= 1.0 - risk
+        discount = o.gamma**self.depth
+        earned = self.earned[parent] + discount * reward
+        return Scores(
+            cost=-(earned + discount * o.gamma * ahead),
+            hurried=-distance,
+            ended=ended,
+            lost_time=np.maximum(0.0, period * (self.depth + 1) - distance / o.robot.track_speed),
+            account=ReturnAccount(o, after, self.depth + 1, earned),
+        )
