@@ -29,6 +29,8 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
   flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
 
+  flipperctl eval --checkpoint generalist --baseline level terrain=building_stair --by steps+up
+
   flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
 
   flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
@@ -56,6 +58,14 @@ def run(
             "crosses.",
         ),
     ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Also show results by what was drawn, as in steps,slope+up: a table by steps, one "
+            "by slope and direction.",
+        ),
+    ] = None,
     episodes: options.Episodes = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
@@ -80,6 +90,7 @@ def run(
     options.require_one_policy(checkpoint, controller, overrides)
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
+    from flipperctl.evaluation.groups import grouped, parse
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
@@ -92,6 +103,7 @@ def run(
     found = scenes(arguments, checkpoint, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
+    groups = parse(by, "--by", [config for config, _ in found])
     with ExitStack() as stack:
         outputs = {"folder": output, "film": film, "record": record}
         written = EvaluationFiles(found, stack, **outputs, tell=print_note)
@@ -104,6 +116,7 @@ def run(
             record=record is not None,
             stop=stop,
         )
+        result = grouped(result, groups)
         # The table shows a run as it was typed; files and JSON show its checkpoint.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:
