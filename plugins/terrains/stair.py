@@ -68,9 +68,9 @@ class Stair(Terrain):
         if self.back:
             back = self._tread(-rise, rng)
             points += self._flight(x + self.platform, z, steps, back, -rise)[1:]
-        return Profile(
-            points, drawn={"steps": steps, "rise": self.rise, "tread": tread, "up": int(up)}
-        )
+        slope = math.degrees(math.atan2(self.rise, tread))
+        drawn = {"steps": steps, "slope": slope, "rise": self.rise, "tread": tread, "up": int(up)}
+        return Profile(points, drawn=drawn)
 
     def _flight(
         self, x: float, z: float, steps: int, tread: float, rise: float
