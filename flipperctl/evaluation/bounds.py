@@ -32,11 +32,19 @@ def episode_bound(env: FlipperEnv) -> float | None:
 
 
 def static_bounds(
-    config: EnvConfig, seeds: Iterable[int], report: Callable[[float], None]
+    config: EnvConfig,
+    seeds: Iterable[int],
+    report: Callable[[float], None],
+    stop: Callable[[], bool],
 ) -> dict[int, float]:
-    """Return the bound by seed [rad]; ``report`` is called with the number of finished ones."""
+    """Return the bound by seed [rad], of the first seeds alone once ``stop`` returns True.
+
+    ``report`` is called with the number of finished ones.
+    """
     env, found = FlipperEnv(config=config), dict[int, float]()
     for done, seed in enumerate(seeds, 1):
+        if stop():
+            break
         env.reset(seed=seed)
         bound = episode_bound(env)
         if bound is not None:

@@ -113,7 +113,8 @@ class _SceneEpisodes:
         if not self.config.eval.static_bound or self._workers.interrupted:
             return {}
         with self._progress(f"{self.terrain}, static bounds", len(episodes)) as report:
-            return static_bounds(self.config, [e.seed for e in episodes], report)
+            seeds = [e.seed for e in episodes]
+            return static_bounds(self.config, seeds, report, self._workers.stop)
 
     def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
         """Return the first reference that crosses each episode, by index; empty if none does.
