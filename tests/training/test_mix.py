@@ -6,7 +6,7 @@ from flipperctl.training.events import MetricsCsv, read_rows
 from tests.short import short_config, trainer
 
 MIX = {
-    "terrain": {"name": "mix", "parts": [{"name": "flat", "length": 0.1}, "uplift", "step"]},
+    "terrain": {"name": "mix", "parts": ["gap", "step"]},
     "train.decisions": 300,
     "train.validate_every": 150,
     "train.validation_episodes": 5,
