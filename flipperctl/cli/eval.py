@@ -25,11 +25,9 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
   flipperctl eval --checkpoint best.safetensors terrain=paper_step,paper_stair --json
 
-  flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
+  flipperctl eval --controller okada terrain=stair perception.noise=0.01 --by steps --jobs 2
 
   flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
-
-  flipperctl eval --checkpoint generalist --baseline level terrain=building_stair --by steps+up
 
   flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
 
@@ -60,28 +58,20 @@ def run(
     ] = None,
     by: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Also show results by what was drawn, as in steps,slope+up: a table by steps, one "
-            "by slope and direction.",
-        ),
+        typer.Option(metavar="NAMES", help="Show results by drawn numbers too: steps,slope+up."),
     ] = None,
     episodes: options.Episodes = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for episodes.csv, summary.json, tables and pictures."
-        ),
+        Path | None, typer.Option(metavar="DIR", help="Folder for results, tables and pictures.")
     ] = None,
     film: Annotated[
         Path | None,
         typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
     ] = None,
     record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File for the recorded episodes, to teach a training."),
+        Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
