@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,8 @@ class Profile:
     ``points`` is (V, 2) [m]: x never decreases, two points of equal x are a vertical face.
     The ground is level before the first point and past the last. ``label`` names the generated
     terrain in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground
-    beside the line, if it is known; without it, the profile is extruded to both sides.
+    beside the line, if it is known; without it, the profile is extruded to both sides. ``drawn``
+    are the numbers that the terrain drew, by name, such as ``steps``; results can be shown by them.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
@@ -31,12 +32,14 @@ class Profile:
     points: FloatArray
     label: str = ""
     surface: Surface | None = None
+    drawn: Mapping[str, float] = field(default_factory=dict)
 
     def __init__(
         self,
         points: ArrayLike | Sequence[tuple[float, float]],
         label: str = "",
         surface: Surface | None = None,
+        drawn: Mapping[str, float] | None = None,
     ) -> None:
         array = np.array(points, dtype=np.float64)
         if array.size == 0:
@@ -57,6 +60,7 @@ class Profile:
         object.__setattr__(self, "points", array)
         object.__setattr__(self, "label", label)
         object.__setattr__(self, "surface", surface)
+        object.__setattr__(self, "drawn", {} if drawn is None else drawn)
 
     @property
     def start(self) -> float:

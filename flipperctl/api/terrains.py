@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -48,7 +49,7 @@ class Terrain(Plugin, ABC):
             raise ValueError(f"generate must return a Profile; it returned a {found}")
         if profile.label:
             return profile
-        return Profile(profile.points, self.plugin_name, profile.surface)
+        return replace(profile, label=self.plugin_name)
 
 
 def _nested_terrain(value: object) -> object:

@@ -25,7 +25,7 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
 
   flipperctl eval --checkpoint best.safetensors terrain=paper_step,paper_stair --json
 
-  flipperctl eval --controller okada terrain=stair perception.noise=0.01 --jobs 2
+  flipperctl eval --controller okada terrain=stair perception.noise=0.01 --by steps --jobs 2
 
   flipperctl eval --checkpoint runs/stair/2026-01-31_12-00-00 --baseline okada conditions=trained
 
@@ -56,22 +56,22 @@ def run(
             "crosses.",
         ),
     ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Show results by drawn numbers too: steps,slope+up."),
+    ] = None,
     episodes: options.Episodes = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for episodes.csv, summary.json, tables and pictures."
-        ),
+        Path | None, typer.Option(metavar="DIR", help="Folder for results, tables and pictures.")
     ] = None,
     film: Annotated[
         Path | None,
         typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
     ] = None,
     record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File for the recorded episodes, to teach a training."),
+        Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
@@ -79,6 +79,7 @@ def run(
     """See HELP."""
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
+    from flipperctl.evaluation.groups import grouped, parse
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
@@ -92,6 +93,7 @@ def run(
     found = scenes(arguments, checkpoint, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
+    groups = parse(by, "--by", [config for config, _ in found])
     with ExitStack() as stack:
         outputs = {"folder": output, "film": film, "record": record}
         written = EvaluationFiles(found, stack, **outputs, tell=print_note)
@@ -104,6 +106,7 @@ def run(
             record=record is not None,
             stop=stop,
         )
+        result = grouped(result, groups)
         # The table shows a run as it was typed; files and JSON show its checkpoint.
         typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
         try:

@@ -250,3 +250,7 @@ class Eval(Settings):
         description="seed of the terrains and starts, which differ from those of training [-]",
     )
     jobs: int = Field(1, ge=1, le=1024, description="processes that play episodes [-]")
+    static_bound: bool = Field(
+        False,
+        description="also compute the static lower bound of θ̂_R on each episode's ground [-]",
+    )

@@ -31,7 +31,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
-from flipperctl.env.metrics import EpisodeMetrics, measures
+from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
@@ -260,6 +260,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
                 "terrain": self.profile.label,
                 **self._metrics.summary(),
                 **self._sampled_values,
+                **{f"{DRAWN}{name}": value for name, value in self.profile.drawn.items()},
             }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated

@@ -5,6 +5,8 @@ In: a terrain and a random generator. Out: a profile that an engine can simulate
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from numbers import Real
 from typing import Any
 
@@ -47,6 +49,8 @@ def _check(profile: Profile, terrain: Terrain) -> None:
         raise refuse(
             f"returned a profile whose label is {_typed_repr(profile.label)}; a str is allowed"
         )
+    if (fault := _drawn_fault(profile.drawn)) is not None:
+        raise refuse(f"returned a profile whose drawn numbers {fault}")
     points = profile.points
     farthest = float(np.abs(points).max())
     if not farthest <= FARTHEST:
@@ -66,6 +70,18 @@ def _check(profile: Profile, terrain: Terrain) -> None:
             f"returned a profile that is {height:g} m above or below its first edge; at most "
             f"{HIGHEST:g} m is allowed, as in the observation space"
         )
+
+
+def _drawn_fault(drawn: object) -> str | None:
+    """Return what is wrong about a profile's drawn numbers; None if nothing is."""
+    if not isinstance(drawn, Mapping):
+        return f"are {_typed_repr(drawn)}; a mapping is allowed"
+    for name, value in drawn.items():
+        if not (isinstance(name, str) and name.isidentifier()):
+            return f"have the name {short_repr(name)}; a word such as 'steps' is allowed"
+        if not (isinstance(value, Real) and math.isfinite(float(value))):
+            return f"have {name} = {short_repr(value)}; a finite number is allowed"
+    return None
 
 
 def prepare_profile(profile: Profile, terrain: Terrain, track_radius: float) -> Profile:

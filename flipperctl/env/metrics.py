@@ -26,6 +26,9 @@ CORE = (
 )
 """Measures for which results have fields of their own, in the order of their columns."""
 
+DRAWN = "drawn_"
+"""Prefix of the columns of numbers that the terrain drew."""
+
 _RESERVED = frozenset(
     (
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
@@ -33,10 +36,11 @@ _RESERVED = frozenset(
         *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
         *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
+        *("static_bound", "by"),
     )
 )
 """Columns and keys of files besides the measures."""
-_PREFIXES = ("reward_", "search_", "not_reached_")
+_PREFIXES = ("reward_", "search_", "not_reached_", DRAWN)
 
 
 def measures() -> dict[str, Measure]:

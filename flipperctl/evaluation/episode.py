@@ -11,7 +11,7 @@ from typing import Any
 
 from flipperctl.api import Outcome
 from flipperctl.checkpoint.recording import RecordedEpisode
-from flipperctl.env.metrics import other_measures
+from flipperctl.env.metrics import DRAWN, other_measures
 from flipperctl.rollout.episode import SEARCH
 
 _REWARD = "reward_"
@@ -50,6 +50,10 @@ class EpisodeResult:
     """Measures beyond those above, by name, in their own units."""
     search: Mapping[str, float | str] = field(default_factory=dict)
     """Values that the policy reported about its search, by name; empty without a search."""
+    drawn: Mapping[str, float] = field(default_factory=dict)
+    """Numbers that the terrain drew, by name, in the units of its settings."""
+    static_bound: float | None = None
+    """Static lower bound of θ̂_R on this ground [rad]; None if it was not computed."""
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
@@ -65,6 +69,7 @@ class EpisodeResult:
         """
         rest = dict(row)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
+        drawn = {n.removeprefix(DRAWN): rest.pop(n) for n in row if n.startswith(DRAWN)}
         further = {m.plugin_name: rest.pop(m.plugin_name) for m in other_measures()}
         return cls(
             episode,
@@ -82,12 +87,17 @@ class EpisodeResult:
             sampled=rest,
             further=further,
             search=search,
+            drawn=drawn,
         )
 
     @property
     def reached(self) -> bool:
         """True if the robot reached the finish."""
         return self.outcome is Outcome.REACHED
+
+    def number(self, name: str) -> float | None:
+        """Return a number that the terrain drew, or else a sampled value; None if there is none."""
+        return self.drawn.get(name, self.sampled.get(name))
 
     def row(self) -> dict[str, Any]:
         """Return the flat row of ``episodes.csv``, with keys in the order of the columns."""
@@ -106,6 +116,8 @@ class EpisodeResult:
             "return": self.episode_return,
             **{f"{_REWARD}{name}": value for name, value in self.rewards.items()},
             **self.sampled,
+            **{f"{DRAWN}{name}": value for name, value in self.drawn.items()},
+            **({} if self.static_bound is None else {"static_bound": self.static_bound}),
             **{f"{SEARCH}{name}": value for name, value in self.search.items()},
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
         }

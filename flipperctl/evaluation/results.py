@@ -15,6 +15,7 @@ from flipperctl.api import Outcome
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
+from flipperctl.evaluation.interruption import Interruption
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,8 @@ class Summary:
     search: Mapping[str, float | Mapping[str, int]] = field(default_factory=dict)
     """Values that a policy reported about its searches, by name: the mean of numbers over episodes,
     and the count of each word."""
+    static_bound: Estimate | None = None
+    """Static lower bound of θ̂_R over the episodes that reached the finish [rad], if computed."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -127,6 +130,7 @@ class Summary:
             "pitch_variation": _data(self.pitch_variation),
             "pitch_variation_100hz": _data(self.pitch_variation_100hz),
             "flipper_travel": _data(self.flipper_travel),
+            **({"static_bound": self.static_bound.to_dict()} if self.static_bound else {}),
             **{name: _data(found) for name, found in self.further.items()},
             **({"passable": self.passable.to_dict()} if self.passable else {}),
             "not_reached": self.not_reached.to_dict() if self.not_reached else None,
@@ -185,6 +189,21 @@ class BaselineResult:
 
 
 @dataclass(frozen=True)
+class Group:
+    """The episodes of a scene whose drawn numbers are alike."""
+
+    ranges: Mapping[str, tuple[float, float]]
+    """Smallest and largest value in the group of each number, by name, in the number's unit."""
+    summary: Summary
+    baselines: tuple[BaselineResult, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        ranges = {n: {"low": low, "high": high} for n, (low, high) in self.ranges.items()}
+        return {"drawn": ranges, **self.summary.to_dict(), **_baselines(self.baselines)}
+
+
+@dataclass(frozen=True)
 class SceneResult:
     """A policy on one terrain under one set of conditions."""
 
@@ -196,6 +215,8 @@ class SceneResult:
     conditions: Conditions
     baselines: tuple[BaselineResult, ...]
     episodes: tuple[EpisodeResult, ...]
+    by: Mapping[str, tuple[Group, ...]] = field(default_factory=dict)
+    """Groups of the episodes by a drawn number, such as ``steps``, or several (``steps+up``)."""
 
     @property
     def terrain(self) -> str:
@@ -224,33 +245,7 @@ class SceneResult:
             "seed": self.seed,
             "conditions": self.conditions.to_dict(),
             **_baselines(self.baselines),
-        }
-
-
-@dataclass(frozen=True)
-class Interruption:
-    """The finished part of an interrupted evaluation, baselines included."""
-
-    finished: int
-    """Number of finished episodes."""
-    planned: int
-    """Number of episodes that were planned."""
-    not_begun: tuple[str, ...]
-    """Terrains of the scenes without a finished episode."""
-
-    @property
-    def text(self) -> str:
-        """One sentence for the user."""
-        begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
-        return f"{begun}; not begun: {', '.join(self.not_begun)}" if self.not_begun else begun
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {
-            "interrupted": True,
-            "finished_episodes": self.finished,
-            "planned_episodes": self.planned,
-            "not_begun": list(self.not_begun),
+            **({"by": _groups(self.by)} if self.by else {}),
         }
 
 
@@ -291,6 +286,10 @@ def _baselines(baselines: Sequence[BaselineResult]) -> dict[str, Any]:
     found = [baseline.to_dict() for baseline in baselines]
     first = {"baseline": found[0]} if found else {}
     return first | ({"baselines": found} if len(found) > 1 else {})
+
+
+def _groups(by: Mapping[str, Sequence[Group]]) -> dict[str, list[dict[str, Any]]]:
+    return {name: [group.to_dict() for group in groups] for name, groups in by.items()}
 
 
 def _parts(parts: Mapping[str, Summary] | Mapping[str, Differences]) -> dict[str, Any]:

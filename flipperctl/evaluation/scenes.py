@@ -12,16 +12,13 @@ from dataclasses import replace
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import InterruptedRunError
+from flipperctl.evaluation.bounds import static_bounds, with_bounds
 from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.evaluation.results import (
-    BaselineResult,
-    EvaluationResult,
-    Interruption,
-    SceneResult,
-)
+from flipperctl.evaluation.interruption import Interruption
+from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -111,6 +108,14 @@ class _SceneEpisodes:
             self._played.append((source, known))
         return known
 
+    def static_bounds(self, episodes: Sequence[EpisodeResult]) -> dict[int, float]:
+        """Return the static bound of each episode by its seed, if it is asked for."""
+        if not self.config.eval.static_bound or self._workers.interrupted:
+            return {}
+        with self._progress(f"{self.terrain}, static bounds", len(episodes)) as report:
+            seeds = [e.seed for e in episodes]
+            return static_bounds(self.config, seeds, report, self._workers.stop)
+
     def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
         """Return the first reference that crosses each episode, by index; empty if none does.
 
@@ -148,6 +153,9 @@ def _evaluate_scene(
     others = [(b.label(), scene.play(b, f"{terrain}, {b.label()}")) for b in baselines]
     if references and (crossed_by := scene.crossed_by(references)) is not None:
         episodes = [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]
+    bounds = scene.static_bounds(episodes)
+    episodes = with_bounds(episodes, bounds)
+    others = [(label, with_bounds(played, bounds)) for label, played in others]
     return SceneResult(
         source.label(),
         summarise(terrain, episodes),

@@ -66,6 +66,7 @@ def _summary(
         parts=parts,
         not_reached=_not_reached([e for e in episodes if not e.reached]),
         search=_search(episodes),
+        static_bound=_measure([e.static_bound for e in good if e.static_bound is not None]),
     )
 
 

@@ -129,7 +129,8 @@ def scene_rows(result: EvaluationResult, digits: int | None = None) -> Iterator[
                 "n": summary.episodes,
                 "reached": summary.outcomes.reached,
             }
-            for cell in _cells(summary):
+            bound = [Cell("static_bound", summary.static_bound, 2)] if summary.static_bound else []
+            for cell in (*_cells(summary), *bound):
                 row |= _csv_cells(cell, digits)
             yield {
                 **row,

@@ -10,6 +10,7 @@ from pathlib import Path
 from flipperctl.cli.scenes import scenes
 from flipperctl.errors import RequestError
 from flipperctl.evaluation import scenes as evaluation
+from flipperctl.evaluation.groups import grouped, parse
 from flipperctl.runs.evaluation import EvaluationFiles
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.named_policies import controllers
@@ -30,6 +31,7 @@ def evaluate(
     jobs: int | None = None,
     baselines: Sequence[str] | None = None,
     passable: Sequence[str] = (),
+    by: Sequence[str] = (),
     output: str | os.PathLike[str] | None = None,
     record: str | os.PathLike[str] | None = None,
     film: str | os.PathLike[str] | None = None,
@@ -44,7 +46,8 @@ def evaluate(
     a shipped policy or a controller, or what ``load`` returned. ``episodes`` per scene (100),
     ``seed`` of the episodes (0), processes (``jobs``, 1). ``baselines``: controllers that play the
     same episodes; None takes those of the policy, if it has any, and an empty list none.
-    ``passable``: references that find out which episodes can be crossed. ``output``: folder for
+    ``passable``: references that find out which episodes can be crossed. ``by``: drawn numbers to
+    show results by, as in ``["steps", "slope+up"]``. ``output``: folder for
     tables and pictures; ``record``: file for the episodes, to teach from; ``film``: file for a
     ``.gif`` of the first episode. ``settings`` and ``overrides`` are as in ``train`` and apply to
     the evaluation; several names are several scenes, as in ``terrain=["stair", "step"]`` or
@@ -67,6 +70,7 @@ def evaluate(
         check_evaluation(config, config.eval.jobs, controller)
     against = controllers(_names(baselines), "baselines", found[0][1].baselines())
     references = controllers(_names(passable or None), "passable")
+    groups = parse(_names(by or None), "by", [config for config, _ in found])
     show, tell = shown.episodes(progress), shown.notes(progress)
     files = {
         name: None if file is None else Path(file)
@@ -83,6 +87,7 @@ def evaluate(
             record=record is not None,
             stop=stop,
         )
+        result = grouped(result, groups)
         written.write(result)
         written.draw(result, stop, show)
     return Evaluation(result.scenes, result.interruption)

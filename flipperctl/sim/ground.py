@@ -6,6 +6,7 @@ In: a generated profile. Out: a profile that feels the same to the tracks and is
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ def thinned(profile: Profile, track_radius: float) -> Profile:
     keep = kept_points(profile.points, _fixed(profile.points), TOLERANCE, span)
     if keep.all():
         return profile
-    return Profile(profile.points[keep], profile.label, profile.surface)
+    return replace(profile, points=profile.points[keep])
 
 
 def check_extent(profile: Profile) -> None:

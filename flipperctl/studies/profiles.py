@@ -10,6 +10,7 @@ import numpy as np
 from flipperctl.api import Profile
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.bounds import episode_bound
 
 
 def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[str, Any]]]:
@@ -22,7 +23,8 @@ def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[
     found = []
     for seed in seeds:
         env.reset(seed=seed)  # as in an episode, so that invalid profiles are found here
-        description = {**describe(env.profile), "points_drawn": env.points_drawn}
+        own = {"drawn": dict(env.profile.drawn), "static_bound": episode_bound(env)}
+        description = {**describe(env.profile), **own, "points_drawn": env.points_drawn}
         found.append((env.profile, {"seed": seed, **description}))
     return found
 

@@ -20,6 +20,7 @@ from flipperctl.evaluation.results import (
     Summary,
 )
 from flipperctl.evaluation.tables import interval_text
+from flipperctl.terminal.groups import BOUND, group_table
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
 
@@ -35,9 +36,11 @@ def table(result: EvaluationResult, label: str) -> Table:
     title = label if result.interruption is None else f"{label} ({result.interruption.text})"
     passable = any(scene.summary.passable for scene in result.scenes)
     failed = any(scene.summary.not_reached for scene in result.scenes)
+    bound = any(scene.summary.static_bound for scene in result.scenes)
     headings = [
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
-        *(HEADING, PAPERS_HEADING, *((_FAILED,) if failed else ()), "t_cost [s]"),
+        *(HEADING, *((BOUND,) if bound else ()), PAPERS_HEADING),
+        *(*((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
         *map(heading, other_measures()),
     ]
@@ -50,6 +53,7 @@ def table(result: EvaluationResult, label: str) -> Table:
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
             interval_text(summary.pitch_variation_100hz),
+            *((interval_text(summary.static_bound),) if bound else ()),
             interval_text(summary.pitch_variation),
             *((_failed_text(summary),) if failed else ()),
             interval_text(summary.t_cost, 1),
@@ -91,6 +95,14 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
             cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
             found.add(*cells, dim=True)
     return found
+
+
+def group_tables(result: EvaluationResult) -> Iterator[Table]:
+    """Yield a table of each scene's groups by each number (``eval --by``)."""
+    for name, scene in _named(result):
+        for by, groups in scene.by.items():
+            if groups:
+                yield group_table(name, by, groups)
 
 
 def search_lines(result: EvaluationResult) -> Iterator[str]:

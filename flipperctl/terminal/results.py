@@ -7,7 +7,7 @@ import sys
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.terminal.conditions import condition_lines
 from flipperctl.terminal.console import console, print_lines
-from flipperctl.terminal.evaluation import comparisons, search_lines, table
+from flipperctl.terminal.evaluation import comparisons, group_tables, search_lines, table
 from flipperctl.terminal.streams import print_note
 
 
@@ -29,7 +29,7 @@ def print_result(result: EvaluationResult, label: str | None) -> None:
 
 def _print_tables(result: EvaluationResult, label: str) -> None:
     out = console()
-    for shown in (table(result, label), *comparisons(result)):
+    for shown in (table(result, label), *comparisons(result), *group_tables(result)):
         shown.print(out)
     conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in result.scenes)
     print_lines(out, (*search_lines(result), *conditions))

@@ -27,6 +27,7 @@ from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.metrics import DRAWN
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
@@ -212,8 +213,9 @@ class Trainer:
         self.progress.recent.append(reached)
         self.episodes.update_difficulty(reached)
         row = {**self._common_columns(), "success_rate": self.progress.success_rate}
+        own = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
         for listener in self.listeners:
-            listener.episode({**row, "lag": self.episodes.lag, **ending})
+            listener.episode({**row, "lag": self.episodes.lag, **own})
 
     def _validate(self, collector: Collector) -> bool:
         """Validate the policy; return False if the run is to stop before the result is known."""

@@ -10,6 +10,7 @@ from flipperctl.agent.d3qn import D3qn, arrays
 from flipperctl.checkpoint.document import Validation, VariationMeasure
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.statistics import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
@@ -61,7 +62,8 @@ class Validator:
         if rows is None:
             return None
         reached_rows = reached(rows)
-        names = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
+        numbers = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
+        names = [n for n in numbers if not n.startswith(DRAWN)]  # parts of a mix draw others
         # Means over the episodes that reached the finish, as in the paper; over all if none did.
         averaged = reached_rows or rows
         means = {name: float(np.mean([row[name] for row in averaged])) for name in names}

@@ -30,11 +30,21 @@ class BuildingStair(DrawnRow):
     direction: Literal["up", "down", "both"] = Field(
         "both", description="direction of the flight; both draws one each episode [-]"
     )
+    landing_every: int = Field(
+        0, ge=0, le=50, description="steps between two landings; 0: no landing [-]"
+    )
+    landing: float = Field(
+        1.2, gt=0.05, le=10, description="length of a landing, which replaces a tread [m]"
+    )
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads between them."""
-        slope, stride = math.tan(math.radians(self.draw(rng, "slope"))), self.draw(rng, "stride")
+        degrees, stride = self.draw(rng, "slope"), self.draw(rng, "stride")
+        slope = math.tan(math.radians(degrees))
         tread = stride / (1 + 2 * slope)
         steps = self.draw_count(rng)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
-        return Profile(flight(0.0, 0.0, steps, tread, slope * tread * (1 if up else -1)))
+        rise = slope * tread * (1 if up else -1)
+        points = flight(0.0, 0.0, steps, tread, rise, self.landing_every, self.landing)
+        drawn = {"steps": steps, "slope": degrees, "rise": abs(rise), "tread": tread, "up": int(up)}
+        return Profile(points, drawn=drawn)

@@ -24,7 +24,11 @@ class CurbAndRamp(Drawn):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points."""
         height, width = self.draw(rng, "height"), self.draw(rng, "width")
-        run = height / math.tan(math.radians(self.draw(rng, "slope")))
-        if rng.integers(2):
-            return Profile([(0.0, 0.0), (0.0, height), (width, height), (width + run, 0.0)])
-        return Profile([(0.0, 0.0), (run, height), (run + width, height), (run + width, 0.0)])
+        slope = self.draw(rng, "slope")
+        run = height / math.tan(math.radians(slope))
+        if curb_first := int(rng.integers(2)):
+            points = [(0.0, 0.0), (0.0, height), (width, height), (width + run, 0.0)]
+        else:
+            points = [(0.0, 0.0), (run, height), (run + width, height), (run + width, 0.0)]
+        drawn = {"height": height, "width": width, "slope": slope, "curb_first": curb_first}
+        return Profile(points, drawn=drawn)

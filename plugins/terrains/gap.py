@@ -20,4 +20,5 @@ class Gap(Drawn):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points: down one wall and up the other."""
         width, depth = self.draw(rng, "width"), self.draw(rng, "depth")
-        return Profile([(0.0, 0.0), (0.0, -depth), (width, -depth), (width, 0.0)])
+        points = [(0.0, 0.0), (0.0, -depth), (width, -depth), (width, 0.0)]
+        return Profile(points, drawn={"width": width, "depth": depth})

@@ -1,5 +1,7 @@
 """A terrain in the reverse direction."""
 
+from dataclasses import replace
+
 import numpy as np
 from pydantic import Field
 
@@ -22,10 +24,15 @@ class Mirror(Combinator):
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Return the points in reverse order, beginning at (0, 0), with the same label."""
+        """Return the points in reverse order, beginning at (0, 0), with the same label.
+
+        What the inner terrain drew is told as it was before it was reversed.
+        """
         profile = self.terrain.labelled(rng)
         if rng.random() >= self.probability:
-            return profile
+            return replace(profile, drawn={**profile.drawn, "mirrored": 0})
         last = profile.points[-1]
         surface = profile.surface and MirroredSurface(profile.surface, (last[0], last[1]))
-        return Profile((profile.points[::-1] - last) * (-1.0, 1.0), profile.label, surface)
+        drawn = {**profile.drawn, "mirrored": 1}
+        points = (profile.points[::-1] - last) * (-1.0, 1.0)
+        return replace(profile, points=points, surface=surface, drawn=drawn)

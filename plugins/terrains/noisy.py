@@ -1,5 +1,6 @@
 """A terrain with a rough surface."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -37,7 +38,8 @@ class Noisy(Combinator):
         noise = rng.normal(0.0, self.deviation, len(knots))
         points = _with_knots(line, knots)
         rough = np.interp(points[:, 0], knots, noise)
-        return Profile(points + np.column_stack([np.zeros(len(points)), rough]), profile.label)
+        points = points + np.column_stack([np.zeros(len(points)), rough])
+        return replace(profile, points=points, surface=None)
 
 
 def _with_knots(line: FloatArray, knots: FloatArray) -> FloatArray:

@@ -32,7 +32,8 @@ class Pallet(DrawnRow):
         """Return four points per hurdle."""
         height, width = self.draw(rng, "height"), self.draw(rng, "width")
         x, points = 0.0, list[tuple[float, float]]()
-        for _ in range(self.draw_count(rng)):
+        hurdles = self.draw_count(rng)
+        for _ in range(hurdles):
             points += [(x, 0.0), (x, height), (x + width, height), (x + width, 0.0)]
             x += width + self.draw(rng, "clearance")
-        return Profile(points)
+        return Profile(points, drawn={"hurdles": hurdles, "height": height, "width": width})

@@ -27,8 +27,9 @@ class Plum(DrawnRow):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points per pile."""
         x, points = 0.0, list[tuple[float, float]]()
-        for _ in range(self.draw_count(rng)):
+        piles = self.draw_count(rng)
+        for _ in range(piles):
             height, end = self.draw(rng, "height"), x + self.draw(rng, "width")
             points += [(x, 0.0), (x, height), (end, height), (end, 0.0)]
             x = end + self.draw(rng, "clearance")
-        return Profile(points)
+        return Profile(points, drawn={"piles": piles, "height": max(z for _, z in points)})

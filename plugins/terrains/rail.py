@@ -37,10 +37,12 @@ class Rail(DrawnRow):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points per bar."""
-        side, factor = self.draw(rng, "side"), 1 / math.sin(math.radians(self.draw(rng, "angle")))
+        side, angle = self.draw(rng, "side"), self.draw(rng, "angle")
+        factor = 1 / math.sin(math.radians(angle))
         width, pitch = side * factor, (side + self.draw(rng, "gauge")) * factor
         points = list[tuple[float, float]]()
-        for bar in range(self.draw_count(rng)):
+        bars = self.draw_count(rng)
+        for bar in range(bars):
             x = bar * pitch
             points += [(x, 0.0), (x, side), (x + width, side), (x + width, 0.0)]
-        return Profile(points)
+        return Profile(points, drawn={"bars": bars, "side": side, "angle": angle})

@@ -27,10 +27,11 @@ class Ramp(Drawn):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return two points for one incline, or four for two."""
-        slope, length = math.radians(self.draw(rng, "slope")), self.draw(rng, "length")
+        degrees, length = self.draw(rng, "slope"), self.draw(rng, "length")
+        slope = math.radians(degrees)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         run, rise = length * math.cos(slope), length * math.sin(slope) * (1 if up else -1)
         points = [(0.0, 0.0), (run, rise)]
         if self.back:
             points += [(run + self.platform, rise), (2 * run + self.platform, 0.0)]
-        return Profile(points)
+        return Profile(points, drawn={"slope": degrees, "length": length, "up": int(up)})

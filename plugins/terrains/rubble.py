@@ -22,8 +22,10 @@ class Rubble(DrawnRow):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return flat tops with vertical faces between them."""
         x, points = 0.0, [(0.0, 0.0)]
-        for _ in range(self.draw_count(rng)):
+        blocks = self.draw_count(rng)
+        for _ in range(blocks):
             height, end = self.draw(rng, "height"), x + self.draw(rng, "width")
             points += [(x, height), (end, height)]
             x = end
-        return Profile([*points, (x, 0.0)])
+        drawn = {"blocks": blocks, "height": max(z for _, z in points)}
+        return Profile([*points, (x, 0.0)], drawn=drawn)

@@ -28,13 +28,15 @@ class Sequence(Drawn, Combinator):
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
-        """Return the points of all parts, labelled with the parts' labels."""
+        """Return the points of all parts, with their labels and what they drew."""
         end, points, labels = np.zeros(2), [], []
+        drawn: dict[str, float] = {}
         for index, part in enumerate(self.parts):
             if index:
                 end = end + np.array([self.draw(rng, "spacing"), 0.0])
             profile = part.labelled(rng)
             points.append(profile.points - profile.points[0] + end)
             labels.append(profile.label)
+            drawn |= {f"part{index + 1}_{name}": value for name, value in profile.drawn.items()}
             end = points[-1][-1]
-        return Profile(np.vstack(points), "+".join(labels))
+        return Profile(np.vstack(points), "+".join(labels), drawn=drawn)

@@ -1,5 +1,6 @@
 """A flight of stairs, up or down (paper Sec. IV-A)."""
 
+import math
 from typing import Literal, Self
 
 import numpy as np
@@ -30,6 +31,12 @@ class Stair(Terrain):
     direction: Literal["up", "down", "both"] = Field(
         "both", description="direction of the first flight; both draws one each episode [-]"
     )
+    landing_every: int = Field(
+        0, ge=0, le=50, description="steps between two landings; 0: no landing [-]"
+    )
+    landing: float = Field(
+        1.2, gt=0.05, le=10, description="length of a landing, which replaces a tread [m]"
+    )
     platform: float = Field(
         0.0, ge=0, le=20, description="length of the platform after the first flight [m]"
     )
@@ -53,13 +60,22 @@ class Stair(Terrain):
         steps = int(rng.integers(self.fewest, self.most + 1))
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = self.rise if up else -self.rise
-        points = flight(0.0, 0.0, steps, self._tread(rise, rng), rise)
+        tread = self._tread(rise, rng)
+        points = self._flight(0.0, 0.0, steps, tread, rise)
         x, z = points[-1]
         if self.platform:
             points.append((x + self.platform, z))
         if self.back:
-            points += flight(x + self.platform, z, steps, self._tread(-rise, rng), -rise)[1:]
-        return Profile(points)
+            back = self._tread(-rise, rng)
+            points += self._flight(x + self.platform, z, steps, back, -rise)[1:]
+        slope = math.degrees(math.atan2(self.rise, tread))
+        drawn = {"steps": steps, "slope": slope, "rise": self.rise, "tread": tread, "up": int(up)}
+        return Profile(points, drawn=drawn)
+
+    def _flight(
+        self, x: float, z: float, steps: int, tread: float, rise: float
+    ) -> list[tuple[float, float]]:
+        return flight(x, z, steps, tread, rise, self.landing_every, self.landing)
 
     def _tread(self, rise: float, rng: np.random.Generator) -> float:
         middle = self.tread if rise > 0 else self.tread_down

@@ -32,10 +32,10 @@ class Step(Terrain):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return one vertical face, or two with the platform between them."""
-        height = rng.uniform(self.low, self.high)
+        height = float(rng.uniform(self.low, self.high))
         points = [(0.0, 0.0), (0.0, height)]
         if self.platform:
             points.append((self.platform, height))
         if self.back:
             points.append((self.platform, 0.0))
-        return Profile(points)
+        return Profile(points, drawn={"height": height})

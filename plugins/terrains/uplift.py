@@ -20,4 +20,5 @@ class Uplift(Drawn):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points: up one face and down the other."""
         height, width = self.draw(rng, "height"), self.draw(rng, "width")
-        return Profile([(0.0, 0.0), (0.0, height), (width, height), (width, 0.0)])
+        points = [(0.0, 0.0), (0.0, height), (width, height), (width, 0.0)]
+        return Profile(points, drawn={"height": height, "width": width})

@@ -28,6 +28,8 @@ class Wave(DrawnRow):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return sixteen chords per wave."""
         length, height = self.draw(rng, "length"), self.draw(rng, "height")
-        turns = np.linspace(0.0, count := self.draw_count(rng), count * _POINTS + 1)
+        count = self.draw_count(rng)
+        turns = np.linspace(0.0, count, count * _POINTS + 1)
         heights = height / 2 * (1 - np.cos(2 * np.pi * turns))
-        return Profile(np.column_stack([turns * length, heights]))
+        points = np.column_stack([turns * length, heights])
+        return Profile(points, drawn={"waves": count, "length": length, "height": height})

@@ -224,8 +224,14 @@ def test_a_reward_that_raises_names_its_path_and_its_cause(registry: dict) -> No
         (lambda: Profile([(0.0, 0.0), (1.0, math.nan)]), "point 1 is not finite"),
         (lambda: [(0.0, 0.0), (1.0, 0.0)], "must return a Profile; it returned a list"),
         (lambda: None, "must return a Profile; it returned a NoneType"),
+        (
+            lambda: Profile([(0, 0)], drawn=["steps"]),
+            "drawn numbers are a list, ['steps']; a mapping",
+        ),
+        (lambda: Profile([(0, 0)], drawn={"a b": 1}), "have the name 'a b'; a word"),
+        (lambda: Profile([(0, 0)], drawn={"n": math.inf}), "have n = inf; a finite number"),
     ],
-    ids=["x decreases", "empty", "not finite", "list", "None"],
+    ids=["x decreases", "empty", "not finite", "list", "None", "drawn", "name", "infinite"],
 )
 def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, registry: dict) -> None:
     @terrain("broken")

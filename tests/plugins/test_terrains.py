@@ -95,6 +95,45 @@ def test_a_buildings_stair_keeps_to_the_stride(slope: float, rise: float, tread:
     assert points.shape == (6, 2)
 
 
+def test_a_landing_replaces_the_tread_after_every_few_steps() -> None:
+    points = drawn(
+        "stair", fewest=5, most=5, direction="up", landing_every=2, landing=1.0, platform=2.0
+    ).points
+    # Faces at 0, 0.3, then 1 m of landing, 1.6, another landing, 2.6; none after the last step.
+    assert points[::2, 0] == pytest.approx([0.0, 0.3, 1.3, 1.6, 2.6, 4.6])
+    assert points[1::2, 1] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    down = drawn(
+        "building_stair", slope=45, stride=0.63, fewest=16, most=16, direction="down",
+        landing_every=8, landing=1.2,
+    ).points  # fmt: skip
+    assert down[-1] == pytest.approx([14 * 0.21 + 1.2, -16 * 0.21])
+    for name in ("stair", "building_stair", "paper_stair"):
+        for seed in range(5):
+            plain = drawn(name, seed, landing_every=0, landing=5.0)
+            assert plain.points.tobytes() == drawn(name, seed).points.tobytes()
+
+
+def test_terrains_tell_what_they_drew() -> None:
+    stair = drawn("stair", tread_spread=0.05)
+    treads = np.diff(stair.points[::2, 0])
+    assert stair.drawn["steps"] == len(stair.points) / 2
+    assert stair.drawn["tread"] == pytest.approx(treads[0])
+    assert stair.drawn["up"] == (stair.points[-1, 1] > 0)
+    assert drawn("step").drawn["height"] == drawn("step").points[-1, 1]
+    building = drawn("building_stair", slope=30).drawn
+    assert building["slope"] == 30
+    assert building["rise"] / building["tread"] == pytest.approx(math.tan(math.radians(30)))
+
+
+def test_composed_terrains_pass_on_what_their_parts_drew() -> None:
+    turned = drawn("mirror", terrain="stair", probability=1.0).drawn
+    assert (turned["mirrored"], turned["steps"] in (3, 4, 5)) == (1, True)
+    assert drawn("noisy").drawn.keys() == drawn("stair").drawn.keys()
+    assert drawn("mix", parts=["gap"]).drawn.keys() == {"width", "depth"}
+    row = drawn("sequence", parts=["stair", "stair"]).drawn
+    assert {"part1_steps", "part2_steps"} <= row.keys()
+
+
 def test_rubble_leaves_no_gap_between_its_blocks() -> None:
     points = drawn("rubble", fewest=5, most=5, width=0.2).points
     assert np.unique(np.round(points[:, 0], 9)) == pytest.approx(np.arange(6) * 0.2)

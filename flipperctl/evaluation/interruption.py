@@ -1,0 +1,33 @@
+"""How far an evaluation came before it was interrupted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """The finished part of an interrupted evaluation, baselines included."""
+
+    finished: int
+    """Number of finished episodes."""
+    planned: int
+    """Number of episodes that were planned."""
+    not_begun: tuple[str, ...]
+    """Terrains of the scenes without a finished episode."""
+
+    @property
+    def text(self) -> str:
+        """One sentence for the user."""
+        begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
+        return f"{begun}; not begun: {', '.join(self.not_begun)}" if self.not_begun else begun
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "interrupted": True,
+            "finished_episodes": self.finished,
+            "planned_episodes": self.planned,
+            "not_begun": list(self.not_begun),
+        }

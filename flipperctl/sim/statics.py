@@ -1,0 +1,135 @@
+"""A lower bound of the pitch variation on a ground, from statics.
+
+In: the ground's outline and the robot. Out: the smallest sum of absolute pitch changes with which
+the chassis can pass through poses in which the robot can stand, whatever the flippers do: they may
+take any angle at any time.
+
+A robot can stand if no part of it is inside the ground, and it touches the ground both ahead of and
+behind its centre of mass. Every tolerance widens the set of poses, so that the sum is a lower bound
+for a robot that stands at each place. A robot in motion may leave these poses for a moment, so it
+bounds slow driving, not every motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray, Robot
+
+_SPACING = 0.005
+"""Distance of the places at which the ground is known [m]."""
+_STRIDE = 4
+"""Number of these distances between two places of the chassis centre [-]."""
+_BLOCK = 500
+"""Number of places of the chassis centre that are computed together, for memory [-]."""
+_TOLERANCE = 0.01
+"""Change of the tracks' radius that covers the rounding of places and angles [m]."""
+_ANGLE = math.radians(1.0)
+"""Distance of two pitches, and of two angles of a flipper [rad]."""
+_TIPPING = 0.05
+"""Distance to a standing pose within which the robot need not stand, as when it tips over an edge;
+it may thus tip for twice that distance [m]."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The pitches at which a robot can stand."""
+
+    places: FloatArray
+    """World x of the chassis centre, (X,) [m]."""
+    pitches: FloatArray
+    """Pitches, nose up positive, (P,) [rad]."""
+    possible: NDArray[np.bool_]
+    """Whether the robot can stand at a place with a pitch, (X, P)."""
+
+
+def static_bound(
+    points: FloatArray,
+    robot: Robot,
+    *,
+    start: float,
+    finish: float,
+    pitch: float = 0.0,
+    clearance: float = 0.1,
+    overturn: float = math.pi / 3,
+) -> float:
+    """Return the static lower bound of the sum of absolute pitch changes [rad].
+
+    ``points`` is (V, 2) [m], with level ground before the first and past the last. The chassis
+    centre moves from world x ``start`` to ``finish`` [m] and begins with ``pitch`` [rad]. At the
+    finish, the chassis' higher end is at most ``clearance`` [m] above its place on level ground;
+    the absolute pitch stays below ``overturn`` [rad]. A place at which the robot cannot stand at
+    all adds nothing.
+    """
+    found = standing(points, robot, start=start, finish=finish, overturn=overturn)
+    allowed = _widened(found.possible)
+    last = math.asin(min(1.0, clearance / (2 * robot.hinge_offset))) + _ANGLE
+    allowed[-1] &= np.abs(found.pitches) <= last
+    cost = np.abs(found.pitches - pitch)  # (P,) [rad], of being at each pitch
+    for here in allowed:
+        if here.any():
+            cost = _cheapest(np.where(here, cost, math.inf))
+    return max(0.0, float(cost.min()) - _ANGLE / 2)  # the first pitch lies between two of the grid
+
+
+def standing(
+    points: FloatArray,
+    robot: Robot,
+    *,
+    start: float,
+    finish: float,
+    overturn: float = math.pi / 3,
+) -> Standing:
+    """Return the pitches at which the robot can stand, for places from ``start`` to ``finish``.
+
+    ``points`` is (V, 2) [m]; ``start`` and ``finish`` are world x of the chassis centre [m]. The
+    pitches lie within ± ``overturn`` [rad].
+    """
+    from flipperctl.sim.standing import can_stand, inflated  # numba takes long to import
+
+    half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
+    margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper
+    reach = margin * _SPACING + radius + _TOLERANCE
+    line = np.vstack([[start - reach, points[0, 1]], points, [finish + reach, points[-1, 1]]])
+    count = math.ceil((finish - start) / (_SPACING * _STRIDE)) + 1
+    steep = int(overturn / _ANGLE)
+    pitches = np.array([k * _ANGLE for k in range(-steep, steep + 1)])
+    # The flippers' angles shift the centre of mass by at most this, for both pairs together.
+    shift = robot.flipper_mass * axle / (robot.chassis_mass + 2 * robot.flipper_mass) + _TOLERANCE
+    turns = math.ceil(robot.angle_limit / _ANGLE) + 1
+    sizes = np.array([_SPACING, half, axle, radius, shift, _ANGLE])
+    blocks = []
+    for first in range(0, count, _BLOCK):
+        size = min(_BLOCK, count - first)
+        origin = start + (first * _STRIDE - margin) * _SPACING
+        known = (size - 1) * _STRIDE + 2 * margin + 1
+        inner, outer = (
+            inflated(line, origin, _SPACING, known, radius + sign * _TOLERANCE) for sign in (-1, 1)
+        )
+        blocks.append(can_stand(inner, outer, size, _STRIDE, margin, steep, turns, sizes))
+    places = start + np.arange(count, dtype=np.float64) * (_STRIDE * _SPACING)
+    return Standing(places, pitches, np.concatenate(blocks))
+
+
+def _widened(possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the poses within one pitch of the grid and within ``_TIPPING`` of possible ones."""
+    wide = possible.copy()
+    wide[:, 1:] |= possible[:, :-1]
+    wide[:, :-1] |= possible[:, 1:]
+    found = wide.copy()
+    for away in range(1, round(_TIPPING / (_STRIDE * _SPACING)) + 1):
+        found[away:] |= wide[:-away]
+        found[:-away] |= wide[away:]
+    return found
+
+
+def _cheapest(cost: FloatArray) -> FloatArray:
+    """Return the costs (P,) [rad] after a turn from whichever pitch is cheapest."""
+    ahead = np.arange(len(cost), dtype=np.float64) * _ANGLE
+    up = np.minimum.accumulate(cost - ahead) + ahead
+    down = (np.minimum.accumulate((cost + ahead)[::-1]))[::-1] - ahead
+    return np.asarray(np.minimum(up, down))
