@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions
-from flipperctl.errors import FlipperctlError, NonFiniteError, PluginError, PluginFailedError
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    NonFiniteError,
+    PluginError,
+    PluginFailedError,
+)
 from flipperctl.guard import as_real, definition, plugin_label, refusal, short_repr, with_path
 
 _ROUNDING = 1e-9
@@ -88,6 +94,19 @@ class RewardSum:
         if (rest := self._without_array).terms:
             total += [sum(rest(t).values()) for t in ts]
         return total
+
+    def require_predictable(self, path: str) -> None:
+        """Check that predicted decisions hold all that the terms need; ``path`` is their section.
+
+        Raises:
+            ConfigError: a term needs what predictions lack.
+            PluginError: a declaration is no text.
+        """
+        for name, text in self.not_predicted.items():
+            raise ConfigError(
+                f"{path}.{name}: a search cannot predict what the term "
+                f"{self.terms[name].plugin_name!r} needs: {text}"
+            )
 
     @property
     def not_predicted(self) -> dict[str, str]:

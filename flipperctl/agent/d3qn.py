@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,9 +19,11 @@ from flipperctl.agent.building import (
     naming_network,
     record_plugin,
 )
+from flipperctl.agent.groups import GroupBatch
 from flipperctl.agent.heads import choose_head
 from flipperctl.agent.losses import (
     mean_value_penalty,
+    searched_values,
     teacher_cross_entropy,
     teacher_large_margin,
 )
@@ -112,21 +114,21 @@ class D3qn:
         finally:
             self.policy.train()
 
-    def update(self, batch: Batch, fraction: float) -> float:
+    def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
         ``batch`` holds the transitions of one or more steps; their targets are all computed before
         the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
-        rate and the weight of the labels.
+        rate and the weight of the labels. ``groups``: valued states for each step.
 
         Raises:
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
         with naming_network(self.online, "forward"):  # only its own code can fail here
-            return self._update(batch, fraction)
+            return self._update(batch, fraction, groups)
 
-    def _update(self, batch: Batch, fraction: float) -> float:
+    def _update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch]) -> float:
         s = self.settings
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
         batch = batch.to(self.device)
@@ -143,7 +145,8 @@ class D3qn:
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
-            value = self._step(batch.rows(part), targets[part], rate, fraction)
+            valued = groups[start // s.batch_size].to(self.device) if groups else None
+            value = self._step(batch.rows(part), targets[part], rate, fraction, valued)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
@@ -151,11 +154,23 @@ class D3qn:
                 )
         return value
 
-    def _loss(self, batch: Batch, target: torch.Tensor, fraction: float) -> torch.Tensor:
-        """Return the temporal-difference loss, plus the imitation loss if there is a teacher."""
+    def _loss(
+        self, batch: Batch, target: torch.Tensor, fraction: float, groups: GroupBatch | None
+    ) -> torch.Tensor:
+        """Return the temporal-difference loss, plus the loss of what a teacher says."""
         s = self._teacher
         if s is None:
             return self._head.loss(self.online, batch.observation, batch.action, target)
+        if s.loss == "values":
+            td = self._head.loss(self.online, batch.observation, batch.action, target)
+            if groups is None:
+                return s.td_weight * td
+            scale = self.settings.reward_scale
+            found = self.online(groups.observation.flatten(0, 1)).unflatten(
+                0, groups.observation.shape[:2]
+            )
+            searched = searched_values(found, groups.values * scale, s.clip)
+            return s.td_weight * td + linear(s.weight, s.weight_end, fraction) * searched
         assert batch.label is not None  # the replay of a run with a teacher has labels
         values = self.online(batch.observation)
         if s.loss == "margin":
@@ -168,9 +183,16 @@ class D3qn:
         td = self._head.loss(self.online, batch.observation, batch.action, target)
         return s.td_weight * td + loss
 
-    def _step(self, batch: Batch, target: torch.Tensor, rate: float, fraction: float) -> float:
+    def _step(
+        self,
+        batch: Batch,
+        target: torch.Tensor,
+        rate: float,
+        fraction: float,
+        groups: GroupBatch | None,
+    ) -> float:
         self._noise.draw(self.noise_rng)
-        loss = self._loss(batch, target, fraction)
+        loss = self._loss(batch, target, fraction, groups)
         value = float(loss.detach())
         if not math.isfinite(value):
             return value  # the caller raises; the weights are not changed

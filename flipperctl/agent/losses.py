@@ -53,6 +53,32 @@ def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: flo
     return (labelled * excess).sum() / labelled.sum().clamp(min=1)
 
 
+def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) -> torch.Tensor:
+    """Return the loss of Q-values against the searched values of groups of close states [-].
+
+    Both are (B, K, A), for B groups of K states. What follows beyond the perceived ground moves all
+    values of a group alike, by far more than the choice among its states and actions does. The loss
+    therefore is that of the differences between the actions of a state, of the differences between
+    the best values of a group's states, and, with a small weight, of the groups' means. Each kind
+    is divided by its mean size in the batch, so that no reward's scale matters. Actions worse than
+    the best by more than ``clip`` times the mean difference count as worse by that.
+    """
+    best = targets.argmax(dim=2, keepdim=True)  # (B, K, 1)
+    value, target = values.gather(2, best), targets.gather(2, best)
+    gap, target_gap = value - values, target - targets  # at least 0 for the targets
+    size = target_gap.clamp(max=float(target_gap.median()) * clip + 1e-6).mean() + 1e-6
+    target_gap = target_gap.clamp(max=clip * size)
+    error = gap - target_gap
+    error = torch.where(target_gap >= clip * size, error.clamp(max=0), error)  # worse is fine too
+    actions = torch.nn.functional.smooth_l1_loss(error / size, torch.zeros_like(error), beta=0.1)
+    mean, target_mean = value.mean(dim=1, keepdim=True), target.mean(dim=1, keepdim=True)
+    spread = (target - target_mean).abs().median() + 1e-6
+    difference = ((value - mean) - (target - target_mean)) / spread
+    states = torch.nn.functional.smooth_l1_loss(difference, torch.zeros_like(difference), beta=0.3)
+    level = torch.nn.functional.smooth_l1_loss(mean / spread, target_mean / spread)
+    return 3.0 * actions + states + 0.1 * level
+
+
 def mean_value_penalty(values: torch.Tensor) -> torch.Tensor:
     """Return the mean square of each state's mean Q-value; ``values`` are (B, A) [-].
 

@@ -159,6 +159,11 @@ def _implements(cls: type[Controller], method: str) -> bool:
     return inspect.unwrap(getattr(cls, method)) is not getattr(Controller, method)
 
 
+def is_rule(controller: Controller) -> bool:
+    """Return whether the controller decides by each perception alone."""
+    return not _implements(type(controller), "build")
+
+
 class Rule:
     """The policy of a controller without memory."""
 

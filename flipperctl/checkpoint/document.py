@@ -189,6 +189,8 @@ class State(Record):
     replay_added: Count
     replay_kept: Count = 0
     """Number of recorded transitions in the replay; not in files of earlier versions."""
+    groups_added: Count = 0
+    """Number of groups of valued states so far; not in files of earlier versions."""
     generators: Generators
 
     @property

@@ -62,10 +62,12 @@ class Teacher(Settings):
         description="difference of the teacher's costs by which an action becomes e times less "
         "probable [s]",
     )
-    loss: Literal["cross_entropy", "margin"] = Field(
+    loss: Literal["cross_entropy", "margin", "values"] = Field(
         "cross_entropy",
         description="cross_entropy: between the labels and softmax(Q / q_temperature); margin: the "
-        "most probable action's Q-value should exceed all others by margin (DQfD) [-]",
+        "most probable action's Q-value should exceed all others by margin (DQfD); values: the "
+        "Q-values should differ as those that the teacher computes for many states of each "
+        "episode's ground, as value_iteration does [-]",
     )
     weight: float = Field(
         1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
@@ -95,6 +97,23 @@ class Teacher(Settings):
         le=1000,
         description="margin between the Q-values of the teacher's action and others, in scaled "
         "rewards [-]",
+    )
+
+    clip: float = Field(
+        5.0,
+        gt=0,
+        le=1000,
+        description="loss=values: multiple of the mean difference to the best action beyond which "
+        "an action only has to be worse [-]",
+    )
+    batch_groups: int = Field(
+        64, ge=1, le=4096, description="loss=values: groups of states per update [-]"
+    )
+    kept_groups: int = Field(
+        60_000,
+        ge=1,
+        le=10_000_000,
+        description="loss=values: groups of states that are remembered [-]",
     )
 
     @property

@@ -34,11 +34,13 @@ def sample_groups(
     *,
     count: int,
     off_path: float,
+    unseen: float,
     way: float,
 ) -> StateGroups:
     """Return ``count`` groups, a fraction ``off_path`` of them around any represented states.
 
     The others lie around states of walks that follow the best actions, with random ones between.
+    In a fraction ``unseen`` of the groups the ground is level from a random bin ahead on.
     ``line``: the ground, (V, 2) [m]; ``way``: distance of a decision at full speed [m].
     """
     values = with_stops(graph.values)
@@ -61,10 +63,25 @@ def sample_groups(
     rows = members.ravel()
     nodes = graph.nodes.take(rows)
     seen = Ground(line, layout).observations(nodes.places, nodes.states)
+    hidden = rng.random(count) < unseen
+    first = np.where(hidden, rng.integers(layout.bins // 2 + 1, layout.bins, count), layout.bins)
     return StateGroups(
-        observations=seen.reshape(count, SIZE, -1),
+        observations=_levelled(seen, np.repeat(first, SIZE), layout).reshape(count, SIZE, -1),
         values=values[rows].astype(np.float32).reshape(count, SIZE, -1),
     )
+
+
+def _levelled(
+    seen: NDArray[np.float32], first: NDArray[np.int64], layout: ObservationLayout
+) -> NDArray[np.float32]:
+    """Return observations (M, N + 3) whose heights from the bin ``first`` (M,) on are level."""
+    bins = np.arange(layout.bins)
+    last = seen[np.arange(len(seen)), first - 1]
+    found = seen.copy()
+    found[:, : layout.bins] = np.where(
+        bins >= first[:, None], last[:, None], seen[:, : layout.bins]
+    )
+    return found
 
 
 def with_stops(values: FloatArray) -> FloatArray:

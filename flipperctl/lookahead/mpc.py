@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from pydantic import PrivateAttr
+
 from flipperctl.api import Controller, Policy, controller
+from flipperctl.errors import ConfigError
+from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.lookahead.mpc_settings import MpcSettings
 
 
@@ -20,8 +24,36 @@ class Mpc(MpcSettings, Controller):
 
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
 
-    def build(self) -> Policy:
-        """Return a policy that plans with these settings."""
-        from flipperctl.lookahead.policy import MpcPolicy
+    _learned: LearnedValue | None = PrivateAttr(None)
 
+    def ending_with(self, learned: LearnedValue) -> Mpc:
+        """Return these settings with the values that ``value`` names.
+
+        The caller reads the file: this package knows neither checkpoints nor networks.
+        """
+        settings = self.model_copy()
+        settings._learned = learned
+        return settings
+
+    def build(self) -> Policy:
+        """Return a policy that plans with these settings.
+
+        Raises:
+            ConfigError: ``value`` names values that ``ending_with`` was not given, there are
+                ``rewards`` without it, or a term needs what predictions lack.
+        """
+        from flipperctl.lookahead.policy import MpcPolicy
+        from flipperctl.lookahead.return_policy import ReturnPolicy
+
+        if self._learned is not None:
+            return ReturnPolicy(self, self._learned)
+        if self.value:
+            raise ConfigError(
+                f"controller.value={self.value}: this command reads no values for the controller"
+            )
+        if self.rewards is not None:
+            raise ConfigError(
+                "controller.rewards: plans are paid by rewards only with values of what follows "
+                "them; set controller.value to a run that was trained with these rewards"
+            )
         return MpcPolicy(self)

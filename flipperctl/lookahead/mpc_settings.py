@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from flipperctl.api import Robot, Settings
+from flipperctl.config.models import AnyRewards
 
 if TYPE_CHECKING:
     from flipperctl.lookahead.costs import CostWeights
@@ -19,6 +20,17 @@ STEEP_FROM, STEEP = 0.9, 30.0
 class MpcSettings(Settings):
     """Size of the search, cost weights of a plan, and settings of the prediction model."""
 
+    value: str = Field(
+        "",
+        description="a run, a checkpoint or a shipped policy whose values end the horizon; plans "
+        "then have the largest return of ``rewards`` instead of the least hand-set cost; empty: "
+        "none [-]",
+    )
+    rewards: AnyRewards | None = Field(
+        None,
+        description="reward terms that plans are paid by, a preset's name on the command line; "
+        "null: those that ``value`` was trained with [-]",
+    )
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
     of_each: int = Field(

@@ -7,23 +7,19 @@ states for a student.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flipperctl.api import LAST_PITCHES, FloatArray, Perception, RewardTerm, Simulator, StateGroups
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
-from flipperctl.errors import ConfigError
 from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.groups import sample_groups, with_stops
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
 from flipperctl.lookahead.nodes import TURNS, Nodes
 from flipperctl.lookahead.policy import nominal
+from flipperctl.lookahead.value_iteration_settings import ValueIterationSettings
 from flipperctl.reward_sum import RewardSum
-
-if TYPE_CHECKING:
-    from flipperctl.lookahead.value_iteration import ValueIteration
 
 _EPISODE = Episode()
 """A ``Simulator`` does not tell its episode's own settings; values are those of the defaults."""
@@ -32,15 +28,14 @@ _EPISODE = Episode()
 class OraclePolicy:
     """Explores the ground of an episode, then takes the actions of the largest value."""
 
-    def __init__(self, settings: ValueIteration, rewards: Mapping[str, RewardTerm]) -> None:
+    def __init__(self, settings: ValueIterationSettings, rewards: Mapping[str, RewardTerm]) -> None:
         """Prepare for any episode.
 
         Raises:
             ConfigError: a reward term needs what predictions lack.
         """
         self._settings, self._rewards = settings, RewardSum(rewards)
-        for name, text in self._rewards.not_predicted.items():
-            raise ConfigError(f"rewards.{name}: a search cannot predict this term: {text}")
+        self._rewards.require_predictable("rewards")
 
     def reset(self, simulator: Simulator) -> None:
         """Explore the ground."""
@@ -108,6 +103,7 @@ class OraclePolicy:
             rng,
             count=settings.groups,
             off_path=settings.off_path,
+            unseen=settings.unseen,
             way=robot.track_speed * robot.decision_period,
         )
 

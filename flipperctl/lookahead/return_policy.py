@@ -14,20 +14,19 @@ from flipperctl.api import (
     ACTIONS,
     LAST_PITCHES,
     FloatArray,
-    ObservationLayout,
     Perception,
     Profile,
-    RewardTerm,
     Robot,
     Simulator,
 )
 from flipperctl.config import Episode
 from flipperctl.lookahead.heights import Ground
+from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc_settings import MpcSettings
 from flipperctl.lookahead.nodes import Nodes
 from flipperctl.lookahead.policy import MpcPolicy
-from flipperctl.lookahead.returns import Returns, Value
+from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.reward_sum import RewardSum
 
@@ -42,18 +41,16 @@ _PATIENCE, _WIDEST = 3, 4
 class ReturnPolicy(MpcPolicy):
     """Plans for the largest return; remembers map, targets, plan, and its last pitches."""
 
-    def __init__(
-        self,
-        settings: MpcSettings,
-        rewards: dict[str, RewardTerm],
-        value: Value,
-        layout: ObservationLayout,
-        gamma: float,
-    ) -> None:
-        """``layout``: that of the observations of ``value``; ``gamma``: discount per decision."""
+    def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
+        """Plan with the value and its rewards, unless the ``settings`` have some.
+
+        Raises:
+            ConfigError: a reward term needs what predictions lack.
+        """
         super().__init__(settings)
-        self._rewards, self._value = RewardSum(rewards), value
-        self._layout, self._gamma = layout, gamma
+        self._learned = learned
+        self._rewards = RewardSum(learned.rewards if settings.rewards is None else settings.rewards)
+        self._rewards.require_predictable("controller.rewards")
 
     def reset(self, simulator: Simulator) -> None:
         """Forget the last episode; the simulator is not used."""
@@ -94,10 +91,10 @@ class ReturnPolicy(MpcPolicy):
         place = np.array([model.chassis(root)])
         objective = Returns(
             rewards=self._rewards,
-            value=self._value,
-            gamma=self._gamma,
+            value=self._learned.value,
+            gamma=self._learned.gamma,
             profile=Profile(self._line),
-            ground=Ground(self._line, self._layout),
+            ground=Ground(self._line, self._learned.layout),
             robot=robot,
             root=Nodes(
                 states=root[None],

@@ -6,7 +6,6 @@ whose cost is the negative discounted return.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,13 +14,12 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray, Outcome, Profile, Robot
 from flipperctl.lookahead.dynamics import RUNNING
 from flipperctl.lookahead.heights import Ground
+from flipperctl.lookahead.learned import Value
 from flipperctl.lookahead.model import Branch, Model
 from flipperctl.lookahead.nodes import Nodes, transitions
 from flipperctl.lookahead.search import Scores
 from flipperctl.reward_sum import RewardSum
 
-Value = Callable[[NDArray[np.float32]], FloatArray]
-"""Returns the expected discounted return from observations (M, N + 3), (M,) [-]."""
 _SLOW = 0.3
 """Share of the way at full speed below which a plan stands [-]."""
 

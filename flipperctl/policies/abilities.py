@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import Controller, Perception, Policy, RewardTerm, Simulator, StateGroups
+from flipperctl.lookahead.learned import LearnedValue
 
 
 @runtime_checkable
@@ -54,16 +55,23 @@ class ValuingPolicy(Policy, Protocol):
 
 
 @runtime_checkable
+class ValueUser(Protocol):
+    """A controller that ends its plans with the values of a trained policy."""
+
+    @property
+    def value(self) -> str:
+        """A run, a checkpoint or a shipped policy; empty for none."""
+
+    def ending_with(self, learned: LearnedValue, /) -> Controller:
+        """Return the same settings with the values that the setting ``value`` names."""
+
+
+@runtime_checkable
 class RewardUser(Protocol):
     """A controller whose policy plans for reward terms."""
 
     def paying(self, rewards: Mapping[str, RewardTerm], /) -> Controller:
         """Return the same settings with the reward terms that count."""
-
-
-def paying(controller: Controller, rewards: Mapping[str, RewardTerm]) -> Controller:
-    """Return the controller with the reward terms, if its policy plans for some."""
-    return controller.paying(rewards) if isinstance(controller, RewardUser) else controller
 
 
 @runtime_checkable

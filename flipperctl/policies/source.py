@@ -13,15 +13,16 @@ from flipperctl.api import Controller, Policy, Robot
 from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
-from flipperctl.policies.abilities import PolicyUser, paying
+from flipperctl.policies.abilities import PolicyUser, RewardUser, ValueUser
 from flipperctl.policies.exported import (
     ExportedPolicy,
     check_robot,
     exported_config,
     is_exported,
 )
-from flipperctl.policies.plugin import plugin_policy
+from flipperctl.policies.plugin import PluginPolicy, plugin_policy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.policies.values import learned_value
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,7 @@ class PolicySource:
             PluginFailedError: the controller's code failed.
         """
         if self.checkpoint is None:
-            controller = self._controller()
-            if isinstance(controller, PolicyUser) and controller.policy:
-                file = find(Path(controller.policy))
-                controller = controller.starting_from(PolicySource(file).build(config))
-            return plugin_policy(paying(controller, config.rewards))
+            return controller_policy(self._controller(), config)
         if is_exported(self.checkpoint):
             return _exported(self.checkpoint, config)
         return _trained(self.checkpoint, config)
@@ -97,6 +94,28 @@ class PolicySource:
         found = resolver.create("controller", self.settings, "controller")
         assert isinstance(found, Controller)
         return found
+
+
+def controller_policy(
+    controller: Controller, config: EnvConfig, path: str = "controller"
+) -> PluginPolicy:
+    """Return the policy of a controller with the files and rewards that it uses.
+
+    ``path``: section of the controller, for errors.
+
+    Raises:
+        CheckpointError: a file is missing or damaged, or does not fit the environment.
+        ConfigError: the controller's settings are not possible.
+        PluginFailedError: the controller's code failed.
+    """
+    if isinstance(controller, PolicyUser) and controller.policy:
+        file = find(Path(controller.policy))
+        controller = controller.starting_from(PolicySource(file).build(config))
+    if isinstance(controller, ValueUser) and controller.value:
+        controller = controller.ending_with(learned_value(controller.value, f"{path}.value"))
+    if isinstance(controller, RewardUser):
+        controller = controller.paying(config.rewards)
+    return plugin_policy(controller)
 
 
 def _exported(file: Path, config: EnvConfig) -> Policy:

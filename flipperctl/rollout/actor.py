@@ -16,9 +16,9 @@ from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.abilities import LabellingPolicy, paying
+from flipperctl.policies.abilities import LabellingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.plugin import plugin_policy
+from flipperctl.policies.source import controller_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
@@ -47,7 +47,8 @@ class Actor:
         teacher = settings.teacher.controller
         self._teacher = None
         if teacher is not None:
-            self._teacher = plugin_policy(paying(teacher, settings.rewards))
+            environment = settings.environment()
+            self._teacher = controller_policy(teacher, environment, "teacher.controller")
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""

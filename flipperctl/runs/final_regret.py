@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint
-from flipperctl.api.controllers import Rule
+from flipperctl.api.controllers import is_rule
 from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.workers import EpisodeWorkers
@@ -75,7 +75,7 @@ class FinalRegret:
         """Return the rules, and the teacher if it is another rule; what searches takes too long."""
         found = {name: PolicySource.of_plugin(name, "controller") for name in _RULES}
         teacher = self._config.teacher.controller
-        if teacher is not None and isinstance(teacher.build(), Rule):
+        if teacher is not None and is_rule(teacher):
             source = PolicySource(settings=to_dict(teacher))
             if source not in found.values():
                 found[_TEACHER] = source

@@ -13,9 +13,8 @@ from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.abilities import paying
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.plugin import plugin_policy
+from flipperctl.policies.source import controller_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
@@ -90,7 +89,9 @@ class EpisodeSource:
         if teacher.controller is not None:
             policy = TaughtPolicy(
                 policy,
-                plugin_policy(paying(teacher.controller, self._config.rewards)),
+                controller_policy(
+                    teacher.controller, self._config.environment(), "teacher.controller"
+                ),
                 teacher,
                 lambda: self._progress.decision >= starts,
                 self._rng,

@@ -14,13 +14,14 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.groups import GroupMemory
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.progress import Progress
-from flipperctl.training.tensors import run_arrays
+from flipperctl.training.tensors import arrays, run_arrays
 from flipperctl.training.validation import Validator
 
 _COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
@@ -35,6 +36,7 @@ class RunSaver:
         directory: Path,
         agent: D3qn,
         replay: Replay,
+        groups: GroupMemory,
         progress: Progress,
         generators: Mapping[str, np.random.Generator],
         validator: Validator,
@@ -42,6 +44,7 @@ class RunSaver:
         """``generators``: keyed by explore, sample and noise."""
         self._config, self._directory = config, directory
         self._agent, self._replay, self._progress = agent, replay, progress
+        self._groups = groups
         self._generators, self._validator = generators, validator
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
@@ -49,6 +52,8 @@ class RunSaver:
         tensors = self._agent.tensors()
         for name, array in self._replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
+        for name, array in self._groups.filled().items():
+            tensors[f"groups.{name}"] = torch.from_numpy(array)
         for version, weights in {r.version: r.weights for r in outstanding}.items():
             for name, array in weights.items():
                 tensors[f"weights{version}.{name}"] = torch.from_numpy(array)
@@ -80,6 +85,11 @@ class RunSaver:
         replay, weights = run_arrays(saved, state, self._agent, self._replay)
         self._agent.restore(saved.tensors, state.updates)
         self._replay.restore(replay, state.replay_added, state.replay_kept)
+        size = self._replay.arrays["observation"].shape[1]
+        try:
+            self._groups.restore(arrays(saved, "groups"), state.groups_added, size)
+        except ValueError as error:
+            raise CheckpointError(f"{saved.path}: its part groups is not valid: {error}") from error
         for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
         for name in _COUNTERS:
@@ -106,5 +116,6 @@ class RunSaver:
             orders=tuple(requests),
             replay_added=self._replay.added,
             replay_kept=self._replay.kept,
+            groups_added=self._groups.added,
             generators=Generators.model_validate(generators),
         )

@@ -47,15 +47,16 @@ def run_arrays(
             require_equal_layout(saved.part(part), tensors)
         except ValueError as error:
             raise CheckpointError(f"{saved.path}: its part {part} is not valid: {error}") from error
-    found = _arrays(saved, "replay")
+    found = arrays(saved, "replay")
     bounded = [("action", len(ACTIONS) - 1), ("discount", 1)]
     bounded += [("label", 1)] if "label" in found else []
     for name, most in bounded:
         values = np.asarray(found[name], np.float64)
         if ((values < 0) | (values > most)).any():
             raise CheckpointError(f"{saved.path}: replay.{name} lies outside of 0 to {most}")
-    return found, {version: _arrays(saved, f"weights{version}") for version in versions}
+    return found, {version: arrays(saved, f"weights{version}") for version in versions}
 
 
-def _arrays(saved: Checkpoint, part: str) -> Arrays:
+def arrays(saved: Checkpoint, part: str) -> Arrays:
+    """Return the tensors of a part of a checkpoint as arrays."""
     return {name: tensor.numpy() for name, tensor in saved.part(part).items()}

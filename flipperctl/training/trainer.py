@@ -20,6 +20,7 @@ import torch
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
+from flipperctl.agent.groups import GroupBatch, GroupMemory
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
@@ -28,6 +29,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
+from flipperctl.errors import ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
@@ -69,6 +71,7 @@ class Trainer:
         size = input_size(config.network, layout)
         labels = len(ACTIONS) if taught else 0
         self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma, labels)
+        self.groups = GroupMemory(config.teacher.kept_groups)
         generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
@@ -81,7 +84,8 @@ class Trainer:
         )
         self.validator = Validator(config, self.agent, env)
         self._saver = RunSaver(
-            config, directory, self.agent, self.replay, self.progress, generators, self.validator
+            *(config, directory, self.agent, self.replay, self.groups, self.progress),
+            *(generators, self.validator),
         )
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
@@ -190,6 +194,15 @@ class Trainer:
             bootstrap=ending is not None and ending["outcome"] in bootstrapped,
             label=step.label,
         )
+        if self.config.teacher.loss == "values" and ending is not None:
+            if step.groups is None:
+                name = self.config.teacher.controller
+                raise ConfigError(
+                    "teacher.loss=values: the teacher "
+                    f"{name.plugin_name if name else 'of recorded episodes'} values no states; "
+                    "teacher=searched does"
+                )
+            self.groups.add(step.groups)
 
     def _learn(self) -> None:
         """Update the agent if an update is due at this decision.
@@ -203,9 +216,16 @@ class Trainer:
         if due and begun and len(self.replay):
             batch = self.replay.sample(together * agent.batch_size, self._sample)
             progress.loss = self.agent.update(
-                batch, progress.decision / self.config.train.decisions
+                *(batch, progress.decision / self.config.train.decisions, self._valued(together))
             )
             progress.updates += together
+
+    def _valued(self, count: int) -> list[GroupBatch]:
+        """Return a batch of valued states for each of ``count`` steps, if there are any."""
+        if not len(self.groups):
+            return []
+        size = self.config.teacher.batch_groups
+        return [self.groups.sample(size, self._sample) for _ in range(count)]
 
     def _end_episode(self, ending: Row) -> None:
         reached = ending["outcome"] == Outcome.REACHED

@@ -1,0 +1,49 @@
+"""The values of a trained policy, for searches that end with them.
+
+In: a checkpoint. Out: the value of observations, with the rewards and the discount of the training.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray
+from flipperctl.checkpoint import find, read
+from flipperctl.errors import CheckpointError
+from flipperctl.lookahead.learned import LearnedValue
+from flipperctl.policies.trained import policy_module
+
+
+def learned_value(name: str, path: str) -> LearnedValue:
+    """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting.
+
+    Raises:
+        CheckpointError: the file is missing or damaged, or its network tells no values of single
+            observations.
+    """
+    checkpoint = read(find(Path(name)))
+    config = checkpoint.policy_config()
+    if config.network.frames > 1:
+        raise CheckpointError(
+            f"{path}={name}: its network {config.network.plugin_name} takes "
+            f"{config.network.frames} observations, of which a plan predicts one; a network of one "
+            "observation is allowed"
+        )
+    teacher = config.teacher
+    if teacher.teaches and not teacher.td_weight and teacher.loss != "values":
+        raise CheckpointError(
+            f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
+            "train with teacher.td_weight above 0, or with experiment=searched"
+        )
+    module, scale = policy_module(checkpoint), config.agent.reward_scale
+
+    def value(observations: NDArray[np.float32]) -> FloatArray:
+        with torch.inference_mode():
+            best = module(torch.from_numpy(observations)).amax(dim=1)
+        return np.asarray(best.numpy(), np.float64) / scale
+
+    return LearnedValue(value, config.rewards, config.agent.gamma, config.perception.layout)
