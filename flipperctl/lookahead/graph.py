@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +38,11 @@ _BEYOND = 1.5
 """Distance before the start and past the finish at which the exploration ends [m]."""
 _SLOW = 0.1
 """Share of the way of a decision at full speed below which the robot stands [-]."""
+_BESIDE = sorted(
+    (shift for shift in product((-1, 0, 1), repeat=3) if any(shift)),
+    key=lambda shift: sum(map(abs, shift)),
+)
+"""Shifts in x, z and pitch to the cells beside one, the nearest first."""
 _ACCURACY = 1e-3
 """Largest change of a value in the last sweep [-]."""
 _SWEEPS = 1000
@@ -93,25 +100,27 @@ class Graph:
         self.values = _iterated(reward, kept, self.child)
         """Value of each action, (N, 9) [-]; -inf for a turn beyond a stop."""
 
+    @cached_property
     def best(self) -> FloatArray:
-        """Return the value of each represented state, (N,) [-]."""
+        """The value of each represented state, (N,) [-]."""
         return np.asarray(self.values.max(axis=1))
 
     def lookup(self, nodes: Nodes) -> NDArray[np.int64]:
-        """Return the represented state of each node's cell, (M,); -1 without one."""
-        return np.array([self._cells.get(key, -1) for key in self._keys(nodes)], np.int64)
+        """Return the represented state of each node's cell, else of a cell beside it, (M,).
 
-    def values_at(self, nodes: Nodes) -> FloatArray:
-        """Return the value of each action in any states, (M, 9) [-].
-
-        One decision is predicted; its end counts as the state that represents its cell. The value
-        is -inf for a turn beyond a stop, and where no state represents the end.
+        It is -1 if neither is represented.
         """
-        found = self._decide(nodes)
-        best = np.where(found.child < 0, 0.0, self.best()[found.child])
-        values = np.full((len(nodes), len(ACTIONS)), -np.inf)
-        values[found.parent, found.action] = found.reward + found.kept * best
-        return values
+        return np.array([self._nearest(key) for key in self._keys(nodes)], np.int64)
+
+    def _nearest(self, key: tuple[int, ...]) -> int:
+        found = self._cells.get(key, -1)
+        if found >= 0:
+            return found
+        for shift in _BESIDE:
+            beside = (*(k + s for k, s in zip(key[:3], shift, strict=True)), *key[3:])
+            if (found := self._cells.get(beside, -1)) >= 0:
+                return found
+        return -1
 
     def _explore(self) -> Iterator[_Edges]:
         """Represent the reachable states wave by wave; yield the decisions of each wave."""

@@ -18,6 +18,8 @@ from flipperctl.lookahead.groups import sample_groups, with_stops
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
 from flipperctl.lookahead.nodes import TURNS, Nodes
 from flipperctl.lookahead.policy import nominal
+from flipperctl.lookahead.returns import Returns
+from flipperctl.lookahead.search import Search
 from flipperctl.lookahead.value_iteration_settings import ValueIterationSettings
 from flipperctl.reward_sum import RewardSum
 
@@ -57,11 +59,12 @@ class OraclePolicy:
             finish=simulator.finish,
             top=top,
         )
+        self._patience = _EPISODE.stuck_decisions(robot.decision_period)
         course = Course(
             profile,
             start=float(state.position[0]),
             finish=simulator.finish,
-            patience=_EPISODE.stuck_decisions(robot.decision_period),
+            patience=self._patience,
         )
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
         self._targets = state.front, state.rear
@@ -77,11 +80,27 @@ class OraclePolicy:
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the negative value of each action in the true state, (9,) [-]."""
-        values = with_stops(self._graph.values_at(self._here()))[0]
-        finite = np.isfinite(values)
-        if not finite.any():  # off every represented state: as far from them as can be
-            return np.zeros(len(values))
-        return np.asarray(-np.where(finite, values, values[finite].min()))
+        settings, robot, root = self._settings, self._robot, self._here()
+        objective = Returns(
+            rewards=self._rewards,
+            horizon=self._horizon,
+            gamma=settings.gamma,
+            profile=self._simulator.profile,
+            robot=robot,
+            root=root,
+            standing=0,
+            patience=self._patience,
+        )
+        search = Search(
+            robot,
+            objective,
+            width=settings.beam,
+            depth=settings.horizon,
+            beam_per_action=1,
+        )
+        costs = search.run(self._model, root.states[0]).costs
+        costs = -with_stops(-costs[None])[0]
+        return np.where(np.isfinite(costs), costs, costs[np.isfinite(costs)].max())
 
     def took(self, action: int) -> None:
         """Remember the action that was taken."""
@@ -106,6 +125,12 @@ class OraclePolicy:
             unseen=settings.unseen,
             way=robot.track_speed * robot.decision_period,
         )
+
+    def _horizon(self, nodes: Nodes) -> FloatArray:
+        """Return the values of the states that represent ``nodes``, (M,) [-]."""
+        found = self._graph.lookup(nodes)
+        best = self._graph.best
+        return np.asarray(np.where(found < 0, best.min(), best[found]))
 
     def _here(self) -> Nodes:
         """Return the true state as a node."""

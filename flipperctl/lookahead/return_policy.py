@@ -87,14 +87,14 @@ class ReturnPolicy(MpcPolicy):
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
         """Search for the largest return, the wider the longer the robot has stood."""
-        settings = self._settings
+        settings, learned = self._settings, self._learned
+        ground = Ground(self._line, learned.layout)
         place = np.array([model.chassis(root)])
         objective = Returns(
             rewards=self._rewards,
-            value=self._learned.value,
-            gamma=self._learned.gamma,
+            horizon=lambda nodes: learned.value(ground.observations(nodes.places, nodes.states)),
+            gamma=learned.gamma,
             profile=Profile(self._line),
-            ground=Ground(self._line, self._learned.layout),
             robot=robot,
             root=Nodes(
                 states=root[None],

@@ -6,6 +6,7 @@ whose cost is the negative discounted return.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +14,6 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Outcome, Profile, Robot
 from flipperctl.lookahead.dynamics import RUNNING
-from flipperctl.lookahead.heights import Ground
-from flipperctl.lookahead.learned import Value
 from flipperctl.lookahead.model import Branch, Model
 from flipperctl.lookahead.nodes import Nodes, transitions
 from flipperctl.lookahead.search import Scores
@@ -29,13 +28,12 @@ class Returns:
     """The objective of one decision's search."""
 
     rewards: RewardSum
-    value: Value
+    horizon: Callable[[Nodes], FloatArray]
+    """Returns the expected discounted return from nodes on, (M,) [-]."""
     gamma: float
     """Discount per decision [-]."""
     profile: Profile
     """The known ground."""
-    ground: Ground
-    """The same ground, as it would be perceived."""
     robot: Robot
     root: Nodes
     """The robot before its decision, one node."""
@@ -79,7 +77,7 @@ class ReturnAccount:
         ended = found.outcome != RUNNING
         ahead = np.zeros(len(parent))
         going = np.flatnonzero(~ended)
-        ahead[going] = o.value(o.ground.observations(found.places[going], found.states[going]))
+        ahead[going] = o.horizon(after.take(going))
         distance = found.places[:, 0] - o.root.places[0, 0]
         way = o.robot.track_speed * period * (self.depth + 1)
         if o.standing:

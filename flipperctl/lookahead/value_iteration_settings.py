@@ -21,6 +21,10 @@ class ValueIterationSettings(Settings):
         le=10,
         description="friction in the prediction if the episode's own is not known [-]",
     )
+    horizon: int = Field(
+        4, ge=1, le=20, description="decisions that are searched before the values count [-]"
+    )
+    beam: int = Field(10, ge=1, le=64, description="nodes kept at each depth of that search [-]")
     groups: int = Field(
         96,
         ge=1,
