@@ -100,7 +100,7 @@ class OraclePolicy:
         )
         costs = search.run(self._model, root.states[0]).costs
         costs = -with_stops(-costs[None])[0]
-        return np.where(np.isfinite(costs), costs, costs[np.isfinite(costs)].max())
+        return np.asarray(np.where(np.isfinite(costs), costs, costs[np.isfinite(costs)].max()))
 
     def took(self, action: int) -> None:
         """Remember the action that was taken."""
