@@ -190,6 +190,27 @@ class TrainConfig(EnvConfig):
         return self
 
     @model_validator(mode="after")
+    def _check_values(self) -> TrainConfig:
+        if self.teacher.loss == "values":
+            if self.network.frames > 1:
+                raise ConfigError(
+                    f"network: {self.network.plugin_name} takes {self.network.frames} "
+                    "observations; teacher.loss=values teaches the values of single ones"
+                )
+            if self.teacher.controller is None:
+                raise ConfigError(
+                    "teacher.loss: values are computed by a controller, such as teacher=searched; "
+                    "recorded episodes have none"
+                )
+            gamma = getattr(self.teacher.controller, "gamma", self.agent.gamma)
+            if gamma != self.agent.gamma:
+                raise ConfigError(
+                    f"teacher.controller.gamma: {gamma} is not agent.gamma ({self.agent.gamma}); "
+                    f"set teacher.controller.gamma={self.agent.gamma}"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _check_rewards(self) -> TrainConfig:
         if not any(term.weight for term in self.rewards.values()):
             there = ", ".join(self.rewards) if self.rewards else "none"

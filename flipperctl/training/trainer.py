@@ -20,7 +20,6 @@ import torch
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.groups import GroupBatch, GroupMemory
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
@@ -29,7 +28,6 @@ from flipperctl.config import TrainConfig
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
-from flipperctl.errors import ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
@@ -43,6 +41,7 @@ from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
+from flipperctl.training.valued import ValuedStates
 
 
 class Trainer:
@@ -71,7 +70,7 @@ class Trainer:
         size = input_size(config.network, layout)
         labels = len(ACTIONS) if taught else 0
         self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma, labels)
-        self.groups = GroupMemory(config.teacher.kept_groups)
+        self.valued = ValuedStates(config.teacher)
         generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
@@ -84,7 +83,7 @@ class Trainer:
         )
         self.validator = Validator(config, self.agent, env)
         self._saver = RunSaver(
-            *(config, directory, self.agent, self.replay, self.groups, self.progress),
+            *(config, directory, self.agent, self.replay, self.valued.memory, self.progress),
             *(generators, self.validator),
         )
         self._stopwatch = Stopwatch(directory)
@@ -194,15 +193,7 @@ class Trainer:
             bootstrap=ending is not None and ending["outcome"] in bootstrapped,
             label=step.label,
         )
-        if self.config.teacher.loss == "values" and ending is not None:
-            if step.groups is None:
-                name = self.config.teacher.controller
-                raise ConfigError(
-                    "teacher.loss=values: the teacher "
-                    f"{name.plugin_name if name else 'of recorded episodes'} values no states; "
-                    "teacher=searched does"
-                )
-            self.groups.add(step.groups)
+        self.valued.add(step)
 
     def _learn(self) -> None:
         """Update the agent if an update is due at this decision.
@@ -216,16 +207,13 @@ class Trainer:
         if due and begun and len(self.replay):
             batch = self.replay.sample(together * agent.batch_size, self._sample)
             progress.loss = self.agent.update(
-                *(batch, progress.decision / self.config.train.decisions, self._valued(together))
+                *(
+                    batch,
+                    progress.decision / self.config.train.decisions,
+                    self.valued.batches(together, self._sample),
+                )
             )
             progress.updates += together
-
-    def _valued(self, count: int) -> list[GroupBatch]:
-        """Return a batch of valued states for each of ``count`` steps, if there are any."""
-        if not len(self.groups):
-            return []
-        size = self.config.teacher.batch_groups
-        return [self.groups.sample(size, self._sample) for _ in range(count)]
 
     def _end_episode(self, ending: Row) -> None:
         reached = ending["outcome"] == Outcome.REACHED
