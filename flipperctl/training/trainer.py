@@ -206,13 +206,9 @@ class Trainer:
         begun = progress.decision + self.replay.kept >= agent.learning_starts
         if due and begun and len(self.replay):
             batch = self.replay.sample(together * agent.batch_size, self._sample)
-            progress.loss = self.agent.update(
-                *(
-                    batch,
-                    progress.decision / self.config.train.decisions,
-                    self.valued.batches(together, self._sample),
-                )
-            )
+            valued = self.valued.batches(together, self._sample)
+            fraction = progress.decision / self.config.train.decisions
+            progress.loss = self.agent.update(batch, fraction, valued)
             progress.updates += together
 
     def _end_episode(self, ending: Row) -> None:
