@@ -31,6 +31,13 @@ class MpcSettings(Settings):
         description="reward terms that plans are paid by, a preset's name on the command line; "
         "null: those that ``value`` was trained with [-]",
     )
+    averaging: float = Field(
+        0.5,
+        ge=0,
+        lt=1,
+        description="with ``value``: share of the estimates at smaller depths in the return of a "
+        "plan; the errors of a learned value average out [-]",
+    )
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
     of_each: int = Field(

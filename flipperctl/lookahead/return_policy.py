@@ -105,6 +105,7 @@ class ReturnPolicy(MpcPolicy):
             ),
             standing=self._standing,
             patience=_EPISODE.stuck_decisions(robot.decision_period),
+            averaging=settings.averaging,
         )
         width = settings.beam * min(_WIDEST, 1 + self._standing // _PATIENCE)
         search = Search(

@@ -41,6 +41,9 @@ class Returns:
     """Number of decisions in which the robot has stood until now."""
     patience: int
     """Number of decisions without progress after which an episode ends as stuck [-]."""
+    averaging: float = 0.0
+    """Share of the estimates at smaller depths in the return of a plan, 0 to 1. The best of many
+    plans is often the one whose value errs most; its errors at several depths average out."""
 
     @property
     def poses(self) -> bool:
@@ -49,7 +52,8 @@ class Returns:
 
     def begin(self, model: Model, root: FloatArray) -> ReturnAccount:
         """Return the account of a search from the state ``root``."""
-        return ReturnAccount(self, replace(self.root, states=root[None]), 0, np.zeros(1))
+        nodes, zero = replace(self.root, states=root[None]), np.zeros(1)
+        return ReturnAccount(self, nodes, 0, zero, zero)
 
 
 @dataclass(frozen=True)
@@ -62,10 +66,17 @@ class ReturnAccount:
     """Number of decisions from the root."""
     earned: FloatArray
     """Discounted rewards from the root, (M,) [-]."""
+    estimate: FloatArray
+    """Estimated return of the plans, (M,) [-]."""
 
     def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
         """Return the account of some of the nodes."""
-        return replace(self, nodes=self.nodes.take(rows), earned=self.earned[rows])
+        return replace(
+            self,
+            nodes=self.nodes.take(rows),
+            earned=self.earned[rows],
+            estimate=self.estimate[rows],
+        )
 
     def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
         """Return the scores of plans that are one decision longer."""
@@ -91,10 +102,14 @@ class ReturnAccount:
                 ahead[rows] *= 1.0 - risk
         discount = o.gamma**self.depth
         earned = self.earned[parent] + discount * reward
+        estimate = earned + discount * o.gamma * ahead
+        if self.depth and o.averaging:
+            mixed = o.averaging * self.estimate[parent] + (1 - o.averaging) * estimate
+            estimate = np.where(ended, estimate, mixed)
         return Scores(
-            cost=-(earned + discount * o.gamma * ahead),
+            cost=-estimate,
             hurried=-distance,
             ended=ended,
             lost_time=np.maximum(0.0, period * (self.depth + 1) - distance / o.robot.track_speed),
-            account=ReturnAccount(o, after, self.depth + 1, earned),
+            account=ReturnAccount(o, after, self.depth + 1, earned, estimate),
         )
