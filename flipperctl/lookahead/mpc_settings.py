@@ -87,13 +87,14 @@ class MpcSettings(Settings):
     overturn: float = Field(
         math.pi / 3, gt=0.1, le=math.pi / 2, description="pitch that no plan may reach [rad]"
     )
-    friction: float = Field(
-        0.8,
+    friction: float | None = Field(
+        None,
         gt=0,
         le=10,
         description="friction between track and ground in the simulation, unless a privileged "
         "teacher is told the true one; too low a value costs smoothness, with too high a value the "
-        "robot gets stuck on slippery stairs [-]",
+        "robot gets stuck on slippery stairs; null: 0.8, and 1.0 with ``value``, since a plan for "
+        "the largest return gives up steep stairs that it takes for impassable [-]",
     )
     step: float = Field(0.02, ge=0.005, le=0.04, description="time step of the prediction [s]")
     iterations: int = Field(8, ge=1, le=40, description="solver iterations per step [-]")
@@ -112,6 +113,13 @@ class MpcSettings(Settings):
         description="time after which a search ends early; only without it are decisions exactly "
         "repeatable [s]",
     )
+
+    @property
+    def assumed_friction(self) -> float:
+        """Friction in the simulation, unless it is known [-]."""
+        if self.friction is not None:
+            return self.friction
+        return 1.0 if self.value else 0.8
 
     def cost_weights(self, robot: Robot, hurry: int = 0) -> CostWeights:
         """Return the cost weights of a plan.

@@ -152,7 +152,7 @@ class MpcPolicy:
         return Model(
             line,
             robot,
-            friction=settings.friction if p.friction is None else p.friction,
+            friction=settings.assumed_friction if p.friction is None else p.friction,
             step=settings.step,
             iterations=settings.iterations,
             overturn=settings.overturn,
