@@ -49,7 +49,7 @@ def _model(env: FlipperEnv) -> Model:
     return Model(
         env.profile.points,
         env.robot,
-        friction=settings.friction,
+        friction=settings.assumed_friction,
         step=settings.step,
         iterations=settings.iterations,
         overturn=settings.overturn,
