@@ -176,6 +176,8 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
     """Check that every tensor belongs to a part that a checkpoint of this kind has."""
     parts = {"policy"} if document.kind == "best" else {"online", "target", "optimiser", "replay"}
     requests = document.state.orders if document.state else ()
+    if document.state and document.state.groups_added:
+        parts.add("groups")
     parts |= {f"weights{request.version}" for request in requests}
     older = document.kind == "last" and document.state is None
     for name in tensors:
