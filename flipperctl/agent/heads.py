@@ -31,14 +31,14 @@ class Head(Protocol):
     ) -> torch.Tensor:
         """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
 
-    def loss(
+    def losses(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the loss between the network's outputs for ``action``, (B,), and ``targets``."""
+        """Return the losses between the network's outputs for ``action`` and ``targets``, (B,)."""
 
 
 class Scalar:
@@ -51,14 +51,14 @@ class Scalar:
         next_ = batch.next_observation
         return double_q_target(reward, batch.discount, online(next_), target(next_))
 
-    def loss(
+    def losses(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the Huber loss of the Q-values."""
+        """Return the Huber losses of the Q-values, (B,)."""
         predicted = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
         return huber(predicted, targets)
 
@@ -74,14 +74,14 @@ class Quantile:
         quantiles = cast("Distributional", target).quantiles(batch.next_observation)
         return double_quantile_target(reward, batch.discount, values, quantiles)
 
-    def loss(
+    def losses(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the quantile Huber loss of the quantiles."""
+        """Return the quantile Huber losses of the quantiles, (B,)."""
         quantiles = cast("Distributional", online).quantiles(observation)
         rows = torch.arange(len(action), device=action.device)
         return quantile_huber(quantiles[rows, action], targets)

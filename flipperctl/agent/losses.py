@@ -20,9 +20,20 @@ def double_q_target(
     return reward + discount * next_target.gather(1, best).squeeze(1)
 
 
+def action_gap(values: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+    """Return max_a Q(s, a) - Q(s, ``action``), (B,), which is 0 for the best action.
+
+    ``values`` (B, A) are Q-values, ``action`` (B,) indices of actions. A target from which α times
+    the gap is subtracted leads to the same best actions and the same value of each state, but to
+    gaps that are 1 / (1 - α) times as large (advantage learning; Bellemare et al. 2016,
+    "Increasing the action gap", Eq. 9).
+    """
+    return values.amax(dim=1) - values.gather(1, action.unsqueeze(1)).squeeze(1)
+
+
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the mean Huber loss with threshold 1 of two (B,) tensors."""
-    return torch.nn.functional.smooth_l1_loss(prediction, target)
+    """Return the Huber loss with threshold 1 of each pair of two (B,) tensors, (B,)."""
+    return torch.nn.functional.smooth_l1_loss(prediction, target, reduction="none")
 
 
 def teacher_cross_entropy(
@@ -82,8 +93,8 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     """Return the quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
 
     ``prediction`` (B, K) holds the quantiles at τ_i = (i + ½) / K, ``target`` (B, K′) values that
-    are equally likely. The loss is summed over the quantiles and averaged over the values and the
-    batch.
+    are equally likely. Each of the losses, (B,), is summed over the quantiles and averaged over the
+    values.
     """
     count = prediction.shape[1]
     tau = (torch.arange(count, device=prediction.device) + 0.5) / count
@@ -91,4 +102,4 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     size = error.abs()
     small = size.clamp(max=1.0)
     weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
-    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean()
+    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean(dim=1)

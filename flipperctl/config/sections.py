@@ -115,9 +115,36 @@ class Agent(Settings):
     )
     gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
     n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
+    cut_at_random: bool = Field(
+        False,
+        description="end a sum of n_step rewards before the next random action, so that it rates "
+        "the policy instead of its exploration [-]",
+    )
+    gap_weight: float = Field(
+        0.0,
+        ge=0,
+        le=0.99,
+        description="fraction α of an action's disadvantage that is subtracted from its target; "
+        "differences between actions become 1 / (1 - α) times as large, and stand out beside "
+        "the error of the values [-]",
+    )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
+    )
+    priority_exponent: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="power of a transition's last error to which its probability of being "
+        "replayed is proportional; 0 replays uniformly [-]",
+    )
+    priority_correction: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="part of the importance weights of prioritised replay at the start; all of "
+        "them at the end [-]",
     )
     learning_starts: int = Field(
         1000,
@@ -151,6 +178,13 @@ class Agent(Settings):
     )
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
+    )
+    persistence: float = Field(
+        1.0,
+        ge=1,
+        le=50,
+        description="mean number of decisions for which a random action is repeated; the fraction "
+        "of random actions stays ε [-]",
     )
     gradient_norm: float = Field(
         10.0, gt=0, le=1e6, description="gradients are clipped to this norm [-]"

@@ -13,6 +13,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, Perception, Policy, Simulator
 from flipperctl.config import Teacher
 from flipperctl.policies import labels
+from flipperctl.policies.abilities import TrainingPolicy
 
 
 class TaughtPolicy:
@@ -37,6 +38,8 @@ class TaughtPolicy:
         self._labeller = labels.Labeller(teacher, settings.temperature)
         self._student_learns, self._rng = student_learns, rng
         self._student_acts = False
+        self.explored = False
+        """Whether the last action was random."""
         self._simulator: Simulator | None = None
         self.label = labels.from_action(0)
         """The teacher's distribution over actions at the last decision, (9,)."""
@@ -65,7 +68,10 @@ class TaughtPolicy:
     def _chosen(self, p: Perception, choice: int) -> int:
         """Return the student's action, or the teacher's ``choice`` or a random one."""
         if self._student_acts:
-            return self._student.act(p)
-        if self._rng.random() < self._settings.random:
+            action = self._student.act(p)
+            self.explored = isinstance(self._student, TrainingPolicy) and self._student.explored
+            return action
+        self.explored = self._rng.random() < self._settings.random
+        if self.explored:
             return int(self._rng.integers(len(ACTIONS)))
         return choice

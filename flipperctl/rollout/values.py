@@ -33,6 +33,8 @@ class Step:
     """``seed``, ``outcome`` and metrics of the episode after its last step; None before."""
     label: NDArray[np.float32] | None = None
     """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
+    explored: bool = False
+    """Whether the action was random."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Rollout:
     """Seed, outcome, metrics and difficulty of the episode."""
     labels: NDArray[np.float32] | None = None
     """The teacher's distributions over actions, (T, 9), if there is a teacher."""
+    explored: NDArray[np.bool_] | None = None
+    """Whether each action was random, (T,); None if none was."""
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in their order."""
@@ -82,4 +86,5 @@ class Rollout:
                 next_observation=after,
                 ending=ending,
                 label=label,
+                explored=self.explored is not None and bool(self.explored[t]),
             )

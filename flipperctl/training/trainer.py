@@ -21,6 +21,7 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
+from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
@@ -67,7 +68,11 @@ class Trainer:
         )
         size = input_size(config.network, layout)
         labels = len(ACTIONS) if taught else 0
-        self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma, labels)
+        self.replay = Replay(
+            *(agent.replay_size, size, agent.n_step, agent.gamma, labels),
+            cut=agent.cut_at_random,
+            exponent=agent.priority_exponent,
+        )
         generators = {
             "explore": np.random.default_rng(explore),
             "sample": np.random.default_rng(sample),
@@ -181,6 +186,7 @@ class Trainer:
             step.next_observation,
             over=ending is not None,
             bootstrap=ending is not None and ending["outcome"] in bootstrapped,
+            explored=step.explored,
             label=step.label,
         )
 
@@ -194,10 +200,12 @@ class Trainer:
         due = progress.decision % (agent.update_every * together) == 0
         begun = progress.decision + self.replay.kept >= agent.learning_starts
         if due and begun and len(self.replay):
-            batch = self.replay.sample(together * agent.batch_size, self._sample)
-            progress.loss = self.agent.update(
-                batch, progress.decision / self.config.train.decisions
-            )
+            fraction = progress.decision / self.config.train.decisions
+            correction = linear(agent.priority_correction, 1.0, fraction)
+            batch = self.replay.sample(together * agent.batch_size, self._sample, correction)
+            progress.loss = self.agent.update(batch, fraction)
+            if batch.rows is not None:
+                self.replay.rate(batch.rows, np.concatenate(self.agent.errors))
             progress.updates += together
 
     def _end_episode(self, ending: Row) -> None:

@@ -15,20 +15,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.errors import NonFiniteError
 from flipperctl.policies.exploring import ExploringPolicy
-from tests.agent.learners import ACTIONS, LAYOUT, fixed_batch, learner
-
-
-class Ramp(Network):
-    """Its Q-values rise from action to action for every observation."""
-
-    plugin_name: ClassVar[str] = "ramp"
-
-    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a layer whose biases are the Q-values."""
-        layer = torch.nn.Linear(layout.size, n_actions)
-        torch.nn.init.zeros_(layer.weight)
-        layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
-        return layer
+from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
 
 
 def weights(agent: D3qn) -> dict[str, torch.Tensor]:
