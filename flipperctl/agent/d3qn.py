@@ -21,7 +21,6 @@ from flipperctl.agent.building import (
 )
 from flipperctl.agent.heads import choose_head
 from flipperctl.agent.losses import (
-    action_gap,
     mean_value_penalty,
     teacher_cross_entropy,
     teacher_large_margin,
@@ -139,7 +138,11 @@ class D3qn:
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
             only_imitates = self._teacher is not None and not self._teacher.td_weight
-            targets = reward if only_imitates else self._targets(reward, batch)
+            targets = (
+                reward
+                if only_imitates
+                else self._head.targets(reward, batch, self.online, self.target)
+            )
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
@@ -150,14 +153,6 @@ class D3qn:
                     f"is {float(batch.reward.abs().max()):g}"
                 )
         return value
-
-    def _targets(self, reward: torch.Tensor, batch: Batch) -> torch.Tensor:
-        """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
-        targets = self._head.targets(reward, batch, self.online, self.target)
-        if not self.settings.gap_weight:
-            return targets
-        gap = self.settings.gap_weight * action_gap(self.target(batch.observation), batch.action)
-        return targets - gap.view(-1, *[1] * (targets.dim() - 1))
 
     def _loss(self, batch: Batch, target: torch.Tensor, fraction: float) -> torch.Tensor:
         """Return the temporal-difference loss, plus the imitation loss if there is a teacher."""

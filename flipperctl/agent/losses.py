@@ -20,17 +20,6 @@ def double_q_target(
     return reward + discount * next_target.gather(1, best).squeeze(1)
 
 
-def action_gap(values: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-    """Return max_a Q(s, a) - Q(s, ``action``), (B,), which is 0 for the best action.
-
-    ``values`` (B, A) are Q-values, ``action`` (B,) indices of actions. A target from which α times
-    the gap is subtracted leads to the same best actions and the same value of each state, but to
-    gaps that are 1 / (1 - α) times as large (advantage learning; Bellemare et al. 2016,
-    "Increasing the action gap", Eq. 9).
-    """
-    return values.amax(dim=1) - values.gather(1, action.unsqueeze(1)).squeeze(1)
-
-
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return the Huber loss with threshold 1 of each pair of two (B,) tensors, (B,)."""
     return torch.nn.functional.smooth_l1_loss(prediction, target, reduction="none")

@@ -120,14 +120,6 @@ class Agent(Settings):
         description="end a sum of n_step rewards before the next random action, so that it rates "
         "the policy instead of its exploration [-]",
     )
-    gap_weight: float = Field(
-        0.0,
-        ge=0,
-        le=0.99,
-        description="fraction α of an action's disadvantage that is subtracted from its target; "
-        "differences between actions become 1 / (1 - α) times as large, and stand out beside "
-        "the error of the values [-]",
-    )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
