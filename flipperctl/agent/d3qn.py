@@ -95,8 +95,6 @@ class D3qn:
         self._parameters = list(self.online.parameters())
         self.optimiser = Adam(self._online)
         self._head = choose_head(self.online)
-        self.errors: list[NDArray[np.float32]] = []
-        """Absolute errors of the last weighted batch, in parts of ``batch_size``."""
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
         self.noise_rng = np.random.default_rng(seed)
         """Generator of the networks' exploration noise, if they have any."""
@@ -134,7 +132,6 @@ class D3qn:
         batch = batch.to(self.device)
         self._noise.draw(self.noise_rng)
         self._target_noise.draw(self.noise_rng)
-        self.errors = []
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
             only_imitates = self._teacher is not None and not self._teacher.td_weight
@@ -146,7 +143,7 @@ class D3qn:
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
-            value = self._step(batch.part(part), targets[part], rate, fraction)
+            value = self._step(batch.rows(part), targets[part], rate, fraction)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
@@ -158,7 +155,7 @@ class D3qn:
         """Return the temporal-difference loss, plus the imitation loss if there is a teacher."""
         s = self._teacher
         if s is None:
-            return self._difference(batch, target)
+            return self._head.loss(self.online, batch.observation, batch.action, target)
         assert batch.label is not None  # the replay of a run with a teacher has labels
         values = self.online(batch.observation)
         if s.loss == "margin":
@@ -168,16 +165,8 @@ class D3qn:
         loss = linear(s.weight, s.weight_end, fraction) * imitation
         if not s.td_weight:
             return loss + mean_value_penalty(values)
-        return s.td_weight * self._difference(batch, target) + loss
-
-    def _difference(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
-        """Return the temporal-difference loss; keep the errors of the batch if it has weights."""
-        losses = self._head.losses(self.online, batch.observation, batch.action, target)
-        if batch.weight is None:
-            return losses.mean()
-        found = losses.detach()  # of a Huber loss ½ e² below 1 and |e| - ½ above
-        self.errors.append(torch.where(found < 0.5, (2 * found).sqrt(), found + 0.5).cpu().numpy())
-        return (batch.weight * losses).mean()
+        td = self._head.loss(self.online, batch.observation, batch.action, target)
+        return s.td_weight * td + loss
 
     def _step(self, batch: Batch, target: torch.Tensor, rate: float, fraction: float) -> float:
         self._noise.draw(self.noise_rng)

@@ -31,14 +31,14 @@ class Head(Protocol):
     ) -> torch.Tensor:
         """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
 
-    def losses(
+    def loss(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the losses between the network's outputs for ``action`` and ``targets``, (B,)."""
+        """Return the loss between the network's outputs for ``action``, (B,), and ``targets``."""
 
 
 class Scalar:
@@ -51,14 +51,14 @@ class Scalar:
         next_ = batch.next_observation
         return double_q_target(reward, batch.discount, online(next_), target(next_))
 
-    def losses(
+    def loss(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the Huber losses of the Q-values, (B,)."""
+        """Return the Huber loss of the Q-values."""
         predicted = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
         return huber(predicted, targets)
 
@@ -74,14 +74,14 @@ class Quantile:
         quantiles = cast("Distributional", target).quantiles(batch.next_observation)
         return double_quantile_target(reward, batch.discount, values, quantiles)
 
-    def losses(
+    def loss(
         self,
         online: torch.nn.Module,
         observation: torch.Tensor,
         action: torch.Tensor,
         targets: torch.Tensor,
     ) -> torch.Tensor:
-        """Return the quantile Huber losses of the quantiles, (B,)."""
+        """Return the quantile Huber loss of the quantiles."""
         quantiles = cast("Distributional", online).quantiles(observation)
         rows = torch.arange(len(action), device=action.device)
         return quantile_huber(quantiles[rows, action], targets)

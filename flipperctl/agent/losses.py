@@ -21,8 +21,8 @@ def double_q_target(
 
 
 def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the Huber loss with threshold 1 of each pair of two (B,) tensors, (B,)."""
-    return torch.nn.functional.smooth_l1_loss(prediction, target, reduction="none")
+    """Return the mean Huber loss with threshold 1 of two (B,) tensors."""
+    return torch.nn.functional.smooth_l1_loss(prediction, target)
 
 
 def teacher_cross_entropy(
@@ -82,8 +82,8 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     """Return the quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
 
     ``prediction`` (B, K) holds the quantiles at τ_i = (i + ½) / K, ``target`` (B, K′) values that
-    are equally likely. Each of the losses, (B,), is summed over the quantiles and averaged over the
-    values.
+    are equally likely. The loss is summed over the quantiles and averaged over the values and the
+    batch.
     """
     count = prediction.shape[1]
     tau = (torch.arange(count, device=prediction.device) + 0.5) / count
@@ -91,4 +91,4 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     size = error.abs()
     small = size.clamp(max=1.0)
     weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
-    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean(dim=1)
+    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean()

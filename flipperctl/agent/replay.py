@@ -1,4 +1,4 @@
-"""Replay of n-step transitions in preallocated arrays, drawn uniformly or by their errors.
+"""Uniform replay of n-step transitions in preallocated arrays.
 
 In: decisions in chronological order. Out: random batches of (observation, action, discounted sum
 of n rewards, observation n decisions later, discount of its value).
@@ -7,8 +7,7 @@ of n rewards, observation n decisions later, discount of its value).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,8 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.memory import gigabytes
-from flipperctl.agent.priorities import Priorities
 from flipperctl.errors import ConfigError
 
-_LEAST_ERROR = 1e-3
-"""Added to errors, so that no transition is lost for good; the paper's ε [-]."""
 _Label = NDArray[np.float32] | None
 
 
@@ -48,23 +44,18 @@ class Batch:
     """Factors of the next value: γⁿ, or 0 without bootstrapping, (B,) float32 [-]."""
     label: torch.Tensor | None = None
     """The teacher's distribution over actions, (B, 9) float32; zeros without a label."""
-    weight: torch.Tensor | None = None
-    """Weights of the errors, (B,) float32, at most 1; None if all are 1 [-]."""
-    rows: NDArray[np.int64] | None = None
-    """Rows of the replay, (B,), if their priorities depend on the errors."""
 
-    def part(self, part: slice) -> Batch:
+    def rows(self, part: slice) -> Batch:
         """Return a part of the batch."""
-        return self._each(lambda tensor: tensor[part])
+        found = {name: getattr(self, name)[part] for name in Replay.FIELDS}
+        return Batch(**found, label=None if self.label is None else self.label[part])
 
     def to(self, device: torch.device) -> Batch:
         """Return the batch on ``device``."""
-        return self if device.type == "cpu" else self._each(lambda tensor: tensor.to(device))
-
-    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
-        tensors = {name: getattr(self, name) for name in (*Replay.FIELDS, "label", "weight")}
-        changed: dict[str, Any] = {n: change(t) for n, t in tensors.items() if t is not None}
-        return replace(self, **changed)
+        if device.type == "cpu":
+            return self
+        found = {name: getattr(self, name).to(device) for name in Replay.FIELDS}
+        return Batch(**found, label=None if self.label is None else self.label.to(device))
 
 
 class Replay:
@@ -80,13 +71,11 @@ class Replay:
         gamma: float,
         labels: int = 0,
         *,
-        cut: bool = False,
-        exponent: float = 0.0,
+        cut_at_random: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
-        ``cut``: whether a sum of rewards ends before the next random action. ``exponent``: power
-        of a transition's last error that is proportional to its probability; 0 is uniform.
+        ``cut_at_random``: whether a sum of rewards ends before the next random action.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -102,8 +91,6 @@ class Replay:
             }
             if labels:
                 self.arrays["label"] = np.zeros((capacity, labels), np.float32)
-            if exponent:
-                self.arrays["priority"] = np.zeros(capacity, np.float32)
         except MemoryError as error:
             needed = gigabytes(capacity * row_bytes(size, labels))
             raise ConfigError(
@@ -115,8 +102,7 @@ class Replay:
         """Number of first transitions, which are never overwritten."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
-        self._n_step, self._cut, self._exponent = n_step, cut, exponent
-        self._priorities = Priorities(capacity) if exponent else None
+        self._n_step, self._cut_at_random = n_step, cut_at_random
 
     def __len__(self) -> int:
         return min(self.added, self.capacity)
@@ -139,7 +125,7 @@ class Replay:
         value after that end; ``explored``: whether the action was random; ``label``: the teacher's
         distribution over actions, if any.
         """
-        while self._cut and explored and self._pending:
+        while self._cut_at_random and explored and self._pending:
             self._flush(observation, 1.0)
         self._pending.append((observation, action, reward, label))
         continues = 1.0 if bootstrap or not over else 0.0
@@ -162,36 +148,12 @@ class Replay:
             self.arrays[name][row] = value
         if "label" in self.arrays:
             self.arrays["label"][row] = 0.0 if label is None else label
-        self._set_priorities(np.array([row]), np.ones(1, np.float32))
         self.added += 1
 
-    def sample(self, size: int, rng: np.random.Generator, correction: float = 0.0) -> Batch:
-        """Return ``size`` transitions, drawn with replacement, uniformly or by their errors.
-
-        ``correction``: fraction β of the importance weights' logarithm, which makes up for
-        probabilities that are not uniform [-].
-        """
-        if self._priorities is None:
-            return self._batch(rng.integers(len(self), size=size))
-        rows, probability = self._priorities.draw(size, rng)
-        weight = (len(self) * probability) ** -correction
-        weight = (weight / weight.max()).astype(np.float32)
-        return replace(self._batch(rows), weight=torch.from_numpy(weight), rows=rows)
-
-    def _batch(self, rows: NDArray[np.int64]) -> Batch:
-        """Return the transitions of ``rows``, (B,)."""
-        names = (*self.FIELDS, "label") if "label" in self.arrays else self.FIELDS
-        found: dict[str, Any] = {n: torch.from_numpy(self.arrays[n][rows]) for n in names}
-        return Batch(**found)
-
-    def rate(self, rows: NDArray[np.int64], errors: NDArray[np.float32]) -> None:
-        """Set the priorities of sampled ``rows``, (R,), by their absolute ``errors``, (R,)."""
-        self._set_priorities(rows, np.minimum(errors + _LEAST_ERROR, 1.0) ** self._exponent)
-
-    def _set_priorities(self, rows: NDArray[np.int64], priorities: NDArray[np.float32]) -> None:
-        if self._priorities is not None:
-            self.arrays["priority"][rows] = priorities
-            self._priorities.set(rows, self.arrays["priority"][rows])
+    def sample(self, size: int, rng: np.random.Generator) -> Batch:
+        """Return ``size`` transitions, drawn uniformly with replacement."""
+        rows = rng.integers(len(self), size=size)
+        return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:
         """Protect all transitions added so far from being overwritten.
@@ -229,7 +191,4 @@ class Replay:
         for name, array in self.arrays.items():
             array[: len(arrays[name])] = arrays[name]
         self.added, self.kept = added, kept
-        if self._priorities is not None:
-            rows = np.arange(len(self))
-            self._priorities.set(rows, self.arrays["priority"][rows])
         self._pending.clear()

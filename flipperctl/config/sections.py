@@ -124,20 +124,6 @@ class Agent(Settings):
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
     )
-    priority_exponent: float = Field(
-        0.0,
-        ge=0,
-        le=1,
-        description="power of a transition's last error to which its probability of being "
-        "replayed is proportional; 0 replays uniformly [-]",
-    )
-    priority_correction: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="part of the importance weights of prioritised replay at the start; all of "
-        "them at the end [-]",
-    )
     learning_starts: int = Field(
         1000,
         ge=1,

@@ -35,6 +35,7 @@ class TaughtPolicy:
         ``rng`` chooses who acts, and the random actions of the teacher's episodes.
         """
         self._student, self._teacher, self._settings = student, teacher, settings
+        self._exploring = student if isinstance(student, TrainingPolicy) else None
         self._labeller = labels.Labeller(teacher, settings.temperature)
         self._student_learns, self._rng = student_learns, rng
         self._student_acts = False
@@ -69,7 +70,7 @@ class TaughtPolicy:
         """Return the student's action, or the teacher's ``choice`` or a random one."""
         if self._student_acts:
             action = self._student.act(p)
-            self.explored = isinstance(self._student, TrainingPolicy) and self._student.explored
+            self.explored = self._exploring is not None and self._exploring.explored
             return action
         self.explored = self._rng.random() < self._settings.random
         if self.explored:

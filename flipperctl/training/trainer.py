@@ -21,7 +21,6 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
-from flipperctl.agent.schedules import linear
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
@@ -70,8 +69,7 @@ class Trainer:
         labels = len(ACTIONS) if taught else 0
         self.replay = Replay(
             *(agent.replay_size, size, agent.n_step, agent.gamma, labels),
-            cut=agent.cut_at_random,
-            exponent=agent.priority_exponent,
+            cut_at_random=agent.cut_at_random,
         )
         generators = {
             "explore": np.random.default_rng(explore),
@@ -200,12 +198,10 @@ class Trainer:
         due = progress.decision % (agent.update_every * together) == 0
         begun = progress.decision + self.replay.kept >= agent.learning_starts
         if due and begun and len(self.replay):
-            fraction = progress.decision / self.config.train.decisions
-            correction = linear(agent.priority_correction, 1.0, fraction)
-            batch = self.replay.sample(together * agent.batch_size, self._sample, correction)
-            progress.loss = self.agent.update(batch, fraction)
-            if batch.rows is not None:
-                self.replay.rate(batch.rows, np.concatenate(self.agent.errors))
+            batch = self.replay.sample(together * agent.batch_size, self._sample)
+            progress.loss = self.agent.update(
+                batch, progress.decision / self.config.train.decisions
+            )
             progress.updates += together
 
     def _end_episode(self, ending: Row) -> None:

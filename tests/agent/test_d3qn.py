@@ -1,7 +1,6 @@
 """The learner: it acts greedily, learns a fixed batch and repeats itself."""
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import torch
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.losses import teacher_large_margin
 from flipperctl.agent.replay import Batch, Replay
-from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
+from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.errors import NonFiniteError

@@ -52,7 +52,7 @@ def test_n_steps_are_summed_and_the_rest_is_flushed_at_the_end() -> None:
 
 
 def test_a_sum_ends_before_the_next_random_action() -> None:
-    replay = Replay(10, size=2, n_step=3, gamma=0.5, cut=True)
+    replay = Replay(10, size=2, n_step=3, gamma=0.5, cut_at_random=True)
     for i, explored in enumerate([True, False, True, False]):
         replay.add(
             *(observation(i), i, float(2**i), observation(i + 1)),
