@@ -157,6 +157,13 @@ class Agent(Settings):
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
     )
+    exploring_share: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="share of the episodes that have random actions; the others show where the "
+        "policy gets stuck without them [-]",
+    )
     persistence: float = Field(
         1.0,
         ge=1,

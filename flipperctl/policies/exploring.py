@@ -28,25 +28,29 @@ class ExploringPolicy:
         rng: np.random.Generator,
         noise_rng: np.random.Generator,
         persistence: float = 1.0,
+        share: float = 1.0,
     ) -> None:
         """``module`` must be in ``train()`` mode.
 
         ``frames``: number of observations that the network takes as one input. ``epsilon`` is
         called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
-        ``persistence``: mean number of decisions for which a random action is kept [-].
+        ``persistence``: mean number of decisions for which a random action is kept [-]; ``share``:
+        share of the episodes that have random actions [-].
         """
         self._module, self._frames, self._epsilon = module, frames, epsilon
         self._rng, self._noise_rng = rng, noise_rng
         self._noise = Noise(module)
         self._device = next(module.parameters(), torch.empty(0)).device
-        self._persistence = persistence
+        self._persistence, self._share = persistence, share
+        self._greedy = False
         self._action, self._left = 0, 0
         self.explored = False
         """Whether the last action was random."""
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; a random action is not kept across episodes."""
+        """Begin an episode; decide whether it has random actions."""
         self._left = 0
+        self._greedy = self._share < 1 and self._rng.random() >= self._share
 
     def act(self, p: Perception) -> int:
         """Return the index of a random or greedy action."""
@@ -58,6 +62,8 @@ class ExploringPolicy:
 
     def _explores(self) -> bool:
         """Continue or begin a random action; return False for a greedy one."""
+        if self._greedy:
+            return False
         if self._left:
             self._left -= 1
             return True

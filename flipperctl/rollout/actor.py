@@ -43,8 +43,7 @@ class Actor:
         self._module.requires_grad_(False)
         self._frames = settings.network.frames
         self._seed = settings.seed
-        self._teaching, self._learning_starts = settings.teacher, settings.agent.learning_starts
-        self._persistence = settings.agent.persistence
+        self._teaching, self._agent = settings.teacher, settings.agent
         teacher = settings.teacher.controller
         self._teacher = None if teacher is None else plugin_policy(teacher)
 
@@ -62,10 +61,12 @@ class Actor:
         self._module.train()
         rng = exploration_rng(self._seed, request.episode)
         policy: ExploringPolicy | TaughtPolicy = ExploringPolicy(
-            self._module, self._frames, lambda: request.epsilon, rng, rng, self._persistence
+            *(self._module, self._frames, lambda: request.epsilon, rng, rng),
+            persistence=self._agent.persistence,
+            share=self._agent.exploring_share,
         )
         if self._teacher is not None:
-            learns = request.decision >= self._learning_starts
+            learns = request.decision >= self._agent.learning_starts
             policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
         labelling = policy if isinstance(policy, LabellingPolicy) else None
         episode, labels, explored = [], [], []

@@ -85,6 +85,7 @@ class EpisodeSource:
         policy: Policy = ExploringPolicy(
             *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
             persistence=self._config.agent.persistence,
+            share=self._config.agent.exploring_share,
         )
         teacher, starts = self._config.teacher, self._config.agent.learning_starts
         if teacher.controller is not None:

@@ -15,10 +15,10 @@ ZEROS = np.zeros(LAYOUT.size, np.float32)
 GREEDY = ACTIONS - 1
 
 
-def policy(epsilon: float, persistence: float) -> ExploringPolicy:
+def policy(epsilon: float, persistence: float, share: float = 1.0) -> ExploringPolicy:
     agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(), seed=0)
     rng = np.random.default_rng(0)
-    return ExploringPolicy(agent.online, 1, lambda: epsilon, rng, rng, persistence)
+    return ExploringPolicy(agent.online, 1, lambda: epsilon, rng, rng, persistence, share)
 
 
 def actions(explorer: ExploringPolicy, count: int) -> list[tuple[int, bool]]:
@@ -63,3 +63,13 @@ def test_a_random_action_ends_with_its_episode() -> None:
         explorer.reset(None)  # type: ignore[arg-type]  # it needs no simulator
         begun.add(actions(explorer, 1)[0][0])
     assert len(begun | {first}) > 4
+
+
+def test_a_share_of_the_episodes_has_random_actions_and_the_others_have_none() -> None:
+    explorer, exploring = policy(0.8, 1.0, share=0.25), 0
+    for _ in range(200):
+        explorer.reset(None)  # type: ignore[arg-type]  # it needs no simulator
+        random = [random for _, random in actions(explorer, 8)]
+        assert not any(random) or sum(random) > 1  # 8 of 8 or 7 of 8 greedy: in 8e-5 of them
+        exploring += any(random)
+    assert exploring == pytest.approx(50, abs=20)  # ± √(200 · 1/4 · 3/4) = 6
