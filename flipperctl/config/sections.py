@@ -164,13 +164,6 @@ class Agent(Settings):
         description="share of the episodes that have random actions; the others show where the "
         "policy gets stuck without them [-]",
     )
-    persistence: float = Field(
-        1.0,
-        ge=1,
-        le=50,
-        description="mean number of decisions for which a random action is repeated; the fraction "
-        "of random actions stays ε [-]",
-    )
     gradient_norm: float = Field(
         10.0, gt=0, le=1e6, description="gradients are clipped to this norm [-]"
     )

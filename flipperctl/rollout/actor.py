@@ -62,7 +62,6 @@ class Actor:
         rng = exploration_rng(self._seed, request.episode)
         policy: ExploringPolicy | TaughtPolicy = ExploringPolicy(
             *(self._module, self._frames, lambda: request.epsilon, rng, rng),
-            persistence=self._agent.persistence,
             share=self._agent.exploring_share,
         )
         if self._teacher is not None:

@@ -84,7 +84,6 @@ class EpisodeSource:
         frames, agent = self._config.network.frames, self._agent
         policy: Policy = ExploringPolicy(
             *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
-            persistence=self._config.agent.persistence,
             share=self._config.agent.exploring_share,
         )
         teacher, starts = self._config.teacher, self._config.agent.learning_starts
