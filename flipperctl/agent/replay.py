@@ -64,9 +64,18 @@ class Replay:
     FIELDS = ("observation", "action", "reward", "next_observation", "discount")
 
     def __init__(
-        self, capacity: int, size: int, n_step: int, gamma: float, labels: int = 0
+        self,
+        capacity: int,
+        size: int,
+        n_step: int,
+        gamma: float,
+        labels: int = 0,
+        *,
+        cut_at_random: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
+
+        ``cut_at_random``: whether a sum of rewards ends before the next random action.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -93,7 +102,7 @@ class Replay:
         """Number of first transitions, which are never overwritten."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
-        self._n_step = n_step
+        self._n_step, self._cut_at_random = n_step, cut_at_random
 
     def __len__(self) -> int:
         return min(self.added, self.capacity)
@@ -107,13 +116,17 @@ class Replay:
         *,
         over: bool,
         bootstrap: bool,
+        explored: bool = False,
         label: _Label = None,
     ) -> None:
         """Add one decision.
 
         ``over``: whether it ended the episode; ``bootstrap``: whether the target still includes the
-        value after that end; ``label``: the teacher's distribution over actions, if any.
+        value after that end; ``explored``: whether the action was random; ``label``: the teacher's
+        distribution over actions, if any.
         """
+        while self._cut_at_random and explored and self._pending:
+            self._flush(observation, 1.0)
         self._pending.append((observation, action, reward, label))
         continues = 1.0 if bootstrap or not over else 0.0
         if len(self._pending) == self._n_step:

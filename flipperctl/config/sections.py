@@ -115,6 +115,11 @@ class Agent(Settings):
     )
     gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
     n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
+    cut_at_random: bool = Field(
+        False,
+        description="end a sum of n_step rewards before the next random action, so that it rates "
+        "the policy instead of its exploration [-]",
+    )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
@@ -151,6 +156,13 @@ class Agent(Settings):
     )
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
+    )
+    exploring_share: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="share of the episodes that have random actions; the others show where the "
+        "policy gets stuck without them [-]",
     )
     gradient_norm: float = Field(
         10.0, gt=0, le=1e6, description="gradients are clipped to this norm [-]"

@@ -30,6 +30,15 @@ class LabellingPolicy(Policy, Protocol):
 
 
 @runtime_checkable
+class TrainingPolicy(Policy, Protocol):
+    """A policy that takes random actions beside those that it believes best."""
+
+    @property
+    def explored(self) -> bool:
+        """Whether the last action was random."""
+
+
+@runtime_checkable
 class ObservationPolicy(Protocol):
     """A policy that acts on observations alone, as those of files do."""
 

@@ -23,23 +23,30 @@ class ExploringPolicy:
         epsilon: Callable[[], float],
         rng: np.random.Generator,
         noise_rng: np.random.Generator,
+        share: float = 1.0,
     ) -> None:
         """``module`` must be in ``train()`` mode.
 
         ``frames``: number of observations that the network takes as one input. ``epsilon`` is
         called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
+        ``share``: share of the episodes that have random actions [-].
         """
         self._module, self._frames, self._epsilon = module, frames, epsilon
         self._rng, self._noise_rng = rng, noise_rng
         self._noise = Noise(module)
         self._device = next(module.parameters(), torch.empty(0)).device
+        self._share, self._greedy = share, False
+        self.explored = False
+        """Whether the last action was random."""
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; the policy has no memory."""
+        """Begin an episode; decide whether it has random actions."""
+        self._greedy = self._share < 1 and self._rng.random() >= self._share
 
     def act(self, p: Perception) -> int:
         """Return the index of a random or greedy action."""
-        if self._rng.random() < self._epsilon():
+        self.explored = not self._greedy and self._rng.random() < self._epsilon()
+        if self.explored:
             return int(self._rng.integers(len(ACTIONS)))
         self._noise.draw(self._noise_rng)
         return greedy(self._module, stacked(p.recent, self._frames), self._device)

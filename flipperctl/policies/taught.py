@@ -13,7 +13,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, Perception, Policy, Simulator, StateGroups
 from flipperctl.config import Teacher
 from flipperctl.policies import labels
-from flipperctl.policies.abilities import ValuingPolicy
+from flipperctl.policies.abilities import TrainingPolicy, ValuingPolicy
 
 
 class TaughtPolicy:
@@ -35,9 +35,12 @@ class TaughtPolicy:
         ``rng`` chooses who acts, and the random actions of the teacher's episodes.
         """
         self._student, self._teacher, self._settings = student, teacher, settings
+        self._exploring = student if isinstance(student, TrainingPolicy) else None
         self._labeller = labels.Labeller(teacher, settings.temperature)
         self._student_learns, self._rng = student_learns, rng
         self._student_acts = False
+        self.explored = False
+        """Whether the last action was random."""
         self._simulator: Simulator | None = None
         self.label = labels.from_action(0)
         """The teacher's distribution over actions at the last decision, (9,)."""
@@ -70,7 +73,10 @@ class TaughtPolicy:
     def _chosen(self, p: Perception, choice: int) -> int:
         """Return the student's action, or the teacher's ``choice`` or a random one."""
         if self._student_acts:
-            return self._student.act(p)
-        if self._rng.random() < self._settings.random:
+            action = self._student.act(p)
+            self.explored = self._exploring is not None and self._exploring.explored
+            return action
+        self.explored = self._rng.random() < self._settings.random
+        if self.explored:
             return int(self._rng.integers(len(ACTIONS)))
         return choice

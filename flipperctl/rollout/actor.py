@@ -12,7 +12,7 @@ import torch
 from flipperctl import plugins
 from flipperctl.agent.building import build_network, naming_network
 from flipperctl.agent.frames import stacked
-from flipperctl.api import ACTIONS, Policy
+from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
@@ -43,7 +43,7 @@ class Actor:
         self._module.requires_grad_(False)
         self._frames = settings.network.frames
         self._seed = settings.seed
-        self._teaching, self._learning_starts = settings.teacher, settings.agent.learning_starts
+        self._teaching, self._agent = settings.teacher, settings.agent
         teacher = settings.teacher.controller
         self._teacher = None
         if teacher is not None:
@@ -63,16 +63,18 @@ class Actor:
         self._load(weights)
         self._module.train()
         rng = exploration_rng(self._seed, request.episode)
-        policy: Policy = ExploringPolicy(
-            self._module, self._frames, lambda: request.epsilon, rng, rng
+        policy: ExploringPolicy | TaughtPolicy = ExploringPolicy(
+            *(self._module, self._frames, lambda: request.epsilon, rng, rng),
+            share=self._agent.exploring_share,
         )
         if self._teacher is not None:
-            learns = request.decision >= self._learning_starts
+            learns = request.decision >= self._agent.learning_starts
             policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
         labelling = policy if isinstance(policy, LabellingPolicy) else None
-        episode, labels = [], []
+        episode, labels, explored = [], [], []
         for decision in decisions(self._env, policy, request.seed, difficulty=request.difficulty):
             episode.append(decision)
+            explored.append(policy.explored)
             if labelling is not None:
                 labels.append(labelling.label)
         observations = [stacked(episode[0].perception.recent, self._frames)]
@@ -88,6 +90,7 @@ class Actor:
             ending=ending,
             labels=labelled,
             groups=None if labelling is None else labelling.groups,
+            explored=np.array(explored),
         )
 
     def _load(self, weights: Weights) -> None:

@@ -14,7 +14,7 @@ from typing import Protocol
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.abilities import LabellingPolicy
+from flipperctl.policies.abilities import LabellingPolicy, TrainingPolicy
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.pool import WorkerDiedError
 from flipperctl.rollout.values import (
@@ -98,6 +98,7 @@ class InProcessCollector:
         """
         self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
         self._labelling = policy if isinstance(policy, LabellingPolicy) else None
+        self._exploring = policy if isinstance(policy, TrainingPolicy) else None
         self._next_seed, self._difficulty = next_seed, difficulty
 
     def episode(self) -> Iterator[Step]:
@@ -117,6 +118,7 @@ class InProcessCollector:
                 ending=ending,
                 label=label,
                 groups=None if valued is None else valued.groups,
+                explored=self._exploring is not None and self._exploring.explored,
             )
 
     def evaluate(

@@ -36,6 +36,8 @@ class Step:
     """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
     groups: StateGroups | None = None
     """After the last step, the states that the teacher valued on the episode's ground."""
+    explored: bool = False
+    """Whether the action was random."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,8 @@ class Rollout:
     """The teacher's distributions over actions, (T, 9), if there is a teacher."""
     groups: StateGroups | None = None
     """States of the episode's ground that the teacher valued."""
+    explored: NDArray[np.bool_] | None = None
+    """Whether each action was random, (T,); None if none was."""
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in their order."""
@@ -88,4 +92,5 @@ class Rollout:
                 ending=ending,
                 label=label,
                 groups=None if ending is None else self.groups,
+                explored=self.explored is not None and bool(self.explored[t]),
             )

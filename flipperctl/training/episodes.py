@@ -83,7 +83,8 @@ class EpisodeSource:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
         policy: Policy = ExploringPolicy(
-            agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng
+            *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
+            share=self._config.agent.exploring_share,
         )
         teacher, starts = self._config.teacher, self._config.agent.learning_starts
         if teacher.controller is not None:

@@ -69,7 +69,10 @@ class Trainer:
         )
         size = input_size(config.network, layout)
         labels = len(ACTIONS) if taught else 0
-        self.replay = Replay(agent.replay_size, size, agent.n_step, agent.gamma, labels)
+        self.replay = Replay(
+            *(agent.replay_size, size, agent.n_step, agent.gamma, labels),
+            cut_at_random=agent.cut_at_random,
+        )
         self.valued = ValuedStates(config.teacher)
         generators = {
             "explore": np.random.default_rng(explore),
@@ -191,6 +194,7 @@ class Trainer:
             step.next_observation,
             over=ending is not None,
             bootstrap=ending is not None and ending["outcome"] in bootstrapped,
+            explored=step.explored,
             label=step.label,
         )
         self.valued.add(step)

@@ -29,6 +29,19 @@ class Foreign(Network):
         return self.module
 
 
+class Ramp(Network):
+    """Its Q-values rise from action to action for every observation."""
+
+    plugin_name: ClassVar[str] = "ramp"
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Return a layer whose biases are the Q-values."""
+        layer = torch.nn.Linear(layout.size, n_actions)
+        torch.nn.init.zeros_(layer.weight)
+        layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
+        return layer
+
+
 def learner(
     network: str = "at_d3qn", seed: int = 0, teacher: Teacher | None = None, **settings: Any
 ) -> D3qn:

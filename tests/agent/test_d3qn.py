@@ -1,7 +1,6 @@
 """The learner: it acts greedily, learns a fixed batch and repeats itself."""
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,25 +9,12 @@ import torch
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.losses import teacher_large_margin
 from flipperctl.agent.replay import Batch, Replay
-from flipperctl.api import Network, ObservationLayout, Perception, RobotGeometry
+from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.errors import NonFiniteError
 from flipperctl.policies.exploring import ExploringPolicy
-from tests.agent.learners import ACTIONS, LAYOUT, fixed_batch, learner
-
-
-class Ramp(Network):
-    """Its Q-values rise from action to action for every observation."""
-
-    plugin_name: ClassVar[str] = "ramp"
-
-    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a layer whose biases are the Q-values."""
-        layer = torch.nn.Linear(layout.size, n_actions)
-        torch.nn.init.zeros_(layer.weight)
-        layer.bias.data = torch.arange(n_actions, dtype=torch.float32)
-        return layer
+from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
 
 
 def weights(agent: D3qn) -> dict[str, torch.Tensor]:

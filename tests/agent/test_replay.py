@@ -51,6 +51,23 @@ def test_n_steps_are_summed_and_the_rest_is_flushed_at_the_end() -> None:
     ]
 
 
+def test_a_sum_ends_before_the_next_random_action() -> None:
+    replay = Replay(10, size=2, n_step=3, gamma=0.5, cut_at_random=True)
+    for i, explored in enumerate([True, False, True, False]):
+        replay.add(
+            *(observation(i), i, float(2**i), observation(i + 1)),
+            over=i == 3,
+            bootstrap=False,
+            explored=explored,
+        )
+    assert rows(replay) == [
+        (0, 0, 2.0, 2, 0.25),  # 1 + 2/2; its own action may be random, that of observation 2 not
+        (1, 1, 2.0, 2, 0.5),
+        (2, 2, 8.0, 4, 0.0),  # 4 + 8/2; the episode ended
+        (3, 3, 8.0, 4, 0.0),
+    ]
+
+
 def test_the_target_bootstraps_after_an_end_that_is_bootstrapped() -> None:
     replay = Replay(10, size=2, n_step=3, gamma=0.5)
     feed(replay, [1.0, 2.0], bootstrap=True)  # shorter than n

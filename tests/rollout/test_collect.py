@@ -2,10 +2,16 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Future
+from itertools import islice
 from typing import Any
 
-from flipperctl.rollout.collect import AsyncCollector
+import numpy as np
+
+from flipperctl.api import Perception, Simulator, action_index
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.rollout.collect import AsyncCollector, InProcessCollector
 from flipperctl.rollout.pool import WorkerDiedError
+from flipperctl.rollout.values import Rollout
 
 
 class Workers:
@@ -60,3 +66,32 @@ def test_a_stop_ends_an_evaluation_that_waits_for_a_worker() -> None:
     assert stopped.evaluate({}, [1, 2, 3, 4, 5], play_here) is None
     assert played == [5, 4]
     assert [future.cancelled() for future in workers.futures[1:]] == [True] * 4
+
+
+class Alternating:
+    """Explores at every other decision."""
+
+    def __init__(self) -> None:
+        self.explored = True
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+
+    def act(self, p: Perception) -> int:
+        """Hold the flippers."""
+        self.explored = not self.explored
+        return action_index(0, 0)
+
+
+def test_steps_say_which_actions_were_random() -> None:
+    collector = InProcessCollector(FlipperEnv("flat"), Alternating(), lambda: 1)
+    steps = list(islice(collector.episode(), 4))
+    assert [step.explored for step in steps] == [False, True, False, True]
+    rollout = Rollout(
+        observations=np.zeros((3, 18), np.float32),
+        actions=np.zeros(2, np.int64),
+        rewards=np.zeros(2),
+        ending={},
+        explored=np.array([True, False]),
+    )
+    assert [step.explored for step in rollout.steps()] == [True, False]

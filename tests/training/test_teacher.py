@@ -36,6 +36,18 @@ class _Student:
         return 8
 
 
+class _Half(_Student):
+    """Chooses action 8 at random, and says so, else 0."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng, self.explored = rng, False
+
+    def act(self, p: Perception) -> int:
+        """Return 0 or, at random, 8."""
+        self.explored = bool(self._rng.random() < 0.5)
+        return 8 * self.explored
+
+
 def drive(settings: Teacher, *, learns: bool = True, count: int = 10) -> list[tuple[int, int]]:
     """Return the action taken and the teacher's most probable one at each decision."""
     assert settings.controller is not None
@@ -68,6 +80,22 @@ def test_the_teacher_drives_the_other_episodes_and_all_before_the_student_learns
 def test_some_actions_of_the_teachers_episodes_are_random() -> None:
     driven = drive(Teacher(controller="okada", student_share=0, random=0.5), count=30)
     assert 5 < sum(action != label for action, label in driven) < 25
+
+
+def test_random_actions_of_teacher_and_student_are_reported() -> None:
+    env, rng = FlipperEnv("step"), np.random.default_rng(0)
+    for share in (0.0, 1.0):
+        settings = Teacher(controller="okada", student_share=share, random=0.5)
+        assert settings.controller is not None
+        policy = TaughtPolicy(
+            *(_Half(rng), plugin_policy(settings.controller), settings), *(lambda: True, rng)
+        )
+        found = []
+        for decision in decisions(env, policy, 1):
+            random = decision.action == 8 if share else decision.action != policy.label.argmax()
+            found.append((policy.explored, random))
+        assert {explored for explored, _ in found} == {False, True}
+        assert all(explored for explored, random in found if random)
 
 
 def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> None:
