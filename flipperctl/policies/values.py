@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 from flipperctl.checkpoint import find, read
+from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.policies.exported import is_exported
@@ -58,7 +59,12 @@ def learned_value(name: str, path: str) -> LearnedValue:
             f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
             "train with teacher.td_weight above 0, or with experiment=searched"
         )
-    module, scale = policy_module(checkpoint), config.agent.reward_scale
+    return value_of(policy_module(checkpoint), config)
+
+
+def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
+    """Return the values of a network of one observation, in ``eval()`` mode, and its training."""
+    scale = config.agent.reward_scale
 
     def value(observations: NDArray[np.float32]) -> FloatArray:
         with torch.inference_mode():
