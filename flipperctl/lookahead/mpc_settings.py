@@ -28,8 +28,8 @@ class MpcSettings(Settings):
     )
     rewards: AnyRewards | None = Field(
         None,
-        description="reward terms that plans are paid by, a preset's name on the command line; "
-        "null: those that ``value`` was trained with [-]",
+        description="reward terms that plans are paid by, or a preset's name, as in "
+        "``controller.rewards=smooth``; null: those that ``value`` was trained with [-]",
     )
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
