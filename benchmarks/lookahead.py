@@ -1,19 +1,20 @@
 """Speed of the controller ``mpc`` at its defaults, and the accuracy of its prediction model.
 
-Whole episodes on several terrains: in turn, ``mpc`` plays an episode and the environment replays
-its actions. Times are CPU times of this process, which on an idle core are wall-clock times: the
-controller uses one thread.
+Whole episodes on several terrains: in turn, ``mpc`` plays an episode, the environment replays its
+actions, and the searches on rewards (``lookahead_values``) play it as well. Times are CPU times of
+this process, which on an idle core are wall-clock times: the controller uses one thread.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from benchmarks import lookahead_values
+from benchmarks.lookahead_values import Searches, TimedMpc
 from benchmarks.prediction import MEASURES, prediction_errors
 from benchmarks.settings import FAMILIES, Benchmark
-from flipperctl.api import Perception, Simulator
 from flipperctl.bench.statistics import Values, quantile, quantity, ratio
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
@@ -25,33 +26,10 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 ABOUT = (
     "CPU time of a decision of mpc at its defaults, without the first, which compiles; its "
     "simulated decisions against the environment's; errors of its prediction model against the "
-    "engine after one decision"
+    f"engine after one decision; {lookahead_values.ABOUT}"
 )
-_PLAYING = 0.8
+_PLAYING = 0.9
 """Fraction of the progress bar for the episodes; the prediction errors take the rest."""
-
-
-@dataclass
-class TimedMpc:
-    """The policy of ``mpc`` with a clock."""
-
-    policy: MpcPolicy
-    seconds: list[float] = field(default_factory=list)
-    """CPU time of each decision [s]."""
-    simulated: list[int] = field(default_factory=list)
-    """Simulated decisions for each decision [-]."""
-
-    def reset(self, simulator: Simulator) -> None:
-        """Begin an episode."""
-        self.policy.reset(simulator)
-
-    def act(self, p: Perception) -> int:
-        """Return the action and record its CPU time."""
-        begun = time.process_time()
-        action = self.policy.act(p)
-        self.seconds.append(time.process_time() - begun)
-        self.simulated.append(self.policy.simulated)
-        return action
 
 
 @dataclass(frozen=True)
@@ -65,6 +43,14 @@ class Round:
     environment: float
     """CPU time of the environment's steps with the same actions [s]."""
 
+    def and_then(self, other: Round) -> Round:
+        """Return the times of both."""
+        return Round(
+            self.seconds + other.seconds,
+            self.simulated + other.simulated,
+            self.environment + other.environment,
+        )
+
 
 def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure times [s] and rates [1/s] of decisions, and errors of predictions."""
@@ -74,20 +60,23 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     assert isinstance(policy, MpcPolicy)
     bench.report_progress("first decision, which compiles", 0.0)
     first = _first_decision(policy, config)
-    rounds = []
-    for index in range(s.repeats):
-        found = Round([], [], 0.0)
-        for done, (family, terrain) in enumerate(terrains.items()):
-            fraction = (index + done / len(terrains)) / s.repeats
-            bench.report_progress(f"mpc and environment on {family}", _PLAYING * fraction)
-            one = play_in_turn(policy, terrain, EvaluationSeeds.of(s.seed, terrain.terrain)(index))
-            found = Round(
-                found.seconds + one.seconds,
-                found.simulated + one.simulated,
-                found.environment + one.environment,
-            )
-        rounds.append(found)
-    summary = rates(rounds)
+    searches = Searches.of(bench.config, s.seed)
+    rounds, on_rewards = [], []
+    with lookahead_values.one_thread():
+        searches.play(config, 0, [first])  # which compiles
+        for index in range(s.repeats):
+            found, valued = Round([], [], 0.0), lookahead_values.Round([], [], [])
+            for done, (family, terrain) in enumerate(terrains.items()):
+                fraction = (index + done / len(terrains)) / s.repeats
+                bench.report_progress(f"searches and environment on {family}", _PLAYING * fraction)
+                seed = EvaluationSeeds.of(s.seed, terrain.terrain)(index)
+                found = found.and_then(one := play_in_turn(policy, terrain, seed))
+                valued = valued.and_then(searches.play(terrain, seed, one.seconds))
+            rounds.append(found)
+            on_rewards.append(valued)
+    summary, more = rates(rounds), lookahead_values.rates(on_rewards)
+    for section, values in more.items():
+        summary[section] |= values
     summary["quantities"]["first_decision"] = quantity([first], "s")
     summary["quantities"] |= _predictions(bench, list(terrains.values()))
     return {"about": ABOUT, **summary, "decisions": sum(len(r.seconds) for r in rounds)}

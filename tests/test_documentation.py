@@ -123,6 +123,10 @@ def with_budget(command: list[str]) -> list[str]:
             command = [*command, "teacher=okada"]  # whose labels cost no search
         if {"experiment=taught", "experiment=generalist"} & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
+        if "experiment=searched" in command:
+            fast = {"beam": 1, "horizon": 1, "groups": 4}
+            fewer_groups = [f"teacher.controller.{key}={n}" for key, n in fast.items()]
+            command = [*command, *fewer_groups, "teacher.batch_groups=4"]
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder

@@ -37,7 +37,7 @@ class RewardTerm(Plugin, ABC):
 
     A search predicts decisions on the ground that is perceived. It knows states, poses, actions and
     the outcome there, but neither the ground beyond, hence not the last edge (``profile.end``) or
-    the finish, nor forces. A search leaves out potential-based shaping anyway.
+    the finish, nor forces. Potential-based shaping then takes the last perceived edge for the last.
     """
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 

@@ -10,14 +10,11 @@ import typer
 
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.bench.settings import Bench, BenchSettings, Sizes, Suite
 
 MEASURES = ("engines", "learner", "latency", "scaling")
-MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
-"""Measures of version 0.2 that now run only in a clone of the repository."""
 
 COMMAND = TrainingCommand
 HELP = """Measure how fast flipperctl is on this machine.
@@ -63,14 +60,7 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    words = arguments or []
-    for name in MOVED:
-        if name in words:
-            raise RequestError(
-                f"the measure {name!r} is no longer installed; in a clone of the repository, run "
-                f"python -m benchmarks {name}"
-            )
-    run_suite(suite(), words, repeats, small=small, output=output, as_json=as_json)
+    run_suite(suite(), arguments or [], repeats, small=small, output=output, as_json=as_json)
 
 
 def suite() -> Suite[BenchSettings]:

@@ -75,7 +75,7 @@ def regret_scenes(
     references; with a checkpoint, ``controller.<field>`` applies to each that has the field.
 
     Raises:
-        FlipperctlError: an override or a name is wrong, or a policy cannot be built.
+        FlipperctlError: an override or a name is wrong.
     """
     overrides, fields = Overrides.parse(words), dict[str, Any]()
     if checkpoint is not None:
@@ -83,14 +83,8 @@ def regret_scenes(
     others = named_policies.policies(against, fields, print_note, "--against", fewest=1)
     labels = [_split(combination)[1] for combination in overrides.combinations(CHOICES)]
     default, name = "own" if checkpoint else _DEFAULT, str(checkpoint or controller)
-    found = scenes(overrides.words, checkpoint, controller)
-    for config, _ in found:
-        for source in others.values():
-            source.build(config)  # raises for a wrong layout or robot, before the episodes
-    return [
-        RegretScene(config, label or default, name, source, others)
-        for (config, source), label in zip(found, labels, strict=True)
-    ]
+    found = zip(scenes(overrides.words, checkpoint, controller), labels, strict=True)
+    return [RegretScene(c, label or default, name, source, others) for (c, source), label in found]
 
 
 def _split(combination: Overrides) -> tuple[tuple[str, ...], str]:
@@ -106,4 +100,5 @@ def _controller_fields(overrides: Overrides, option: str) -> tuple[dict[str, Any
         raise RequestError(f"controller: {option} names the controllers; leave the override out")
     own = overrides.where(lambda key: key.startswith(_FIELD)).values()
     others = overrides.where(lambda key: not key.startswith(_FIELD))
-    return {key.removeprefix(_FIELD): value for key, value in own.items()}, others
+    fields = {key.removeprefix(_FIELD): value for key, value in own.items()}
+    return compose.with_preset(fields, "controller"), others

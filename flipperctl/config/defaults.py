@@ -61,10 +61,15 @@ def sections(model: type[TrainConfig | EvalConfig]) -> dict[str, Any]:
     }
 
 
-def missing_entry(group: str, name: str, known: Collection[str]) -> ConfigError:
-    """Return the error for a group that has no entry of this name, as in ``terrain=stiar``."""
+def missing_entry(
+    group: str, name: str, known: Collection[str], path: str | None = None
+) -> ConfigError:
+    """Return the error for a group that has no entry of this name, as in ``terrain=stiar``.
+
+    ``path``: the setting that was to have the entry; None for the one with the group's name.
+    """
     what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
     return ConfigError(
-        f"{group}: there is no {what} {name!r}{close_match(name, known)}; "
+        f"{path or group}: there is no {what} {name!r}{close_match(name, known)}; "
         f"known: {', '.join(sorted(known)) or 'none'}{reinstall_hint(group)}"
     )

@@ -28,8 +28,8 @@ class MpcSettings(Settings):
     )
     rewards: AnyRewards | None = Field(
         None,
-        description="reward terms that plans are paid by, a preset's name on the command line; "
-        "null: those that ``value`` was trained with [-]",
+        description="reward terms that plans are paid by, or a preset's name, as in "
+        "``controller.rewards=smooth``; null: those that ``value`` was trained with [-]",
     )
     averaging: float = Field(
         0.5,

@@ -22,7 +22,7 @@ from flipperctl.policies.exported import (
 )
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
-from flipperctl.policies.values import learned_value
+from flipperctl.policies.values import learned_value, naming
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ def controller_policy(
         PluginFailedError: the controller's code failed.
     """
     if isinstance(controller, PolicyUser) and controller.policy:
-        file = find(Path(controller.policy))
+        with naming(f"{path}.policy"):
+            file = find(Path(controller.policy))
         controller = controller.starting_from(PolicySource(file).build(config))
     if isinstance(controller, ValueUser) and controller.value:
         controller = controller.ending_with(learned_value(controller.value, f"{path}.value"))

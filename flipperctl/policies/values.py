@@ -5,6 +5,8 @@ In: a checkpoint. Out: the value of observations, with the rewards and the disco
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +15,38 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 from flipperctl.checkpoint import find, read
+from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead.learned import LearnedValue
+from flipperctl.policies.exported import is_exported
 from flipperctl.policies.trained import policy_module
+
+
+@contextmanager
+def naming(path: str) -> Iterator[None]:
+    """Begin the texts of errors about a file with ``path``, the setting that names the file."""
+    try:
+        yield
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {error}") from error
 
 
 def learned_value(name: str, path: str) -> LearnedValue:
     """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting.
 
     Raises:
-        CheckpointError: the file is missing or damaged, or its network tells no values of single
-            observations.
+        CheckpointError: the file is missing, damaged or an exported one, or its network tells no
+            values of single observations. The text begins with ``path``.
     """
-    checkpoint = read(find(Path(name)))
-    config = checkpoint.policy_config()
+    with naming(path):
+        file = find(Path(name))
+        if is_exported(file):
+            raise CheckpointError(
+                f"{file}: an exported file has no rewards and no discount; give its run or "
+                "checkpoint"
+            )
+        checkpoint = read(file)
+        config = checkpoint.policy_config()
     if config.network.frames > 1:
         raise CheckpointError(
             f"{path}={name}: its network {config.network.plugin_name} takes "
@@ -39,7 +59,12 @@ def learned_value(name: str, path: str) -> LearnedValue:
             f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
             "train with teacher.td_weight above 0, or with experiment=searched"
         )
-    module, scale = policy_module(checkpoint), config.agent.reward_scale
+    return value_of(policy_module(checkpoint), config)
+
+
+def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
+    """Return the values of a network of one observation, in ``eval()`` mode, and its training."""
+    scale = config.agent.reward_scale
 
     def value(observations: NDArray[np.float32]) -> FloatArray:
         with torch.inference_mode():

@@ -19,6 +19,8 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.runs.results import json_result
 
+MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
+"""Measures of version 0.2 that now run only in a clone of the repository."""
 Progress = Callable[[str], AbstractContextManager[Callable[[str, float], None]]]
 """Returns a context that shows the progress of the measure with the given name."""
 
@@ -27,12 +29,17 @@ def split_arguments(arguments: Sequence[str], known: Sequence[str]) -> tuple[lis
     """Return the measures, in the order of those ``known``, and the overrides.
 
     Raises:
-        RequestError: a word is neither a measure nor an override.
+        RequestError: a word is neither a measure nor an override, or a measure that has moved.
     """
     overrides = [a for a in arguments if "=" in a or a.startswith("~")]
     names = [a for a in arguments if a not in overrides]
     allowed = ("all", *known)
     for name in names:
+        if name in MOVED and name not in known:
+            raise RequestError(
+                f"the measure {name!r} is no longer installed; in a clone of the repository, run "
+                f"python -m benchmarks {name}"
+            )
         if name not in allowed:
             raise RequestError(
                 f"there is no measure {name!r}{close_match(name, allowed)}; "

@@ -26,6 +26,7 @@ from flipperctl.api import (
     registry,
 )
 from flipperctl.api.plugin import registered_names
+from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PolicyError, RequestError
@@ -54,7 +55,8 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
     begin(plugins)
     path, controller = find(policy)
     if controller is not None:
-        made = resolver.create("controller", {"name": controller, **fields}, "controller")
+        own = with_preset({"name": controller, **fields}, "controller")
+        made = resolver.create("controller", own, "controller")
         return LoadedPolicy(PolicySource(settings=resolver.to_dict(made)), None, fields)
     assert path is not None  # find returns one of the two
     if fields:

@@ -21,6 +21,8 @@ from flipperctl.errors import ConfigError
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _RESERVED = {"null", "true", "false", "nan", "inf"}
 """Words that Hydra does not read as text, in any case."""
+_REWARDS = "controller.rewards"
+"""End of the keys of settings whose value is a mapping of reward terms."""
 
 
 def words(settings: Mapping[str, object], overrides: Sequence[str] = ()) -> list[str]:
@@ -28,7 +30,8 @@ def words(settings: Mapping[str, object], overrides: Sequence[str] = ()) -> list
 
     Keys may be dotted. A mapping sets the fields below its key; the ``name`` in it, or a plugin's
     settings as an object, choose a plugin as well. Several names of a choice are several scenes. A
-    reward term that is None is dropped, and an empty mapping of rewards drops all terms.
+    reward term that is None is dropped, and an empty mapping of rewards drops all terms. The
+    rewards of a controller are one setting: a preset's name, or all terms.
 
     Raises:
         ConfigError: a value cannot be a setting.
@@ -42,7 +45,7 @@ def words(settings: Mapping[str, object], overrides: Sequence[str] = ()) -> list
 def _words(key: str, value: object) -> Iterator[str]:
     if (key == "rewards" and value == {}) or (_is_term(key) and value is None):
         yield f"~{key}"
-    elif isinstance(value, Mapping) and value:
+    elif isinstance(value, Mapping) and value and not key.endswith(_REWARDS):
         fields = {str(name): _plain(inner) for name, inner in value.items()}
         if key in CHOICES and "name" in fields:
             yield f"{key}={literal(fields.pop('name'), key)}"

@@ -27,6 +27,7 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -150,6 +151,24 @@ def in_default_engine(config: Config) -> Config:
     shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
     settings = {"name": DEFAULT_ENGINE, **shared}
     return config.model_copy(update={"sim": resolver.create("sim", settings, "sim")})
+
+
+def compare_scenes(
+    scenes: Sequence[Scene], progress: Progress = no_progress
+) -> list[EngineComparison]:
+    """Compare the engines on every scene.
+
+    Raises:
+        ConfigError: a scene's engine is the default one, found before the first episode, or as for
+            ``compare_engines``.
+    """
+    for config, _ in scenes:
+        in_default_engine(config)
+    found = []
+    for config, source in scenes:
+        with progress(config.terrain.plugin_name, config.eval.episodes) as report:
+            found.append(compare_engines(config, source, report))
+    return found
 
 
 def compare_engines(

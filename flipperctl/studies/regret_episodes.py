@@ -39,8 +39,12 @@ def measure_regrets(
     """Return the regret on each scene.
 
     Raises:
-        FlipperctlError: as for ``measure_regret``.
+        FlipperctlError: a reference does not fit a scene, found before the first episode, or as
+            for ``measure_regret``.
     """
+    for scene in scenes:
+        for source in scene.references.values():
+            source.build(scene.config)  # raises for a wrong layout or robot
     with EpisodeWorkers() as workers:
         found = [measure_regret(scene, workers, progress) for scene in scenes]
     return [one for one in found if one is not None]

@@ -6,7 +6,7 @@ episodes are played once for all rewards, since the environment computes the ter
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from flipperctl.api import RewardTerm
@@ -15,7 +15,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
-from flipperctl.studies.ranking import SceneRanking, common_episodes, measures, rank
+from flipperctl.studies.ranking import SceneRanking, common_episodes, decide, measures, rank
 
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""
@@ -29,6 +29,25 @@ class RewardScene:
     """``config.eval`` holds the number of episodes and the seed."""
     rewards: Mapping[str, Rewards]
     """Reward terms by the label of their set."""
+
+
+def rank_policies(
+    scenes: Sequence[RewardScene],
+    policies: Mapping[str, PolicySource],
+    progress: Progress = no_progress,
+) -> list[SceneRanking]:
+    """Rank the policies on every scene, and find the contradictions among all of them.
+
+    Raises:
+        FlipperctlError: a policy does not fit a scene, found before the first episode, or as for
+            ``compare_rewards``.
+    """
+    for scene in scenes:
+        for source in policies.values():
+            source.build(scene.config)  # raises for a wrong layout or robot
+    with EpisodeWorkers() as workers:
+        ranked = [compare_rewards(scene, policies, workers, progress) for scene in scenes]
+    return decide(ranked)
 
 
 def compare_rewards(

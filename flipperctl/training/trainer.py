@@ -67,10 +67,9 @@ class Trainer:
             device=config.device,
             teacher=config.teacher if taught else None,
         )
-        size = input_size(config.network, layout)
-        labels = len(ACTIONS) if taught else 0
         self.replay = Replay(
-            *(agent.replay_size, size, agent.n_step, agent.gamma, labels),
+            *(agent.replay_size, input_size(config.network, layout), agent.n_step, agent.gamma),
+            labels=len(ACTIONS) if taught else 0,
             cut_at_random=agent.cut_at_random,
         )
         self.valued = ValuedStates(config.teacher)
@@ -85,10 +84,8 @@ class Trainer:
             config, self.agent, self.progress, generators["explore"], self._report
         )
         self.validator = Validator(config, self.agent, env)
-        self._saver = RunSaver(
-            *(config, directory, self.agent, self.replay, self.valued.memory, self.progress),
-            *(generators, self.validator),
-        )
+        state = (self.agent, self.replay, self.valued.memory, self.progress)
+        self._saver = RunSaver(config, directory, *state, generators, self.validator)
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)

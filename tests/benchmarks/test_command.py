@@ -8,9 +8,9 @@ import pytest
 
 from benchmarks import __main__ as benchmarks
 from benchmarks.settings import MEASURES, BenchmarkSettings
-from flipperctl.cli.bench import MOVED
 from flipperctl.cli.main import run_app
 from flipperctl.errors import RequestError
+from flipperctl.runs.measures import MOVED
 
 
 def run(*arguments: str) -> int:

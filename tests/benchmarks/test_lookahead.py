@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks import lookahead
+from benchmarks import lookahead, lookahead_values
 from benchmarks.prediction import MEASURES, prediction_errors
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.mpc import Mpc
@@ -25,6 +25,11 @@ def test_every_decision_is_timed_and_every_prediction_compared() -> None:
         "simulated_decisions",
         "environment_decisions",
     )
+    with_value = quantities["decision_with_value"]["values"]
+    assert 20 < len(with_value) <= found["decisions"]
+    assert min(with_value) > 0
+    assert len(quantities["graph"]["values"]) == bench.settings.repeats
+    assert quantities["graph"]["median"] > 3 * quantities["decision"]["median"]  # all states
     for controller in ("okada", "random"):
         for name in MEASURES:
             key = f"prediction.{controller}.{name}"
@@ -46,6 +51,26 @@ def test_rates_by_hand() -> None:
     assert medians["environment_decisions"] == pytest.approx(2000)
     ratio = found["ratios"]["simulated_decisions / environment_decisions"]["ratio"]
     assert ratio == pytest.approx(1.25)
+
+
+def test_rates_of_searches_on_rewards_by_hand() -> None:
+    rounds = [
+        lookahead_values.Round([0.1], [0.4], [1.0]).and_then(
+            lookahead_values.Round([0.3], [0.2], [3.0])
+        ),
+        lookahead_values.Round([0.2, 0.2], [0.4], [2.0]),
+    ]
+    found = lookahead_values.rates(rounds)
+    medians = {name: q["median"] for name, q in found["quantities"].items()}
+    assert medians["decision_with_value"] == pytest.approx(0.4)
+    assert medians["decision_with_value_p99"] == pytest.approx(0.4)
+    assert medians["graph"] == pytest.approx(2.0)
+    assert medians["decisions"] == pytest.approx(5.0)
+    assert medians["decisions_with_value"] == pytest.approx((1 / 0.3 + 2.5) / 2)
+    assert medians["graphs"] == pytest.approx(0.5)
+    ratios = {name: ratio["ratio"] for name, ratio in found["ratios"].items()}
+    assert ratios["decisions / graphs"] == pytest.approx(10)
+    assert ratios["decisions / decisions_with_value"] == pytest.approx(5 / ((1 / 0.3 + 2.5) / 2))
 
 
 def test_a_second_search_counts_too() -> None:

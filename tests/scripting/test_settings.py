@@ -45,6 +45,14 @@ WRITTEN = [
 ]
 
 
+def test_the_rewards_of_a_controller_are_one_setting() -> None:
+    terms = {"swing": {"name": "swing", "weight": 3}, "end": "end"}
+    written = "controller.rewards={swing:{name:swing,weight:3},end:end}"
+    assert words({"controller": {"rewards": terms}}) == [written]
+    assert words({"controller": {"rewards": "smooth"}}) == ["controller.rewards=smooth"]
+    assert words({"rewards": {"swing": {"weight": 3}}}) == ["rewards.swing.weight=3"]
+
+
 @pytest.mark.parametrize(("value", "written"), WRITTEN, ids=[repr(value) for value, _ in WRITTEN])
 def test_a_value_is_written_so_that_hydra_reads_it_again(value: object, written: str) -> None:
     assert literal(value, "key") == written

@@ -7,10 +7,12 @@ overrides. ``config_store`` holds the defaults.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
@@ -18,7 +20,7 @@ from flipperctl.cli.hydra import config_store, errors
 from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
-from flipperctl.config.defaults import CHOICES
+from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.effect import check_effect
 from flipperctl.errors import ConfigError
 from flipperctl.runs.inherited import NOMINAL, TRAINED, explain_missing_training
@@ -56,7 +58,7 @@ def compose_eval(
     """Return the configuration of each combination, and the controller's settings, if any."""
     found = []
     for combination, plain in _compositions(primary, overrides):
-        settings = plain.pop("controller", None)
+        settings = with_preset(plain.pop("controller", None), "controller")
         plain["conditions"] = combination.choice("conditions") or NOMINAL
         config = parse(EvalConfig, plain)
         check_effect(config, combination.typed)
@@ -69,6 +71,28 @@ def compose_environment(overrides: Overrides, primary: str = EVAL_CONTROLLER) ->
     """Return the only configuration of an evaluation, as that of an environment."""
     config, _ = only_one(compose_eval(overrides, primary))
     return config
+
+
+def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *words: str) -> Any:
+    """Return a controller's settings, with the terms of the preset if ``rewards`` is its name.
+
+    ``path``: section of the controller. ``words``: overrides on which the preset depends.
+
+    Raises:
+        ConfigError: there is no such preset.
+    """
+    name = controller.get("rewards") if isinstance(controller, dict) else None
+    if not isinstance(name, str):
+        return controller
+    config_store.register_defaults()
+    # Within an application of Hydra, which knows --config-dir, this is initialised already.
+    within = GlobalHydra.instance().is_initialized()
+    with nullcontext() if within else initialize_config_dir(CONFIGS, version_base="1.3"):
+        options = GlobalHydra.instance().config_loader().get_group_options("rewards")
+        if name not in (known := [option for option in options if option[0] != "_"]):
+            raise missing_entry("rewards", name, known, f"{path}.rewards")
+        composed = _plain(compose(primary, [f"rewards={name}", *words]))
+    return {**controller, "rewards": composed["rewards"]}
 
 
 def only_one(found: Sequence[Composed]) -> Composed:
@@ -103,6 +127,11 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
 
 
 def _training(plain: dict[str, Any]) -> TrainConfig:
+    teacher, agent = plain.get("teacher"), plain.get("agent")
+    if isinstance(teacher, dict) and isinstance(agent, dict) and "controller" in teacher:
+        gamma = f"agent.gamma={agent.get('gamma')}"
+        found = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
+        plain = {**plain, "teacher": {**teacher, "controller": found}}
     return parse(TrainConfig, {"logger": {}, **plain})
 
 

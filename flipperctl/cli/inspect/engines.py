@@ -42,19 +42,14 @@ def run(
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_default, with_engine, with_flags
     from flipperctl.runs.named_policies import controller_or_okada
-    from flipperctl.studies.engines import compare_engines, in_default_engine
+    from flipperctl.studies.engines import compare_scenes
     from flipperctl.terminal.document import show
     from flipperctl.terminal.engines import print_engines
     from flipperctl.terminal.progress import episodes_progress
 
     chosen = controller_or_okada(checkpoint, controller)
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 10)
-    found = []
     asked = scenes(with_engine(arguments), checkpoint, chosen)
-    for config, _ in asked:
-        in_default_engine(config)  # raises for a wrong engine, before the first episode
-    for config, source in asked:
-        with episodes_progress(config.terrain.plugin_name, config.eval.episodes) as report:
-            found.append(compare_engines(config, source, report))
+    found = compare_scenes(asked, episodes_progress)
     document = {"scenes": [scene.to_dict() for scene in found]}
     show(document, lambda: print_engines(found), as_json=as_json)

@@ -97,21 +97,13 @@ def run(
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.reward_scenes import policies, reward_scenes
-    from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.studies.ranking import decide
-    from flipperctl.studies.reward_comparison import compare_rewards
+    from flipperctl.studies.reward_comparison import rank_policies
     from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.rewards import print_comparison
 
     sources, others = policies(names, overrides)
-    scenes = reward_scenes(others, sources)
-    for scene in scenes:
-        for source in sources.values():
-            source.build(scene.config)  # raises for a wrong layout or robot, before the episodes
-    with EpisodeWorkers() as workers:
-        ranked = [compare_rewards(scene, sources, workers, episodes_progress) for scene in scenes]
-    found = decide(ranked)
+    found = rank_policies(reward_scenes(others, sources), sources, episodes_progress)
     document = {"scenes": [scene.to_dict() for scene in found]}
     show(document, lambda: print_comparison(found), as_json=as_json)
 
