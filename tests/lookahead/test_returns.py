@@ -23,6 +23,7 @@ def searched(
     value: float,
     stands: int = 0,
     depth: int = 4,
+    averaging: float = 0.0,
     **weights: float,
 ) -> Plan:
     """Search for the return of ``end`` and others, with an equal ``value`` at every horizon."""
@@ -43,6 +44,7 @@ def searched(
         root=root,
         standing=stands,
         patience=PATIENCE,
+        averaging=averaging,
     )
     search = Search(ROBOT, objective, width=6, depth=depth, beam_per_action=1)
     return search.run(model, root.states[0])
@@ -87,6 +89,15 @@ def test_the_value_at_the_horizon_counts_after_the_discounted_rewards() -> None:
     assert -plan.costs[HOLD] == pytest.approx(GAMMA**2 * -7.0)
     raised = plan.costs[action_index(1, 0)]
     assert -raised == pytest.approx(-0.025 + GAMMA**2 * -7.0)  # it goes on turning
+
+
+def test_estimates_at_smaller_depths_count_by_their_share_but_not_of_ended_plans() -> None:
+    far, near = model_of(FLAT, finish=50.0), model_of(FLAT, finish=0.3)
+    plan = searched(far, standing(far, 0.0), FLAT, value=8.0, depth=3, averaging=0.25)
+    one, two, three = (8.0 * GAMMA**k for k in (1, 2, 3))
+    assert -plan.costs[HOLD] == pytest.approx(0.25 * (0.25 * one + 0.75 * two) + 0.75 * three)
+    plan = searched(near, standing(near, 0.0), FLAT, value=5.0, averaging=0.25)
+    assert -plan.costs[HOLD] == pytest.approx(GAMMA**2 * R)
 
 
 def test_a_robot_that_has_stood_pays_for_standing_on() -> None:
