@@ -40,6 +40,11 @@ class GroupMemory:
     def __len__(self) -> int:
         return min(self.added, self.capacity)
 
+    @property
+    def states(self) -> int:
+        """Number of states in a group; 0 before the first groups [-]."""
+        return self._observations.shape[1]
+
     def add(self, groups: StateGroups) -> None:
         """Add groups, each in the place of the oldest once the memory is full."""
         if not self._observations.size:

@@ -66,7 +66,7 @@ def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) ->
     best = targets.argmax(dim=2, keepdim=True)  # (B, K, 1)
     value, target = values.gather(2, best), targets.gather(2, best)
     gap, target_gap = value - values, target - targets  # at least 0 for the targets
-    size = target_gap.clamp(max=float(target_gap.median()) * clip + 1e-6).mean() + 1e-6
+    size = target_gap.clamp(max=_typical(target_gap) * clip + 1e-6).mean() + 1e-6
     target_gap = target_gap.clamp(max=clip * size)
     error = gap - target_gap
     error = torch.where(target_gap >= clip * size, error.clamp(max=0), error)  # worse is fine too
@@ -77,6 +77,17 @@ def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) ->
     states = torch.nn.functional.smooth_l1_loss(difference, torch.zeros_like(difference), beta=0.3)
     level = torch.nn.functional.smooth_l1_loss(mean / spread, target_mean / spread)
     return 3.0 * actions + states + 0.1 * level
+
+
+def _typical(gaps: torch.Tensor) -> float:
+    """Return the median of gaps, each at least 0; if most of them are negligible, of the others.
+
+    A reward at the end alone makes most actions equal, whose gaps tell nothing about its scale.
+    """
+    median, least = float(gaps.median()), 0.01 * float(gaps.mean())
+    if median > least or not least:
+        return median
+    return float(gaps[gaps > least].median())
 
 
 def mean_value_penalty(values: torch.Tensor) -> torch.Tensor:

@@ -98,7 +98,9 @@ class PluginValuingPolicy(PluginCostPolicy):
         with naming(self._controller, "groups"):
             found: object = self._policy.groups(rng)
             shaped = isinstance(found, StateGroups) and (
-                found.values.shape == (*found.observations.shape[:2], len(ACTIONS))
+                found.observations.ndim == 3
+                and found.values.shape == (*found.observations.shape[:2], len(ACTIONS))
+                and found.values.size > 0
                 and bool(np.isfinite(found.values).all())
                 and bool(np.isfinite(found.observations).all())
             )

@@ -7,6 +7,7 @@ import numpy as np
 from flipperctl.agent.groups import GroupBatch, GroupMemory
 from flipperctl.config import Teacher
 from flipperctl.errors import ConfigError
+from flipperctl.guard import refusal
 from flipperctl.rollout.values import Step
 
 
@@ -22,15 +23,25 @@ class ValuedStates:
 
         Raises:
             ConfigError: the teacher's loss needs values, and the teacher gives none.
+            PluginFailedError: its groups have another size than observations, or than earlier ones.
         """
         if self._teacher.loss != "values" or step.ending is None:
             return
+        controller = self._teacher.controller
+        assert controller is not None  # the configuration was checked
         if step.groups is None:
-            name = getattr(self._teacher.controller, "plugin_name", None)
             raise ConfigError(
-                f"teacher.loss=values: the controller {name} values no states; "
+                f"teacher.loss=values: the controller {controller.plugin_name} values no states; "
                 "teacher=searched does"
             )
+        states, numbers = step.groups.observations.shape[1:]
+        if numbers != len(step.observation) or states != (self.memory.states or states):
+            text = (
+                f"returned groups of {states} observations of {numbers} numbers; observations of "
+                f"{len(step.observation)} numbers are allowed, equally many in each group and "
+                "episode"
+            )
+            raise refusal(controller, "groups", text)
         self.memory.add(step.groups)
 
     def batches(self, count: int, rng: np.random.Generator) -> list[GroupBatch]:

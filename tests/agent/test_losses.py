@@ -11,6 +11,7 @@ from flipperctl.agent.losses import (
     huber,
     mean_value_penalty,
     quantile_huber,
+    searched_values,
     teacher_cross_entropy,
     teacher_large_margin,
 )
@@ -113,3 +114,62 @@ def test_the_mean_value_penalty_is_drawn_to_zero_and_the_differences_are_left_al
     assert values.grad is not None
     assert values.grad[0].tolist() == pytest.approx([2 / 3] * 3)
     assert values.grad[1].tolist() == [0.0] * 3
+
+
+def searched() -> torch.Tensor:
+    """Return values of three actions of two states of two groups, (2, 2, 3)."""
+    return torch.tensor(
+        [[[1.0, 0.0, 0.5], [3.0, 4.0, 3.5]], [[-6.0, -5.0, -5.5], [-2.0, -2.5, -3.0]]]
+    )
+
+
+def test_searched_values_that_are_met_cost_nothing() -> None:
+    assert float(searched_values(searched(), searched(), 5.0)) == 0.0
+
+
+def test_a_common_offset_of_a_group_costs_a_tenth_of_its_size() -> None:
+    """The best values are 1, 4 and -5, -2: 1.5 off the means of their groups."""
+    offset = torch.tensor([4.0, -3.0]).view(2, 1, 1)
+    loss = searched_values(searched() + offset, searched(), 5.0)
+    # 0.1 · mean(4 / 1.5 - 1/2, 3 / 1.5 - 1/2)
+    assert float(loss) == pytest.approx(0.1 * (4 / 1.5 + 3 / 1.5 - 1) / 2, rel=1e-4)
+    within = torch.tensor([[4.0, -4.0], [0.0, 0.0]]).view(2, 2, 1)
+    assert float(searched_values(searched() + within, searched(), 5.0)) > 1.0
+
+
+def test_a_bad_action_may_be_rated_even_worse_but_not_better() -> None:
+    targets = searched()
+    targets[0, 0, 1] = -500.0
+    worse, better = targets.clone(), targets.clone()
+    worse[0, 0, 1], better[0, 0, 1] = -900.0, 0.5
+    assert float(searched_values(worse, targets, 2.0)) == 0.0
+    assert float(searched_values(better, targets, 2.0)) > 0.1
+    # Short of the clip, a gap counts on both sides.
+    worse, better = searched(), searched()
+    worse[0, 0, 2] -= 0.2
+    better[0, 0, 2] += 0.2
+    losses = [float(searched_values(v, searched(), 5.0)) for v in (worse, better)]
+    assert losses[0] == pytest.approx(losses[1])
+    assert losses[0] > 0.01
+
+
+def test_where_most_actions_are_equal_the_others_give_the_scale() -> None:
+    """As with a reward at the end alone. The median of the differences is 0 there."""
+    targets = torch.zeros(2, 2, 5)
+    targets[:, 0, 4], targets[0] = -1.0, targets[0] + 2.0
+    targets[0, 1, 3] = 1.0
+    close = targets.clone()
+    close[:, :, 1] -= 0.01  # a hundredth of the differences that there are
+    flat = targets.max(dim=2, keepdim=True).values.expand_as(targets)
+    found, ignored = (float(searched_values(values, targets, 5.0)) for values in (close, flat))
+    assert 0.0 < found < 0.1
+    assert ignored > 0.3
+
+
+def test_no_reward_s_scale_matters_for_the_searched_values() -> None:
+    found = searched() + torch.linspace(-1.0, 1.0, 12).view(2, 2, 3)
+    loss = float(searched_values(found, searched(), 3.0))
+    assert float(searched_values(100 * found, 100 * searched(), 3.0)) == pytest.approx(
+        loss, rel=1e-3
+    )
+    assert loss > 0.01

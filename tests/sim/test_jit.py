@@ -23,6 +23,7 @@ MODULES = [
     "flipperctl.sim.planar.bins",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
+    "flipperctl.sim.standing",
     "flipperctl.sim.thinning",
 ]
 

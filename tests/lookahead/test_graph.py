@@ -1,0 +1,170 @@
+"""Values of every reachable state of a short course."""
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from flipperctl.api import FloatArray, Outcome, RewardTerm, Transition
+from flipperctl.config import resolver
+from flipperctl.lookahead import graph as graphs
+from flipperctl.lookahead.graph import Graph
+from flipperctl.lookahead.model import TARGETS
+from flipperctl.lookahead.nodes import TURNS, Nodes, transitions
+from flipperctl.reward_sum import RewardSum
+from tests.lookahead.scenes import (
+    FINISH,
+    FLAT,
+    GAMMA,
+    PATIENCE,
+    ROBOT,
+    START,
+    STEP,
+    WALL,
+    graph_of,
+    model_of,
+    standing,
+)
+
+R = 10.0
+"""Settlement of the term ``end`` [-]."""
+
+
+class PlainSwing(RewardTerm):
+    """Pitch variation of one decision at a time."""
+
+    plugin_name: ClassVar[str] = "plain_swing"
+
+    def __call__(self, t: Transition) -> float:
+        return -min(1.0, float(np.abs(np.diff(t.path[:, 2])).sum()))
+
+
+def terms(**weights: float) -> dict[str, RewardTerm]:
+    """Return ``end`` and the terms of these names and weights."""
+    made = {"end": resolver.create("reward", "end", "rewards")}
+    for name, weight in weights.items():
+        made[name] = resolver.create("reward", {"name": name, "weight": weight}, "rewards")
+    return made
+
+
+@pytest.fixture(scope="module")
+def step() -> Graph:
+    return graph_of(STEP, terms(swing=4.0))
+
+
+def at_the_start(graph: Graph) -> int:
+    """Return the state at the start whose flippers are level."""
+    x, targets = graph.nodes.places[:, 0], graph.nodes.states[:, TARGETS:]
+    away = np.abs(x - START) + np.abs(targets).sum(axis=1)
+    return int(away.argmin())
+
+
+def test_values_are_those_of_a_chain_by_hand() -> None:
+    """Two states, then the end; the third is not explored any further."""
+    none = -np.inf
+    reward = np.array([[1.0, 3.0, none], [5.0, none, 2.0], [none, none, none]])
+    kept = np.array([[0.5, 0.25, 0.0], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+    child = np.array([[1, 2, -1], [-1, -1, 0], [-1, -1, -1]])
+    values = graphs._iterated(reward, kept, child)
+    # The closed state has the lowest reward, 1. V1 = max(5, 2 + V0 / 2), V0 = max(1 + V1 / 2,
+    # 3 + 1 / 4): V0 = 3.5 with V1 = 5.
+    assert values[0] == pytest.approx([3.5, 3.25, none])
+    assert values[1] == pytest.approx([5.0, none, 2.0 + 3.5 / 2])
+    assert values[2].max() == 1.0
+
+
+def test_the_values_solve_their_own_equation(step: Graph) -> None:
+    """Q = r + kept · max Q(child) for the decisions from every 7th state."""
+    rows = np.arange(0, len(step.nodes), 7)
+    edges = step._decide(step.nodes.take(rows))
+    found = step.values[rows[edges.parent], edges.action]
+    expected = edges.reward + edges.kept * np.where(edges.child < 0, 0.0, step.best[edges.child])
+    assert found == pytest.approx(expected, abs=2e-3)
+    assert np.array_equal(edges.child, step.child[rows[edges.parent], edges.action])
+    assert (edges.kept[edges.child >= 0] <= GAMMA).all()
+
+
+def test_turns_beyond_a_stop_have_no_value(step: Graph) -> None:
+    targets = step.nodes.states[:, None, TARGETS:] + TURNS * ROBOT.angle_step
+    beyond = (np.abs(targets) > ROBOT.angle_limit + 0.01) & (TURNS != 0)
+    assert np.array_equal(np.isneginf(step.values), beyond.any(axis=2))
+    assert 0.05 < beyond.any(axis=2).mean() < 0.6
+
+
+def test_the_best_actions_lead_over_the_step_and_earn_their_value(step: Graph) -> None:
+    """The walk is simulated without cells; each action is that of the nearest represented state."""
+    model, rewards = model_of(STEP), RewardSum(terms(swing=4.0))
+    node = step.nodes.take(np.array([at_the_start(step)]))
+    value, earned, outcome, discount = float(step.best[at_the_start(step)]), 0.0, None, 1.0
+    for _ in range(40):
+        row = step.lookup(node)[0]
+        assert row >= 0
+        action = step.values[row].argmax(keepdims=True)
+        targets = node.states[:, TARGETS:] + TURNS[action] * ROBOT.angle_step
+        branch = model.expand(node.states, targets, ROBOT.decision_period, poses=True)
+        after = node.after(branch, action, ROBOT.decision_period)
+        ts = transitions(node, after, branch, STEP, ROBOT)
+        earned += discount * float(rewards.array(ts)[0])
+        discount, node, outcome = discount * GAMMA, after, ts[0].outcome
+        if outcome is not None:
+            break
+    assert outcome is Outcome.REACHED
+    assert node.places[0, 0] >= FINISH
+    assert earned == pytest.approx(value, abs=0.2)
+
+
+def test_a_higher_price_of_swing_lowers_the_values(step: Graph) -> None:
+    dearer = graph_of(STEP, terms(swing=8.0))
+    assert len(dearer.nodes) == len(step.nodes)  # what is explored depends on no reward
+    assert (dearer.best <= step.best + 2e-3).all()
+    start = at_the_start(step)
+    assert dearer.best[start] < step.best[start] - 0.2
+
+
+def test_a_term_without_array_form_has_the_same_values() -> None:
+    arrays = graph_of(FLAT, terms(swing=1.0))
+    plain = graph_of(FLAT, {**terms(), "plain": PlainSwing()})
+    assert plain.values == pytest.approx(arrays.values, abs=1e-6)
+
+
+def test_before_a_wall_all_that_is_left_is_to_stand() -> None:
+    """The episode ends as stuck with probability 1/20 at each decision.
+
+    The friction is too low for the tracks to climb the wall until the robot overturns.
+    """
+    graph = graph_of(WALL, terms(), friction=0.3)
+    hazard = 1 / PATIENCE
+    stands = -hazard * R / (1 - (1 - hazard) * GAMMA)  # V = -R/20 + 19/20 γ V, -8.4
+    start = graph.best[at_the_start(graph)]
+    assert stands < start < -R / 2  # rocking against the wall delays the end, but not for ever
+    assert graph.best.max() < -R / 3
+    assert graph.best.min() >= -R - 2e-3
+
+
+def test_a_state_without_a_cell_of_its_own_has_that_of_its_neighbours(step: Graph) -> None:
+    own = np.arange(len(step.nodes))
+    assert np.array_equal(step.lookup(step.nodes), own)
+    higher = step.nodes.moved_to(shifted(step.nodes, 0.0, 0.1), own)
+    found = step.lookup(higher)
+    keys = np.array(step._keys(step.nodes))
+    asked = np.array(step._keys(higher))
+    beside = [row for row in own if tuple(asked[row]) not in step._cells and found[row] >= 0]
+    assert len(beside) > 100
+    off = np.abs(keys[found[beside]] - asked[beside])
+    assert off.max() == 1
+    assert (off[:, 3:] == 0).all()  # the flippers' targets are the same
+    assert (off.sum(axis=1) == 1).mean() > 0.5
+
+
+def test_a_state_far_from_all_represented_ones_is_unknown(step: Graph) -> None:
+    assert step.lookup(shifted(step.nodes.take(np.arange(5)), 0.0, 2.0)).tolist() == [-1] * 5
+    assert step.lookup(standing(model_of(STEP), FINISH + 5.0, 0.3)).tolist() == [-1]
+
+
+def shifted(nodes: Nodes, x: float, z: float) -> Nodes:
+    """Return the nodes moved by x and z [m]."""
+    by: FloatArray = np.array([x, z])
+    states = nodes.states.copy()
+    states[:, :2] += by
+    fields = {**vars(nodes), "states": states, "places": nodes.places + by}
+    return Nodes(**fields)

@@ -1,0 +1,162 @@
+"""``mpc`` with a value: it drives by the rewards, and refuses what cannot be."""
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from flipperctl import checkpoint
+from flipperctl.api import (
+    FloatArray,
+    ObservationLayout,
+    Outcome,
+    Policy,
+    RewardTerm,
+    Transition,
+)
+from flipperctl.config import EnvConfig, resolver
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.lookahead.learned import LearnedValue, Value
+from flipperctl.lookahead.mpc import Mpc
+from flipperctl.policies.source import PolicySource
+from flipperctl.policies.trained import policy_module
+from flipperctl.policies.values import learned_value
+from flipperctl.rollout.episode import play
+from tests.short import short_config, trainer
+
+SMALL = {"beam": 3, "horizon": 4}
+
+
+class Unpredictable(RewardTerm):
+    """A term that needs what predictions lack."""
+
+    plugin_name: ClassVar[str] = "unpredictable"
+    not_predicted: ClassVar[str] = "the motors' currents"
+
+    def __call__(self, t: Transition) -> float:
+        return 0.0
+
+
+def none_beyond(observations: NDArray[np.float32]) -> FloatArray:
+    """Return 0: all that counts is earned before the horizon."""
+    return np.zeros(len(observations))
+
+
+def low(observations: NDArray[np.float32]) -> FloatArray:
+    """Return less, the higher the chassis centre lies above the ground below it [m]."""
+    return 20.0 * np.minimum(0.0, observations[:, 7].astype(np.float64) + 0.15)
+
+
+def terms(**weights: float) -> dict[str, RewardTerm]:
+    found = {}
+    for name, weight in weights.items():
+        found[name] = resolver.create("reward", {"name": name, "weight": weight}, "rewards")
+        assert isinstance(found[name], RewardTerm)
+    return found
+
+
+def learned(rewards: dict[str, RewardTerm], value: Value = none_beyond) -> LearnedValue:
+    return LearnedValue(value, rewards, 0.99, ObservationLayout())
+
+
+def policy(own: dict[str, RewardTerm], value: Value = none_beyond, **more: Any) -> Policy:
+    return Mpc(value="run", **{**SMALL, **more}).ending_with(learned(own, value)).build()
+
+
+def saved_run(folder: Path, **settings: object) -> str:
+    """Return the run of an untrained policy."""
+    trainer(short_config(**settings), folder).save()
+    return str(folder)
+
+
+@pytest.mark.parametrize("terrain", ["flat", "step"])
+def test_it_drives_by_its_rewards_to_the_finish(terrain: str) -> None:
+    driven = policy(terms(end=2.0, shaped_progress=10.0, swing=4.0), low)
+    row = play(FlipperEnv(terrain), driven, seed=3)
+    assert row["outcome"] == Outcome.REACHED
+    assert play(FlipperEnv(terrain), driven, seed=3) == row  # it forgets the last episode
+
+
+def test_rewards_of_the_settings_replace_those_of_the_value() -> None:
+    """Paid for travel alone, the flippers stay as they are; else they rise, as the value wants."""
+
+    def front(observations: NDArray[np.float32]) -> FloatArray:
+        return 10.0 * observations[:, -3].astype(np.float64)
+
+    env = FlipperEnv("flat")
+    raised, still = (
+        play(env, policy(terms(end=1.0), front, **more), seed=1)["flipper_travel"]
+        for more in ({}, {"rewards": {"travel": {"name": "travel", "weight": 100.0}}})
+    )
+    assert still == pytest.approx(0.0, abs=0.01)
+    assert raised > 0.5
+
+
+def test_rewards_need_values_of_what_follows() -> None:
+    with pytest.raises(
+        ConfigError, match=r"controller\.rewards: .* set controller\.value to a run"
+    ):
+        Mpc(rewards={"end": "end"}).build()
+    with pytest.raises(ConfigError, match=r"controller\.value=run: this command reads no values"):
+        Mpc(value="run").build()
+
+
+def test_a_term_that_predictions_lack_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'unpredictable' needs: the motors' currents"):
+        policy({"odd": Unpredictable()})
+
+
+# Values of runs
+
+
+def test_the_value_of_a_run_is_that_of_its_best_action_in_the_rewards_unit(tmp_path: Path) -> None:
+    run = saved_run(tmp_path, **{"agent.reward_scale": 0.25, "agent.gamma": 0.9})
+    found = learned_value(run, "controller.value")
+    observations = np.random.default_rng(0).normal(size=(5, 18)).astype(np.float32)
+    last = checkpoint.read(tmp_path / checkpoint.LAST)
+    import torch
+
+    with torch.no_grad():
+        best = policy_module(last)(torch.from_numpy(observations)).max(dim=1).values
+    assert found.value(observations) == pytest.approx(4 * best.numpy())
+    assert found.value(observations).dtype == np.float64
+    assert (found.gamma, set(found.rewards)) == (0.9, set(short_config().rewards))
+
+
+def test_a_controller_s_value_is_read_from_its_run(tmp_path: Path) -> None:
+    run = saved_run(tmp_path)
+    source = PolicySource(settings={"name": "mpc", "value": run, **SMALL})
+    row = play(FlipperEnv("flat"), source.build(EnvConfig(terrain="flat")), seed=1)
+    assert row["decisions"] > 10
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"network": "stacked"}, r"its network stacked takes \d+ observations, of which a plan"),
+        (
+            {"teacher.controller": {"name": "okada"}, "teacher.td_weight": 0.0},
+            "it only imitated its teacher, so that its values estimate no return",
+        ),
+    ],
+)
+def test_runs_whose_values_estimate_no_return_of_one_observation_are_refused(
+    settings: dict[str, object], text: str, tmp_path: Path
+) -> None:
+    run = saved_run(tmp_path, **settings)
+    with pytest.raises(CheckpointError, match=rf"^controller\.value={run}: {text}"):
+        learned_value(run, "controller.value")
+
+
+def test_searched_values_without_temporal_difference_are_accepted(tmp_path: Path) -> None:
+    teacher = {"teacher.controller": {"name": "value_iteration"}, "teacher.loss": "values"}
+    run = saved_run(tmp_path, **teacher, **{"teacher.td_weight": 0.0})
+    assert learned_value(run, "controller.value").gamma == 0.99
+
+
+def test_a_run_that_does_not_exist_is_named() -> None:
+    with pytest.raises(CheckpointError, match="nowhere"):
+        learned_value("nowhere", "controller.value")
