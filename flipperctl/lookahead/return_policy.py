@@ -112,8 +112,8 @@ class ReturnPolicy(MpcPolicy):
             robot,
             objective,
             width=width,
-            depth=settings.horizon,
-            beam_per_action=settings.of_each,
+            depth=settings.depth,
+            beam_per_action=max(1, settings.of_each),
         )
         plan = search.run(model, root, self._former, deadline)
         self.simulated = plan.simulated
