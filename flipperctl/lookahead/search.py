@@ -22,6 +22,9 @@ _TURNS = np.array(ACTIONS, dtype=np.float64)
 _CELL = np.array([0.03, 0.03, 0.03, 0.1, 0.1])
 """Nodes whose x, z [m], pitch and flipper targets [rad] fall into one cell are merged."""
 
+_EQUAL = 1e-6
+"""Difference of costs up to which plans that end the episode count as equal."""
+
 
 class Scores(NamedTuple):
     """The costs of M plans that are one decision longer than before, in the objective's unit."""
@@ -150,7 +153,9 @@ class Search:
             cost = scores.cost
             if len(rows := np.flatnonzero(scores.ended)):
                 np.minimum.at(final, first[rows], cost[rows])
-                row = rows[cost[rows].argmin()]
+                # Of equal plans the one that holds, or flippers drift on level ground.
+                holds = action[rows] == HOLD
+                row = rows[(cost[rows] - _EQUAL * holds).argmin()]
                 if ended is None or cost[row] < ended.cost:
                     ended = _Ended(
                         *(float(cost[row]), step, int(parent[row]), int(action[row])),

@@ -86,13 +86,19 @@ def test_rewards_of_the_settings_replace_those_of_the_value() -> None:
     def front(observations: NDArray[np.float32]) -> FloatArray:
         return 10.0 * observations[:, -3].astype(np.float64)
 
-    env = FlipperEnv("flat")
+    env = FlipperEnv("step")
     raised, still = (
         play(env, policy(terms(end=1.0), front, **more), seed=1)["flipper_travel"]
         for more in ({}, {"rewards": {"travel": {"name": "travel", "weight": 100.0}}})
     )
     assert still == pytest.approx(0.0, abs=0.01)
     assert raised > 0.5
+
+
+def test_without_a_price_on_travel_flippers_hold_still_on_level_ground() -> None:
+    """Every plan ends at once, and all are paid alike."""
+    played = play(FlipperEnv("flat"), policy(terms(end=1.0), lambda o: np.zeros(len(o))), seed=1)
+    assert played["flipper_travel"] == pytest.approx(0.0, abs=0.01)
 
 
 def test_rewards_need_values_of_what_follows() -> None:
