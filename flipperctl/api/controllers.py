@@ -125,6 +125,9 @@ class Controller(Plugin):
     kind: ClassVar[str] = "controller"
     searches_first: ClassVar[bool] = False
     """Whether the policy's ``reset`` runs a search, which may take long."""
+    closed_loop: ClassVar[bool] = False
+    """Whether a policy that searches first also decides in states to which others led, so that it
+    can teach."""
     baselines: ClassVar[tuple[str, ...]] = ()
     """Names of the controllers that ``eval`` compares this one with by default."""
 

@@ -134,6 +134,7 @@ class Teacher(Settings):
         if (
             controller is not None
             and controller.searches_first
+            and not controller.closed_loop
             and (self.student_share or self.random)
         ):
             raise ConfigError(

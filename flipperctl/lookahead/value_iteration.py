@@ -8,7 +8,8 @@ from typing import ClassVar
 from pydantic import PrivateAttr
 
 from flipperctl.api import Controller, Policy, RewardTerm, controller
-from flipperctl.errors import ConfigError
+from flipperctl.config import PAPER_REWARDS
+from flipperctl.config.resolver import create
 from flipperctl.lookahead.value_iteration_settings import ValueIterationSettings
 
 
@@ -22,6 +23,8 @@ class ValueIteration(ValueIterationSettings, Controller):
     (``teacher=searched``), their source of values; it cannot run on a robot.
     """
 
+    searches_first: ClassVar[bool] = True
+    closed_loop: ClassVar[bool] = True
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
     _rewards: Mapping[str, RewardTerm] | None = PrivateAttr(None)
 
@@ -34,13 +37,14 @@ class ValueIteration(ValueIterationSettings, Controller):
     def build(self) -> Policy:
         """Return a policy that explores the ground at the start of each episode.
 
+        Without ``paying``, the paper's rewards count.
+
         Raises:
-            ConfigError: no reward terms were given, or a term needs what predictions lack.
+            ConfigError: a term needs what predictions lack.
         """
         from flipperctl.lookahead.oracle import OraclePolicy
 
-        if not self._rewards:
-            raise ConfigError(
-                "controller=value_iteration: there are no rewards to compute values of"
-            )
-        return OraclePolicy(self, self._rewards)
+        rewards = self._rewards
+        if rewards is None:
+            rewards = {n: create("reward", n, f"rewards.{n}") for n in PAPER_REWARDS.values()}
+        return OraclePolicy(self, rewards)

@@ -101,11 +101,9 @@ def test_most_controllers_value_no_states(name: str) -> None:
     assert not isinstance(plugin_policy(found), ValuingPolicy)
 
 
-def test_value_iteration_needs_rewards_and_gets_those_of_the_environment() -> None:
+def test_value_iteration_gets_the_rewards_of_the_environment() -> None:
     found = resolver.create("controller", "value_iteration", "controller")
     assert isinstance(found, Controller)
-    with pytest.raises(ConfigError, match="there are no rewards to compute values of"):
-        plugin_policy(found)
     assert isinstance(controller_policy(found, EnvConfig(terrain="flat")), ValuingPolicy)
 
 
