@@ -97,5 +97,5 @@ class GroupMemory:
             raise ValueError(f"shapes are {seen.shape} and {values.shape} for {count} groups")
         if not (np.isfinite(seen).all() and np.isfinite(values).all()):
             raise ValueError("a number is not finite")
-        self.add(StateGroups(seen, values))  # type: ignore[arg-type]  # the types were checked
+        self.add(StateGroups(np.asarray(seen, np.float32), np.asarray(values, np.float32)))
         self.added = added

@@ -126,7 +126,7 @@ class Graph:
         """Represent the reachable states wave by wave; yield the decisions of each wave."""
         frontier, base = self._represent(self._roots()), 0
         while len(frontier) and len(self._cells) < _MOST:
-            found = self._decide(frontier, represent=True)
+            found = self._decide(frontier)
             yield found._replace(parent=found.parent + base)
             base += len(frontier)
             frontier = self._waves[-1]
@@ -166,8 +166,8 @@ class Graph:
         self._waves.append(nodes.take(np.array(fresh, np.int64)))
         return self._waves[-1]
 
-    def _decide(self, nodes: Nodes, *, represent: bool = False) -> _Edges:
-        """Predict every decision from each node; with ``represent``, add the new cells.
+    def _decide(self, nodes: Nodes) -> _Edges:
+        """Predict every decision from each node; represent the ends in new cells.
 
         The path of a decision ends at the state that represents its end, so that the reward terms
         pay for the difference.
@@ -180,8 +180,7 @@ class Graph:
         x, going = after.places[:, 0], branch.outcome == RUNNING
         inside = (x < course.finish + _BEYOND) & (x > course.start - _BEYOND)
         rows = np.flatnonzero(going & inside)
-        if represent:
-            self._represent(after.take(rows))
+        self._represent(after.take(rows))
         child = np.full(len(parent), -1)
         child[rows] = self.lookup(after.take(rows))
         rows = np.flatnonzero(child >= 0)

@@ -23,7 +23,7 @@ _WALKERS, _STEPS = 96, 120
 _RANDOM = (0.0, 0.05, 0.1, 0.2)
 """Probabilities that a walk begins some equal random decisions [-]."""
 _EQUAL = 6
-"""Smallest number of equal random decisions that a walk never exceeds [-]."""
+"""Number of equal random decisions in a row that a walk stays below [-]."""
 
 
 def sample_groups(

@@ -19,7 +19,8 @@ class Mpc(MpcSettings, Controller):
     At each decision a beam search simulates a nominal robot on the perceived ground and takes the
     first action of the cheapest plan. The cost of a plan is its lost time plus, weighted in
     seconds, its pitch variation, its postures and its pitch at the horizon. The controller needs
-    no training and runs in real time on one core.
+    no training and runs in real time on one core. With ``value``, plans have the largest return of
+    reward terms instead, and end with the values of a trained policy.
     """
 
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")

@@ -123,7 +123,17 @@ class MpcPolicy:
         """Return the nominal robot's simulation on the perceived ground, and its present state."""
         settings = self._settings
         line, motion = self._perceive(p, robot)
-        model = self._model(line, p, robot)
+        finish, top = self._presumed_finish(line, robot)
+        model = Model(
+            line,
+            robot,
+            friction=settings.assumed_friction if p.friction is None else p.friction,
+            step=settings.step,
+            iterations=settings.iterations,
+            overturn=settings.overturn,
+            finish=finish,
+            top=top,
+        )
         speed = robot.track_speed
         pose = (0.0, _touching(line, p, robot), p.pitch)
         rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
@@ -138,27 +148,9 @@ class MpcPolicy:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
 
-    def _model(
-        self,
-        line: FloatArray,
-        p: Perception,
-        robot: Robot,
-        *,
-        finish: float = math.inf,
-        top: float = math.inf,
-    ) -> Model:
-        """Return the prediction model of the ``line``, (V, 2) in frame L [m]."""
-        settings = self._settings
-        return Model(
-            line,
-            robot,
-            friction=settings.assumed_friction if p.friction is None else p.friction,
-            step=settings.step,
-            iterations=settings.iterations,
-            overturn=settings.overturn,
-            finish=finish,
-            top=top,
-        )
+    def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
+        """Return x of the finish and the largest height there, in frame L [m]; none is presumed."""
+        return math.inf, math.inf
 
     def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
         """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""

@@ -69,21 +69,12 @@ class ReturnPolicy(MpcPolicy):
         self._pitches = [*(self._pitches or [p.pitch] * LAST_PITCHES), p.pitch][-LAST_PITCHES:]
         return super()._plan_from(p)
 
-    def _model(
-        self,
-        line: FloatArray,
-        p: Perception,
-        robot: Robot,
-        *,
-        finish: float = math.inf,
-        top: float = math.inf,
-    ) -> Model:
-        """Return the prediction model with the presumed finish."""
-        self._line, level = line, line[-1, 1]
+    def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
+        """Return x of the finish and the largest height there, in frame L [m]."""
+        self._line, level = line, float(line[-1, 1])
         uneven = np.flatnonzero(np.abs(line[:, 1] - level) > _EDGE)
-        edge = line[min(uneven[-1] + 1, len(line) - 1), 0] if len(uneven) else -math.inf
-        top = level + robot.track_radius + _EPISODE.clearance
-        return super()._model(line, p, robot, finish=edge + _EPISODE.run_out, top=top)
+        edge = float(line[min(uneven[-1] + 1, len(line) - 1), 0]) if len(uneven) else -math.inf
+        return edge + _EPISODE.run_out, level + robot.track_radius + _EPISODE.clearance
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
         """Search for the largest return, the wider the longer the robot has stood."""

@@ -37,7 +37,7 @@ WRITTEN = [
     (r"C:\runs", r'"C:\runs"'),
     ("end\\", r'"end\\"'),
     (r"\"", r'"\\\""'),
-    (Path("/tmp/a b"), '"/tmp/a b"'),
+    (Path("runs/a b"), '"runs/a b"'),
     (Kind.ONE, "one"),
     ((1, "x y"), '[1,"x y"]'),
     (np.array([[0.5, 1.0]]), "[[0.5,1.0]]"),
