@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
-from flipperctl.lookahead import dynamics
-from flipperctl.lookahead.dynamics import STATE
+from flipperctl.lookahead import dynamics, layout
+from flipperctl.lookahead.layout import STATE
 
 FLIPPERS, TARGETS = 6, 8
 """Index in a state of the flippers' angles, and of their targets."""
@@ -69,19 +69,19 @@ class Model:
         self.overturn = overturn
         self._ground = _edges(line)
         axle = robot.flipper_axle
-        k = np.zeros(dynamics.NUMBERS)
-        k[dynamics.HINGE], k[dynamics.AXLE] = robot.hinge_offset, axle
-        k[dynamics.RADIUS] = robot.track_radius
-        k[dynamics.CHASSIS], k[dynamics.FLIPPER] = robot.chassis_mass, robot.flipper_mass
-        k[dynamics.TURN_CHASSIS] = _inertia(
+        k = np.zeros(layout.NUMBERS)
+        k[layout.HINGE], k[layout.AXLE] = robot.hinge_offset, axle
+        k[layout.RADIUS] = robot.track_radius
+        k[layout.CHASSIS], k[layout.FLIPPER] = robot.chassis_mass, robot.flipper_mass
+        k[layout.TURN_CHASSIS] = _inertia(
             robot.chassis_mass, 2 * robot.hinge_offset, robot.track_radius
         )
-        k[dynamics.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
-        k[dynamics.SPEED], k[dynamics.RATE] = robot.track_speed, robot.flipper_speed
-        k[dynamics.GRAVITY], k[dynamics.FRICTION] = gravity, friction
-        k[dynamics.STEP], k[dynamics.ITERATIONS] = step, iterations
-        k[dynamics.OVERTURN], k[dynamics.SAMPLE] = overturn, SAMPLE_PERIOD
-        k[dynamics.FINISH], k[dynamics.TOP] = finish, top
+        k[layout.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
+        k[layout.SPEED], k[layout.RATE] = robot.track_speed, robot.flipper_speed
+        k[layout.GRAVITY], k[layout.FRICTION] = gravity, friction
+        k[layout.STEP], k[layout.ITERATIONS] = step, iterations
+        k[layout.OVERTURN], k[layout.SAMPLE] = overturn, SAMPLE_PERIOD
+        k[layout.FINISH], k[layout.TOP] = finish, top
         self._numbers = k
         self._step = step
 

@@ -21,7 +21,7 @@ from flipperctl.api import (
     RobotStates,
     Transitions,
 )
-from flipperctl.lookahead.dynamics import OVERTURNED, REACHED
+from flipperctl.lookahead.layout import OVERTURNED, REACHED
 from flipperctl.lookahead.model import FLIPPERS, Branch
 
 TURNS = np.array(ACTIONS)

@@ -19,6 +19,7 @@ from numba.core.dispatcher import Dispatcher
 from flipperctl.sim import code_cache, jit
 
 MODULES = [
+    "flipperctl.lookahead.contacts",
     "flipperctl.lookahead.dynamics",
     "flipperctl.sim.planar.bins",
     "flipperctl.sim.planar.compiled",
