@@ -10,13 +10,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flipperctl.api import LAST_PITCHES, FloatArray, Perception, RewardTerm, Simulator, StateGroups
+from flipperctl.api import ACTIONS, FloatArray, Perception, RewardTerm, Simulator, StateGroups
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.groups import sample_groups, with_stops
+from flipperctl.lookahead.history import History
 from flipperctl.lookahead.model import TARGETS, Model, compile_now
-from flipperctl.lookahead.nodes import TURNS, Nodes
+from flipperctl.lookahead.nodes import Nodes
 from flipperctl.lookahead.policy import nominal
 from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Search
@@ -68,8 +69,7 @@ class OraclePolicy:
         )
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
         self._targets = state.front, state.rear
-        self._turns = (0, 0)
-        self._pitches = [state.pitch] * LAST_PITCHES
+        self._history = History()
 
     def act(self, p: Perception) -> int:
         """Return the action of the largest value in the true state."""
@@ -105,12 +105,10 @@ class OraclePolicy:
     def took(self, action: int) -> None:
         """Remember the action that was taken."""
         robot, state = self._robot, self._simulator.state
-        turns = tuple(int(turn) for turn in TURNS[action])
+        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
         rule = TargetRule(robot.angle_step, robot.angle_limit)
-        self._targets = rule.next_targets(
-            self._targets, (state.front, state.rear), [turn * robot.angle_step for turn in turns]
-        )
-        self._turns = turns[0], turns[1]
+        self._targets = rule.next_targets(self._targets, (state.front, state.rear), turns)
+        self._history.took(action, robot.decision_period)
 
     def groups(self, rng: np.random.Generator) -> StateGroups:
         """Return groups of states of the episode's ground with the values of their actions."""
@@ -135,7 +133,7 @@ class OraclePolicy:
     def _here(self) -> Nodes:
         """Return the true state as a node."""
         state, robot = self._simulator.state, self._robot
-        self._pitches = [*self._pitches, state.pitch][-LAST_PITCHES:]
+        self._history.saw(state.pitch)
         x, z = state.position
         found = self._model.state(
             (float(x), float(z), state.pitch),
@@ -144,10 +142,4 @@ class OraclePolicy:
         )
         rule = TargetRule(robot.angle_step, robot.angle_limit)
         found[TARGETS:] = rule.next_targets(self._targets, (state.front, state.rear), (0.0, 0.0))
-        return Nodes(
-            states=found[None],
-            places=state.position[None],
-            pitches=np.array([self._pitches]),
-            turns=np.array([self._turns]),
-            time=np.array([state.time]),
-        )
+        return self._history.node(found, state.position)

@@ -11,8 +11,6 @@ import math
 import numpy as np
 
 from flipperctl.api import (
-    ACTIONS,
-    LAST_PITCHES,
     FloatArray,
     Perception,
     Profile,
@@ -21,10 +19,10 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.lookahead.heights import Ground
+from flipperctl.lookahead.history import History
 from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc_settings import MpcSettings
-from flipperctl.lookahead.nodes import Nodes
 from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Plan, Search
@@ -55,18 +53,15 @@ class ReturnPolicy(MpcPolicy):
     def reset(self, simulator: Simulator) -> None:
         """Forget the last episode; the simulator is not used."""
         super().reset(simulator)
-        self._pitches: list[float] = []
-        self._turns = 0, 0
-        self._time = 0.0
+        self._history = History()
 
     def took(self, action: int) -> None:
         """Remember the turns that were taken."""
         super().took(action)
-        self._turns = ACTIONS[action]
-        self._time += self._robot.decision_period
+        self._history.took(action, self._robot.decision_period)
 
     def _plan_from(self, p: Perception) -> Plan:
-        self._pitches = [*(self._pitches or [p.pitch] * LAST_PITCHES), p.pitch][-LAST_PITCHES:]
+        self._history.saw(p.pitch)
         return super()._plan_from(p)
 
     def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
@@ -80,20 +75,13 @@ class ReturnPolicy(MpcPolicy):
         """Search for the largest return, the wider the longer the robot has stood."""
         settings, learned = self._settings, self._learned
         ground = Ground(self._line, learned.layout)
-        place = np.array([model.chassis(root)])
         objective = Returns(
             rewards=self._rewards,
             horizon=lambda nodes: learned.value(ground.observations(nodes.places, nodes.states)),
             gamma=learned.gamma,
             profile=Profile(self._line),
             robot=robot,
-            root=Nodes(
-                states=root[None],
-                places=place,
-                pitches=np.array([self._pitches]),
-                turns=np.array([self._turns]),
-                time=np.array([self._time]),
-            ),
+            root=self._history.node(root, np.array(model.chassis(root))),
             standing=self._standing,
             patience=_EPISODE.stuck_decisions(robot.decision_period),
             averaging=settings.averaging,
