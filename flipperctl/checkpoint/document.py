@@ -32,9 +32,9 @@ EPISODES: Final = "episodes"
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
-VariationMeasure = Literal["pitch_variation_100hz", "pitch_variation"]
-"""The θ̂_R that ranks validations of equal success: at 100 Hz, or at decisions for runs that began
-with an earlier version."""
+BestBy = Literal["pitch_variation_100hz", "pitch_variation", "return"]
+"""What ranks validations: success and θ̂_R at 100 Hz, or at decisions for runs that began with an
+earlier version; or the mean return."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error
@@ -123,14 +123,19 @@ class Validation(Record):
     """θ̂_R at decisions [rad]."""
     pitch_variation_100hz: NonNegative | None = None
     """θ̂_R at 100 Hz [rad]; None in a run of an earlier version that did not record it."""
+    mean_return: float | None = None
+    """Mean over all episodes of the return without shaping [-]; not in files of version 0.2."""
 
-    def score(self, measure: VariationMeasure) -> tuple[float, float]:
+    def score(self, best_by: BestBy) -> tuple[float, float]:
         """Return the key that the best validation maximises: success rate, then negated θ̂_R.
 
-        Without a θ̂_R at 100 Hz, that at decisions is used.
+        With ``return`` it is the mean return, then the success rate. Without a θ̂_R at 100 Hz, that
+        at decisions is used.
         """
+        if best_by == "return" and self.mean_return is not None:
+            return self.mean_return, self.success_rate
         variation = self.pitch_variation_100hz
-        if measure == "pitch_variation" or variation is None:
+        if best_by == "pitch_variation" or variation is None:
             variation = self.pitch_variation
         return self.success_rate, -variation
 
@@ -178,8 +183,8 @@ class State(Record):
     loss: float
     recent: Annotated[tuple[bool, ...], Field(max_length=RECENT)]
     validations: tuple[Validation, ...]
-    best_by: VariationMeasure = "pitch_variation"
-    """θ̂_R by which the run chooses its best policy; not in files of earlier versions."""
+    best_by: BestBy = "pitch_variation"
+    """What the run chooses its best policy by; not in files of earlier versions."""
     started: Count
     lost: Count
     updates: Count

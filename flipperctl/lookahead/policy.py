@@ -27,7 +27,7 @@ from flipperctl.sim.thinning import kept_points
 
 NO_PLAN = 1000.0
 """Cost of an action that begins no plan of the search [s]."""
-_STANDS = 0.03
+STANDS = 0.03
 """Distance in one decision below which the robot counts as standing still [m]."""
 _PATIENCE = 3
 """Number of decisions without progress after which the search widens again [-]."""
@@ -159,11 +159,15 @@ class MpcPolicy:
             before, expected = self._plan.states[:2]
             guess = float(expected[0] - before[0]), float(expected[1] - before[1])
         motion = self._map.add(p.points, guess)
-        self._standing = self._standing + 1 if math.hypot(*motion) < _STANDS else 0
+        self._standing = self._standing + 1 if self._stood(motion) else 0
         line = self._map.line()
         if not len(line):  # nothing was perceived: assume level ground under the tracks
             line = np.array([[0.0, -robot.track_radius]])
         return line, motion
+
+    def _stood(self, motion: tuple[float, float]) -> bool:
+        """Return whether the robot stood still in its last decision, from its ``motion`` [m]."""
+        return math.hypot(*motion) < STANDS
 
 
 def _rule(robot: RobotGeometry) -> TargetRule:

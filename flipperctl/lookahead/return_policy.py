@@ -23,7 +23,7 @@ from flipperctl.lookahead.history import History
 from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc_settings import MpcSettings
-from flipperctl.lookahead.policy import MpcPolicy
+from flipperctl.lookahead.policy import STANDS, MpcPolicy
 from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.reward_sum import RewardSum
@@ -54,6 +54,7 @@ class ReturnPolicy(MpcPolicy):
         """Forget the last episode; the simulator is not used."""
         super().reset(simulator)
         self._history = History()
+        self._way = self._farthest = 0.0  # from the start, by its own odometry [m]
 
     def took(self, action: int) -> None:
         """Remember the turns that were taken."""
@@ -63,6 +64,14 @@ class ReturnPolicy(MpcPolicy):
     def _plan_from(self, p: Perception) -> Plan:
         self._history.saw(p.pitch)
         return super()._plan_from(p)
+
+    def _stood(self, motion: tuple[float, float]) -> bool:
+        """Return whether the robot got no farther than before; one that rocks in place stands."""
+        self._way += motion[0]
+        if self._way < self._farthest + STANDS:
+            return True
+        self._farthest = self._way
+        return False
 
     def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
         """Return x of the finish and the largest height there, in frame L [m]."""

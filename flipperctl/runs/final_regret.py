@@ -15,12 +15,12 @@ from flipperctl import checkpoint
 from flipperctl.api.controllers import is_rule
 from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict
 from flipperctl.errors import FlipperctlError
+from flipperctl.evaluation.returns import paying_terms
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import TRAINED
 from flipperctl.studies.regret import LEVEL
 from flipperctl.studies.regret_episodes import RegretScene, measure_regret
-from flipperctl.studies.returns import paying_terms
 
 SEED = 2_718_281_828
 """Seed of the evaluation, unlike the default one of ``eval``, so that who chooses among runs by

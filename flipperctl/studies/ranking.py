@@ -19,7 +19,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import FEWEST, holm, interval, mean_p
-from flipperctl.studies.returns import paying_terms
+from flipperctl.evaluation.returns import paying_terms
 
 _SIGNIFICANT = 0.05
 """Largest corrected p-value of a contradiction [-]."""

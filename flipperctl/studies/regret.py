@@ -20,7 +20,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import interval
-from flipperctl.studies.returns import paying_terms
+from flipperctl.evaluation.returns import paying_terms
 
 LEVEL = "level"
 """The controller that holds the flippers still."""

@@ -64,7 +64,7 @@ def validation_text(row: Mapping[str, Any]) -> str:
     """Return a validation in one line."""
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
-        f"{pitch_variation_text(row, 2)}, {row['t_cost']:.1f} s"
+        f"{pitch_variation_text(row, 2)}, {row['t_cost']:.1f} s, return {row['mean_return']:.2f}"
     )
 
 

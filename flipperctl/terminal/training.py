@@ -5,6 +5,9 @@ In: a training or a finished run. Out: lines on stderr.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from flipperctl.config import TrainConfig
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.preflight import check_device
@@ -38,9 +41,15 @@ def print_best(run: Finished) -> None:
     best = run.summary["best"]
     print_note(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{pitch_variation_text(best, 2)}, {best['t_cost']:.1f} s. "
+        f"{pitch_variation_text(best, 2)}, {best['t_cost']:.1f} s{_return_text(best)}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"{regret_line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )
+
+
+def _return_text(validation: Mapping[str, Any]) -> str:
+    """Return the mean return; a validation of an earlier version may lack it."""
+    value = validation["mean_return"]
+    return "" if value is None else f", return {value:.2f}"

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from flipperctl.agent.d3qn import D3qn, arrays
-from flipperctl.checkpoint.document import Validation, VariationMeasure
+from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
+from flipperctl.evaluation.returns import paying_terms
 from flipperctl.evaluation.statistics import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import validation_seed
+
+_BEST_BY: Final[dict[str, BestBy]] = {"success": "pitch_variation_100hz", "return": "return"}
 
 
 class Validator:
@@ -30,22 +34,24 @@ class Validator:
         ]
         self.history: list[Validation] = []
         """Results of all validations, oldest first."""
-        self.best_by: VariationMeasure = "pitch_variation_100hz"
-        """θ̂_R that ranks validations of equal success."""
+        self._paying = [f"reward_{name}" for name in paying_terms(config.rewards)]
+        self._configured: BestBy = _BEST_BY[settings.best_by]
+        self.best_by: BestBy = self._configured
+        """What ranks the validations."""
 
     @property
     def best(self) -> Validation | None:
-        """Validation with the highest success rate so far, then the lowest θ̂_R."""
+        """Best validation so far by ``best_by``."""
         return max(self.history, key=lambda v: v.score(self.best_by), default=None)
 
-    def restore(self, history: Sequence[Validation], best_by: VariationMeasure) -> None:
+    def restore(self, history: Sequence[Validation], best_by: BestBy) -> None:
         """Continue after the validations of a resumed run.
 
-        A run that chose its best policy by θ̂_R at decisions, as earlier versions did, keeps that
-        measure: with another one the best validation could be one whose weights are lost.
+        A run that has chosen a best policy, as by θ̂_R at decisions in earlier versions, goes on
+        choosing in that way: with another one the best could be one whose weights are lost.
         """
         self.history[:] = history
-        self.best_by = best_by if history else "pitch_variation_100hz"
+        self.best_by = best_by if history else self._configured
 
     @property
     def last(self) -> Validation | None:
@@ -68,7 +74,15 @@ class Validator:
         averaged = reached_rows or rows
         means = {name: float(np.mean([row[name] for row in averaged])) for name in names}
         success = len(reached_rows) / len(rows)
-        self.history.append(Validation(decision=decision, success_rate=success, **means))
+        returns = [sum(float(row[name]) for name in self._paying) for row in rows]
+        self.history.append(
+            Validation(
+                decision=decision,
+                success_rate=success,
+                mean_return=float(np.mean(returns)),
+                **means,
+            )
+        )
         return self.history[-1]
 
     def _play(self, seed: int) -> Row:

@@ -1,6 +1,7 @@
 """Built-in terrains."""
 
 from . import (
+    all_kinds,
     building_stair,
     curb_and_ramp,
     curriculum,
@@ -25,6 +26,7 @@ from . import (
 )
 
 __all__ = [
+    "all_kinds",
     "building_stair",
     "curb_and_ramp",
     "curriculum",

@@ -152,3 +152,12 @@ def test_a_curriculum_takes_steps_between_0_and_1() -> None:
 def test_only_numbers_may_differ_between_easy_and_hard(hard: object, text: str) -> None:
     with pytest.raises(ConfigError, match=f"only numbers may differ.*{text}"):
         made("curriculum", hard=hard)
+
+
+def test_the_mix_of_all_kinds_draws_every_kind_and_long_flights() -> None:
+    mix, stream = made("all_kinds"), rng()
+    drawn = [mix.labelled(stream) for _ in range(300)]
+    kinds = {profile.label for profile in drawn}
+    families = "step stair building_stair ramp uplift gap wave rubble pallet plum"
+    assert kinds == set(families.split())
+    assert max(profile.drawn.get("steps", 0) for profile in drawn) == 16

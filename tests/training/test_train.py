@@ -6,6 +6,7 @@ import math
 import multiprocessing
 import shutil
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 import torch
@@ -183,6 +184,38 @@ def test_a_run_of_an_earlier_version_resumes_with_its_own_choice_of_best(
 
     run.validator.restore([], "pitch_variation")  # it has chosen none, so it may choose anew
     assert run.validator.best_by == "pitch_variation_100hz"
+
+
+def test_the_best_policy_by_return_is_the_one_that_its_rewards_pay_most(tmp_path: Path) -> None:
+    validator = trainer(short_config(**{"train.best_by": "return"}), tmp_path).validator
+    calm, paid = validation(1.0, 1.0, 1.0), validation(0.9, 2.0, 2.0)
+    validator.history[:] = [
+        calm.model_copy(update={"mean_return": 1.0}),
+        paid.model_copy(update={"mean_return": 2.0}),
+    ]
+    assert validator.best is validator.history[1]
+    validator.restore(list(validator.history), "pitch_variation_100hz")  # chosen so until now
+    assert validator.best is validator.history[0]
+    validator.restore([], "pitch_variation_100hz")
+    assert validator.best_by == "return"
+
+
+def test_a_validation_s_return_counts_every_episode_and_no_shaping(tmp_path: Path) -> None:
+    shaped = {"rewards": {"shaped_progress": {"name": "shaped_progress"}}}  # beside the paper's
+    run = trainer(short_config(**{"train.validation_episodes": 6, **shaped}), tmp_path)
+    rows = list[dict[str, Any]]()
+
+    class Kept:
+        def evaluate(self, weights: object, seeds: list[int], play: Any) -> list[dict[str, Any]]:
+            rows.extend(play(seed) for seed in seeds)
+            return rows
+
+    found = run.validator.validate(cast(Any, Kept()), 0)
+    assert found is not None
+    assert {row["outcome"] for row in rows} - {"reached"}  # untrained
+    paid = [row["reward_flipper"] + row["reward_pitch"] + row["reward_end"] for row in rows]
+    assert found.mean_return == pytest.approx(sum(paid) / len(rows))
+    assert found.mean_return != pytest.approx(sum(row["return"] for row in rows) / len(rows))
 
 
 def test_a_reward_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) -> None:

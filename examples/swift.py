@@ -1,0 +1,34 @@
+"""A reward of your own: a quick crossing, however much the chassis swings.
+
+Try it: ``flipperctl train terrain=plum experiment=searched ~rewards.flipper ~rewards.pitch
++reward@rewards.swift=swift --plugins examples/swift.py``
+"""
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from flipperctl import api
+
+
+@api.reward("swift")
+class Swift(api.RewardTerm):
+    """Penalise each decision by the time that its way would have taken too long.
+
+    Driving forwards at full ``speed`` costs nothing, standing 1/2 and driving backwards 1. Over
+    a crossing the sum counts lost decisions, so that no policy gains by putting off the finish.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    speed: float = Field(0.2, ge=0.01, le=5, description="speed that costs nothing [m/s]")
+
+    def __call__(self, t: api.Transition) -> float:
+        way = float(t.after.position[0] - t.before.position[0])
+        full = self.speed * (t.after.time - t.before.time)
+        return -min(1.0, max(0.0, 0.5 - 0.5 * way / full))
+
+    def array(self, ts: api.Transitions) -> api.FloatArray:
+        way = ts.after.position[:, 0] - ts.before.position[:, 0]
+        full = self.speed * (ts.after.time - ts.before.time)
+        return -np.clip(0.5 - 0.5 * way / full, 0.0, 1.0)
