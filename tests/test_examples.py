@@ -11,6 +11,7 @@ import pytest
 
 from flipperctl.api import registry
 from flipperctl.testing import checks
+from tests.cli.call import call
 from tests.environment import Environment
 
 pytestmark = pytest.mark.slow
@@ -74,3 +75,14 @@ def test_the_packages_are_what_new_writes() -> None:
         assert f'{name} = "flipperctl_{name}"' in project
         for file in ("README.md", f"tests/test_{name}.py", f"src/flipperctl_{name}/py.typed"):
             assert (folder / file).is_file()
+
+
+@pytest.mark.parametrize("name", ["low", "swift"])
+@pytest.mark.usefixtures("registry")
+def test_each_reward_in_a_file_passes_the_conformance_suite(name: str, tmp_path: Path) -> None:
+    example = str(EXAMPLES / f"{name}.py")
+    done = call("inspect", "plugins", name, "--check", "--plugins", example, "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = json.loads(done.out)
+    assert {(row["kind"], row["name"]) for row in rows} == {("reward", name)}
+    assert all(row["ok"] and not row["skipped"] for row in rows)

@@ -39,12 +39,7 @@ class MpcSettings(Settings):
         "plan; the errors of a learned value average out [-]",
     )
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
-    horizon: int | None = Field(
-        None,
-        ge=1,
-        le=20,
-        description="depth of the search in decisions; null: 9, and 5 with ``value`` [-]",
-    )
+    horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")
     of_each: int = Field(
         0,
         ge=0,
@@ -118,13 +113,6 @@ class MpcSettings(Settings):
         description="time after which a search ends early; only without it are decisions exactly "
         "repeatable [s]",
     )
-
-    @property
-    def depth(self) -> int:
-        """Depth of the search in decisions [-]."""
-        if self.horizon is not None:
-            return self.horizon
-        return 5 if self.value else 9
 
     @property
     def assumed_friction(self) -> float:

@@ -103,7 +103,7 @@ class MpcPolicy:
         """
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
-        size = {"depth": settings.depth, "beam_per_action": settings.of_each}
+        size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
         calm = Search(robot, settings.cost_weights(robot), width=settings.beam, **size)
         width = round(settings.wider * settings.beam * hurry)
         wide = Search(robot, settings.cost_weights(robot, hurry), width=width, **size)
@@ -111,7 +111,7 @@ class MpcPolicy:
         if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)
             self.simulated = plan.simulated
-            stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.depth
+            stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.horizon
             self._hurried = stuck and time.perf_counter() < deadline
         if plan is None or self._hurried:
             plan = wide.run(model, root, former, deadline)

@@ -100,7 +100,7 @@ class ReturnPolicy(MpcPolicy):
             robot,
             objective,
             width=width,
-            depth=settings.depth,
+            depth=settings.horizon,
             beam_per_action=max(1, settings.of_each),
         )
         plan = search.run(model, root, self._former, deadline)
