@@ -21,6 +21,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead.learned import LearnedValue, Value
 from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.return_policy import ReturnPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.policies.values import learned_value
@@ -78,6 +79,15 @@ def test_it_drives_by_its_rewards_to_the_finish(terrain: str) -> None:
     row = play(FlipperEnv(terrain), driven, seed=3)
     assert row["outcome"] == Outcome.REACHED
     assert play(FlipperEnv(terrain), driven, seed=3) == row  # it forgets the last episode
+
+
+def test_a_robot_that_rocks_in_place_stands() -> None:
+    rocking = policy(terms(end=1.0))
+    assert isinstance(rocking, ReturnPolicy)
+    rocking.reset(FlipperEnv("flat").simulator)
+    moves = [(0.1, 0.0), (0.0, 0.0), (0.05, 0.02), (-0.05, -0.02), (0.05, 0.02), (0.02, 0.0)]
+    assert [rocking._stood(m) for m in moves] == [False, True, False, True, True, True]
+    assert not rocking._stood((0.02, 0.0))  # 0.04 m farther than ever
 
 
 def test_rewards_of_the_settings_replace_those_of_the_value() -> None:

@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
+from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.rollout import ray_workers
 from tests.short import short_config, trainer
+from tests.training.test_searched import tiny
 
 pytestmark = [
     pytest.mark.slow,
@@ -79,6 +81,13 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     assert summary["finished"] is False
     assert summary["lost_episodes"] == 0
     assert "The run continues with 2; others join when a CPU is free" in listener.notes[-1]
+
+
+def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) -> None:
+    collector = {"name": "ray", "address": cluster.address, "workers": 2}
+    run = trainer(with_overrides(tiny(12, "fast"), {"collector": collector}), tmp_path)
+    assert run.run()["finished"] is True
+    assert run.valued.memory.added == 6 * run.progress.episode > 0
 
 
 def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
