@@ -127,7 +127,7 @@ class MpcPolicy:
         model = Model(
             line,
             robot,
-            friction=settings.assumed_friction if p.friction is None else p.friction,
+            friction=self._assumed_friction() if p.friction is None else p.friction,
             step=settings.step,
             iterations=settings.iterations,
             overturn=settings.overturn,
@@ -147,6 +147,10 @@ class MpcPolicy:
         if settings.latency:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
+
+    def _assumed_friction(self) -> float:
+        """Return the friction in the prediction, as it is not known [-]."""
+        return self._settings.assumed_friction
 
     def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
         """Return x of the finish and the largest height there, in frame L [m]; none is presumed."""

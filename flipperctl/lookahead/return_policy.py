@@ -34,6 +34,8 @@ _EDGE = 0.03
 """Height difference to the ground ahead that counts as an edge [m]."""
 _PATIENCE, _WIDEST = 3, 4
 """Decisions of standing after which the search widens again, and its largest multiple [-]."""
+_SLIPPERY = 0.8
+"""Factor of the assumed friction after as many decisions of standing [-]."""
 
 
 class ReturnPolicy(MpcPolicy):
@@ -72,6 +74,10 @@ class ReturnPolicy(MpcPolicy):
             return True
         self._farthest = self._way
         return False
+
+    def _assumed_friction(self) -> float:
+        """Return less friction, the longer a robot stands for which the plan was to move on."""
+        return self._settings.assumed_friction * _SLIPPERY ** (self._standing // _PATIENCE)
 
     def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
         """Return x of the finish and the largest height there, in frame L [m]."""

@@ -90,6 +90,17 @@ def test_a_robot_that_rocks_in_place_stands() -> None:
     assert not rocking._stood((0.02, 0.0))  # 0.04 m farther than ever
 
 
+def test_a_robot_that_stands_where_its_plan_drove_assumes_less_friction() -> None:
+    standing = policy(terms(end=1.0))
+    assert isinstance(standing, ReturnPolicy)
+    standing.reset(FlipperEnv("flat").simulator)
+    assumed = []
+    for decisions in (0, 2, 3, 6):
+        standing._standing = decisions
+        assumed.append(standing._assumed_friction())
+    assert assumed == pytest.approx([1.0, 1.0, 0.8, 0.64])
+
+
 def test_rewards_of_the_settings_replace_those_of_the_value() -> None:
     """Paid for travel alone, the flippers stay as they are; else they rise, as the value wants."""
 
