@@ -123,7 +123,7 @@ def with_budget(command: list[str]) -> list[str]:
             command = [*command, "teacher=okada"]  # whose labels cost no search
         if {"experiment=taught", "experiment=generalist"} & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
-        if "experiment=searched" in command:
+        if {"experiment=searched", "experiment=mpc_value"} & set(command):
             fast = {"beam": 1, "horizon": 1, "groups": 4}
             fewer_groups = [f"teacher.controller.{key}={n}" for key, n in fast.items()]
             command = [*command, *fewer_groups, "teacher.batch_groups=4"]
