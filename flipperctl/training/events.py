@@ -22,6 +22,7 @@ def columns() -> tuple[str, ...]:
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
         *("success_rate", "decisions", "return", *named),
         *("start_shift", "start_front", "start_rear", "epsilon", "loss", "lag", "seconds"),
+        "mean_return",
     )
 
 
