@@ -21,6 +21,8 @@ class SensedGround:
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
+    seen: NDArray[np.bool_] | None = None
+    """(N,) whether any ground of a bin was ever seen; None: all of it."""
 
 
 @dataclass(frozen=True)

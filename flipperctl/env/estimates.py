@@ -55,6 +55,11 @@ class EstimateCheck:
         if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
             allowed = f"None, or booleans of the shape {(len(points),)}"
             raise self._refusal(f"filled {_text(filled)}", allowed)
+        if ground.seen is not None and not (
+            _is_array(ground.seen, "b") and ground.seen.shape == self._heights
+        ):
+            allowed = f"None, or booleans of the shape {self._heights}"
+            raise self._refusal(f"seen {_text(ground.seen)}", allowed)
         for name, numbers in (("points", points), ("heights", heights)):
             if not np.isfinite(numbers).all():
                 raise self._refusal(f"{name} that are not finite", "finite numbers", NonFiniteError)

@@ -1,0 +1,100 @@
+"""The estimator of ``perception=lidar``, which runs on a robot too.
+
+In: messages of the devices with their times. Out: the sensed ground and posture.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flipperctl.core.arrays import FloatArray
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.ground import GroundSeen, MapSettings
+from flipperctl.core.lidar.messages import Joints, Pose, Scan
+from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where the LiDAR is on the robot, and which of its points count."""
+
+    x: float
+    """Position ahead of the chassis centre, along the chassis [m]."""
+    z: float
+    """Height above the chassis centre [m]."""
+    axis: float
+    """Elevation of the axis of its rings [rad]."""
+    near: float
+    """Points closer than this to the LiDAR are dropped [m]."""
+    margin: float
+    """Points closer than this to the robot's own shape are dropped [m]."""
+
+
+class LidarEstimator:
+    """Puts scans into a map at the pose of the robot."""
+
+    def __init__(self, body: Body, mount: Mount, settings: MapSettings) -> None:
+        self._body, self._mount = body, mount
+        self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
+        self._turn = mounting(mount.axis)
+        self._ground = GroundSeen(settings)
+        self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._joints = Joints(0.0, 0.0)
+        self._started = False
+
+    def update(self, measured: Measured) -> None:
+        """Receive a message; those of one time are expected in the order pose, joints, scan."""
+        value = measured.value
+        if isinstance(value, Pose):
+            self._pose = value
+        elif isinstance(value, Joints):
+            self._joints = value
+        elif isinstance(value, Scan):
+            self._start()
+            self._add(value)
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        """Return the ground and the posture by the latest messages."""
+        self._start()
+        pose, joints = self._pose, self._joints
+        ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw)
+        return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
+
+    def _start(self) -> None:
+        """Assume level ground below and behind the robot, which stands on it, at the start."""
+        if self._started:
+            return
+        self._started = True
+        body, joints = self._body, self._joints
+        hinge = body.chassis_length / 2 - body.track_radius
+        lowered = max(0.0, -math.sin(joints.front), -math.sin(joints.rear))
+        below = body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
+        self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
+
+    def _add(self, scan: Scan) -> None:
+        points = self._of_ground(scan.points)
+        pose = self._pose
+        turn = attitude(pose.roll, pose.pitch, pose.yaw)
+        self._ground.add(points @ turn.T + (pose.x, pose.y, pose.z), pose.x, pose.y)
+
+    def _of_ground(self, points: FloatArray) -> FloatArray:
+        """Return the points of a scan that are not the robot's own, (P, 3) in frame R [m]."""
+        points = points[np.isfinite(points).all(axis=1)]
+        far = np.einsum("ij,ij->i", points, points) >= self._mount.near**2
+        points = self._position_of_lidar + points[far] @ self._turn.T
+        joints, margin = self._joints, self._mount.margin
+        return points[~self._body.contains(points, joints.front, joints.rear, margin)]
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot, which later messages do not change."""
+        return self._ground.save(), self._pose, self._joints, self._started
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Restore a snapshot."""
+        ground, self._pose, self._joints, self._started = saved
+        self._ground.load(ground)

@@ -1,0 +1,46 @@
+"""Messages of the devices on the robot.
+
+In: what a driver or a simulated instrument has measured. Out: plain data for the estimator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flipperctl.core.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A turn of the LiDAR."""
+
+    points: FloatArray
+    """(P, 3) points that returned, in frame S [m]; one that is not finite is ignored."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The angles of the flippers from their encoders."""
+
+    front: float
+    """Angle of the front flippers in frame R [rad]."""
+    rear: float
+    """Angle of the rear flippers in frame R [rad]."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose in the map's frame M from outside the estimator, such as a tracking system."""
+
+    x: float
+    """Position of the chassis centre ahead [m]."""
+    y: float
+    """Position of the chassis centre to the left [m]."""
+    z: float
+    """Height of the chassis centre [m]."""
+    roll: float
+    """Angle of the chassis' y axis above the horizontal [rad]."""
+    pitch: float
+    """Angle of the chassis' x axis above the horizontal [rad]."""
+    yaw: float
+    """Heading from the x axis of frame M, to the left positive [rad]."""

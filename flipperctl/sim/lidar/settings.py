@@ -1,0 +1,189 @@
+"""``perception=lidar``: the ground by a map that grows from the scans of a LiDAR.
+
+In: settings. Out: the instruments that measure in simulation and the estimator that uses them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from flipperctl.api import (
+    Estimator,
+    Instrument,
+    Mounting,
+    RobotGeometry,
+    Sensor,
+    sensor,
+)
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.cells import Grid
+from flipperctl.core.lidar.estimator import LidarEstimator, Mount
+from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.sim.lidar.instruments import (
+    SCAN_PERIOD,
+    Encoders,
+    RangeErrors,
+    Scanner,
+    Tracking,
+)
+from flipperctl.sim.planar.sensing import PlanarSensor
+
+_LEAST_NOISE = 0.01
+"""The map takes points for no more accurate than this, because slopes and edges spread them [m]."""
+
+
+@sensor("lidar")
+class LidarSensor(Sensor):
+    """Maps the ground by a LiDAR of 32 rings, as in the paper's experiment; the map remembers.
+
+    It needs an engine that casts rays. Errors and angles are those of a RoboSense RS-Bpearl.
+    """
+
+    not_sampled = Sensor.not_sampled | {"azimuths", "pose"}
+    pose: Literal["true"] = Field("true", description="where scans enter the map: the true pose [-]")
+    azimuths: int = Field(
+        225,
+        ge=8,
+        le=1800,
+        description="rays of each of the 32 rings in a turn; the RS-Bpearl has 1800 at 10 Hz, of "
+        "which the default simulates every eighth, for speed [-]",
+    )
+    near: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="radius of the blind zone; 0.1 by the RS-Bpearl's manual [m]",
+    )
+    far: float = Field(
+        30.0,
+        ge=2,
+        le=100,
+        description="farthest ground that returns; 30 at 10 % reflectivity by the RS-Bpearl's "
+        "manual [m]",
+    )
+    noise: float = Field(
+        0.01,
+        ge=0,
+        le=0.1,
+        description="standard deviation of a distance; with range_bias it makes up the ±0.03 "
+        "accuracy of the RS-Bpearl's manual [m]",
+    )
+    range_bias: float = Field(
+        0.02,
+        ge=0,
+        le=0.1,
+        description="largest error of all distances of an episode, sampled uniformly from ± this; "
+        "it is part of the manual's accuracy [m]",
+    )
+    resolution: float = Field(
+        0.005,
+        ge=0,
+        le=0.05,
+        description="step of the distances; 0.005 in the RS-Bpearl's packets; 0 is none [m]",
+    )
+    dropout: float = Field(
+        0.01, ge=0, le=0.9, description="fraction of the returns that are lost; a guess [-]"
+    )
+    mount_x: float = Field(
+        0.25,
+        ge=-1,
+        le=1,
+        description="position of the LiDAR ahead of the chassis centre, along the chassis; the "
+        "paper says in front, without a number [m]",
+    )
+    mount_z: float = Field(
+        0.4,
+        ge=0.12,
+        le=2,
+        description="height of the LiDAR above the chassis centre; not given in the paper [m]",
+    )
+    mount_axis: float = Field(
+        -math.pi / 4,
+        ge=-math.pi / 2,
+        le=math.pi / 2,
+        description="elevation of the axis of the rings; -π/4 sees dense ground ahead and some "
+        "beside the robot; not given in the paper [rad]",
+    )
+    chassis_width: float = Field(
+        0.352, ge=0.1, le=2, description="width of the chassis between the flippers [m]"
+    )
+    overall_width: float = Field(
+        0.712, ge=0.1, le=3, description="width over the outer sides of the flippers [m]"
+    )
+    filter_margin: float = Field(
+        0.05,
+        ge=0,
+        le=0.3,
+        description="points closer than this to the robot's own shape do not enter the map [m]",
+    )
+    cell: float = Field(
+        0.025, ge=0.01, le=0.1, description="length of the map's cells along the way [m]"
+    )
+    lane: float = Field(0.09, ge=0.02, le=0.5, description="width of the map's cells [m]")
+    keep: int = Field(32, ge=4, le=128, description="newest points that a cell holds [-]")
+    half_width: float = Field(
+        0.36,
+        ge=0.1,
+        le=1,
+        description="ground within this distance beside the robot's line makes up its profile; "
+        "the robot is 0.36 wide to each side [m]",
+    )
+    fewest: int = Field(
+        4, ge=1, le=100, description="points without which a column of cells is unseen [-]"
+    )
+
+    @model_validator(mode="after")
+    def _flippers_outside(self) -> LidarSensor:
+        if self.overall_width <= self.chassis_width:
+            raise ValueError(
+                f"overall_width ({self.overall_width:g} m) must exceed chassis_width "
+                f"({self.chassis_width:g} m), since the flippers are beside the chassis"
+            )
+        return self
+
+    def instruments(self, mounting: Mounting) -> Mapping[str, Instrument]:
+        """Return the instruments of one episode, those of one time in the order of use."""
+        bias = self.range_bias * mounting.rng.uniform(-1.0, 1.0)
+        errors = RangeErrors(self.noise, bias, self.resolution, self.dropout)
+        body = self._body(mounting.robot)
+        return {
+            "tracking": Tracking(SCAN_PERIOD),
+            "encoders": Encoders(SCAN_PERIOD),
+            "lidar": Scanner(self.azimuths, self.far, errors, self._mount, body, mounting.rays),
+            "tracking_at_decision": Tracking(None),
+            "encoders_at_decision": Encoders(None),
+        }
+
+    def estimator(self, robot: RobotGeometry) -> Estimator:
+        """Return a new estimator for the nominal ``robot``."""
+        grid = Grid(cell=self.cell, lane=self.lane, keep=self.keep)
+        settings = MapSettings(
+            bins=self.bins,
+            bin_width=self.bin_width,
+            grid=grid,
+            half_width=self.half_width,
+            fewest=self.fewest,
+            noise=max(_LEAST_NOISE, self.noise),
+        )
+        return LidarEstimator(self._body(robot), self._mount, settings)
+
+    def exact(self) -> PlanarSensor:
+        """Return the sensor of the true ground."""
+        return PlanarSensor(**self.layout.model_dump())
+
+    @property
+    def _mount(self) -> Mount:
+        return Mount(self.mount_x, self.mount_z, self.mount_axis, self.near, self.filter_margin)
+
+    def _body(self, robot: RobotGeometry) -> Body:
+        return Body(
+            chassis_length=robot.chassis_length,
+            flipper_length=robot.flipper_length,
+            track_radius=robot.track_radius,
+            chassis_width=self.chassis_width,
+            overall_width=self.overall_width,
+        )
