@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 from flipperctl.core.arrays import FloatArray
 
 
+_CIRCLES = 21
+"""Circles that stand for the outline of the chassis or of a flipper [-]."""
+
+
 class _Box(NamedTuple):
     """A box that is turned about the y axis."""
 
@@ -88,6 +92,21 @@ class Body:
                 hit = (enter <= leave) & (enter > 0)
                 nearest[hit] = np.minimum(nearest[hit], enter[hit])
         return nearest
+
+    def circles(self, pitch: float, front: float, rear: float) -> FloatArray:
+        """Return the centres of circles that the tracks cover in frame L, (C, 2) x and z [m].
+
+        They lie along chassis and flippers; their radius is that of the tracks.
+        """
+        hinge = self.chassis_length / 2 - self.track_radius
+        axle = self.flipper_length - 2 * self.track_radius
+        along = np.linspace(0.0, 1.0, _CIRCLES)[:, None]
+        ends = np.array([[-hinge, 0.0], [hinge, 0.0]])
+        parts = [ends[0] + along * (ends[1] - ends[0])]
+        for end, angle, ahead in ((ends[1], front, 1.0), (ends[0], rear, -1.0)):
+            parts.append(end + along * axle * [ahead * math.cos(angle), math.sin(angle)])
+        cos, sin = math.cos(pitch), math.sin(pitch)
+        return np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]])
 
     def _boxes(self, front: float, rear: float) -> Iterator[_Box]:
         inner, outer = self.chassis_width / 2, self.overall_width / 2

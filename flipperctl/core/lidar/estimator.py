@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.ground import GroundSeen, MapSettings
+from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.messages import Joints, Pose, Scan
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
@@ -62,7 +62,9 @@ class LidarEstimator:
         """Return the ground and the posture by the latest messages."""
         self._start()
         pose, joints = self._pose, self._joints
-        ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw)
+        circles = self._body.circles(pose.pitch, joints.front, joints.rear)
+        stance = Stance(circles, self._body.track_radius)
+        ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw, stance)
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
 
     def _start(self) -> None:
