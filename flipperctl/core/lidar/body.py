@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 
-
 _CIRCLES = 21
 """Circles that stand for the outline of the chassis or of a flipper [-]."""
 

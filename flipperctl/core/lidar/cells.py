@@ -87,7 +87,9 @@ class Cells:
         found = self._points[slots][filled].astype(np.float64)
         dx, dy = found[:, 0] - x, found[:, 1] - y
         level = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, found[:, 2]])
-        inside = (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
+        inside = (
+            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
+        )
         return level[inside]
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:

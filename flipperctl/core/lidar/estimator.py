@@ -6,7 +6,7 @@ In: messages of the devices with their times. Out: the sensed ground and posture
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -48,11 +48,14 @@ class LidarEstimator:
         self._started = False
 
     def update(self, measured: Measured) -> None:
-        """Receive a message; those of one time are expected in the order pose, joints, scan."""
+        """Receive a message; those of one time are expected in the order pose, joints, scan.
+
+        A message with numbers that are not finite is dropped; the previous one stays in force.
+        """
         value = measured.value
-        if isinstance(value, Pose):
+        if isinstance(value, Pose) and _is_finite(value):
             self._pose = value
-        elif isinstance(value, Joints):
+        elif isinstance(value, Joints) and _is_finite(value):
             self._joints = value
         elif isinstance(value, Scan):
             self._start()
@@ -100,3 +103,7 @@ class LidarEstimator:
         """Restore a snapshot."""
         ground, self._pose, self._joints, self._started = saved
         self._ground.load(ground)
+
+
+def _is_finite(message: Pose | Joints) -> bool:
+    return all(map(math.isfinite, astuple(message)))

@@ -6,7 +6,7 @@ In: points in the map's frame M, poses. Out: ``SensedGround`` at the robot.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from flipperctl.core import bins, observation
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Cells, Grid
-from flipperctl.core.lidar.contact import clearance
+from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.outline import (
     Columns,
     columns,
@@ -57,7 +57,7 @@ class MapSettings:
     """Number of bins [-]."""
     bin_width: float
     """Width of a bin [m]."""
-    grid: Grid = Grid()
+    grid: Grid = field(default_factory=Grid)
     """Sizes of the cells."""
     half_width: float = 0.36
     """Ground within this distance beside the robot's line counts [m]."""
@@ -107,7 +107,10 @@ class GroundSeen:
         line, unseen = with_assumed(line, assumed, _GAP / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
-        self._correct(points, filled, stance)
+        gaps = clearances(stance.circles, stance.radius, points)
+        above = filled & (gaps < 0)  # where the robot is, there is no ground
+        points[above, 1] += gaps[above]
+        self._correct(np.maximum(gaps, np.where(filled, 0.0, -np.inf)), filled)
         heights = bins.mean_heights(points, s.bins, s.bin_width)
         seen = bins.occupied(points[~filled], s.bins, s.bin_width)
         return SensedGround(points, heights, filled, seen)
@@ -125,13 +128,13 @@ class GroundSeen:
         lift = float(assumed[-1, 1] - np.median(found.median[below]))
         return lift if abs(lift) <= _LARGEST else 0.0
 
-    def _correct(self, points: FloatArray, filled: NDArray[np.bool_], stance: Stance) -> None:
+    def _correct(self, gaps: FloatArray, filled: NDArray[np.bool_]) -> None:
         """Move the map towards the tracks, if the ground that they touch was seen."""
-        contact = clearance(stance.circles, stance.radius, points)
-        if contact is None or filled[contact[1]] or abs(contact[0]) > _LARGEST:
+        nearest = int(np.argmin(gaps)) if len(gaps) else 0
+        if not len(gaps) or filled[nearest] or abs(gaps[nearest]) > _LARGEST:
             return
         assert self._lift is not None  # since there is ground
-        self._lift += _GAIN * contact[0]
+        self._lift += _GAIN * float(gaps[nearest])
 
     def _assumed(self, x: float, y: float, z: float, yaw: float) -> FloatArray:
         """Return vertices of the assumed ground in frame L, (A, 2) [m]."""

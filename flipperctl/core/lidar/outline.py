@@ -56,9 +56,10 @@ def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
     number = np.floor(points[:, 0] / cell).astype(np.int64)
     order = np.lexsort((points[:, 2], number))
     number, ordered = number[order], points[order][:, [0, 2]]
-    begin = np.flatnonzero(np.diff(number, prepend=np.iinfo(np.int64).min))
-    end = np.append(begin[1:], len(number)).astype(np.int64)
-    enough = end - begin >= fewest
+    changes = np.flatnonzero(np.diff(number)) + 1
+    begin = np.concatenate([[0], changes]).astype(np.int64)
+    end = np.concatenate([changes, [len(number)]]).astype(np.int64)  # one empty column if no points
+    enough = end - begin >= max(1, fewest)
     begin, end = begin[enough], end[enough]
     z, count = ordered[:, 1], end - begin
     return Columns(
@@ -118,9 +119,7 @@ def _face(
     return [(x, before), (x, after)]
 
 
-def _face_position(
-    found: Columns, first: int, last: int, before: float, after: float
-) -> float:
+def _face_position(found: Columns, first: int, last: int, before: float, after: float) -> float:
     """Return where the face between two levels stands: the mean x of its points [m]."""
     points = found.points[found.begin[first] : found.end[last]]
     share = (points[:, 1] - before) / (after - before)

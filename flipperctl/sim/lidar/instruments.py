@@ -71,7 +71,7 @@ class Scanner(Instrument):
         body: Body,
         world: RayWorld,
     ) -> None:
-        """``reach``: farthest distance that returns [m]; ``body``: the robot, which casts shadows."""
+        """``reach``: farthest distance that returns [m]; ``body`` casts shadows."""
         self._reach, self._errors, self._near = reach, errors, mount.near
         self._body, self._world = body, world
         self._place = np.array([mount.x, 0.0, mount.z])

@@ -12,8 +12,10 @@ from flipperctl.api import FloatArray
 RINGS = 32
 """Number of lasers, each of which draws a ring [-]."""
 _LOWEST, _SPACING = np.radians(2.3125), np.radians(2.8125)
-"""Angle of the lowest ring above the base, and between two rings: the table of channels in chapter 9
-of the RS-Bpearl's user manual (2.0.1), from 2.3125° to 89.5° [rad]."""
+"""Angle of the lowest ring above the base, and between two rings [rad].
+
+By the table of channels in the RS-Bpearl's user manual (2.0.1), from 2.3125° to 89.5°.
+"""
 
 
 def directions(azimuths: int) -> FloatArray:

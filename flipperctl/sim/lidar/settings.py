@@ -44,7 +44,9 @@ class LidarSensor(Sensor):
     """
 
     not_sampled = Sensor.not_sampled | {"azimuths", "pose"}
-    pose: Literal["true"] = Field("true", description="where scans enter the map: the true pose [-]")
+    pose: Literal["true"] = Field(
+        "true", description="where scans enter the map: the true pose [-]"
+    )
     azimuths: int = Field(
         225,
         ge=8,
