@@ -105,7 +105,7 @@ class Body:
         for end, angle, ahead in ((ends[1], front, 1.0), (ends[0], rear, -1.0)):
             parts.append(end + along * axle * [ahead * math.cos(angle), math.sin(angle)])
         cos, sin = math.cos(pitch), math.sin(pitch)
-        return np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]])
+        return np.asarray(np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]]))
 
     def _boxes(self, front: float, rear: float) -> Iterator[_Box]:
         inner, outer = self.chassis_width / 2, self.overall_width / 2

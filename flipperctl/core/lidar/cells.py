@@ -90,12 +90,12 @@ class Cells:
         inside = (
             (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
         )
-        return level[inside]
+        return np.asarray(level[inside])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:
         """Return the numbers of the points' cells along x and y, (P, 2)."""
         sizes = np.array([self._grid.cell, self._grid.lane])
-        return np.floor(points[:, :2] / sizes).astype(np.int64)
+        return np.asarray(np.floor(points[:, :2] / sizes), np.int64)
 
     def _slots(self, place: NDArray[np.int64]) -> NDArray[np.int64]:
         rows, lanes = self._shape

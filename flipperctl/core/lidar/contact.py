@@ -27,4 +27,4 @@ def clearances(circles: FloatArray, radius: float, points: FloatArray) -> FloatA
     below = np.abs(across) <= _BELOW * radius
     bottom = circles[:, None, 1] - np.sqrt(np.maximum(radius**2 - across**2, 0.0))
     gap: FloatArray = np.where(below, bottom - points[None, :, 1], np.inf)
-    return gap.min(axis=0, initial=np.inf)
+    return np.asarray(gap.min(axis=0, initial=np.inf))

@@ -63,7 +63,7 @@ def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
     begin, end = begin[enough], end[enough]
     z, count = ordered[:, 1], end - begin
     return Columns(
-        x=(number[begin] + 0.5) * cell,
+        x=np.asarray((number[begin] + 0.5) * cell, np.float64),
         median=z[begin + count // 2],
         low=z[begin + count // 10],
         high=z[end - 1 - count // 10],
