@@ -14,7 +14,8 @@ import numpy as np
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
-from flipperctl.core.lidar.messages import Joints, Pose, Scan
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+from flipperctl.core.lidar.odometry import advanced, lowered
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
@@ -45,21 +46,34 @@ class LidarEstimator:
         self._ground = GroundSeen(settings)
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._joints = Joints(0.0, 0.0)
+        self._speed = 0.0  # of the belts [m/s]
+        self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
         self._started = False
 
     def update(self, measured: Measured) -> None:
-        """Receive a message; those of one time are expected in the order pose, joints, scan.
+        """Receive a message; of those of one time, the scan comes last.
 
-        A message with numbers that are not finite is dropped; the previous one stays in force.
+        The pose is that of the latest ``Pose``, moved on by ``Belts`` and ``Inertial``. A message
+        with numbers that are not finite is dropped, and the previous one stays in force.
         """
         value = measured.value
-        if isinstance(value, Pose) and _is_finite(value):
-            self._pose = value
-        elif isinstance(value, Joints) and _is_finite(value):
-            self._joints = value
-        elif isinstance(value, Scan):
+        if isinstance(value, Scan):
             self._start()
             self._add(value)
+        elif isinstance(value, Pose | Joints | Inertial | Belts) and _is_finite(value):
+            self._receive(value, measured.time)
+
+    def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
+        if isinstance(value, Pose):
+            self._pose, self._reckoned = value, None
+        elif isinstance(value, Joints):
+            self._joints = value
+        elif isinstance(value, Belts):
+            self._speed = value.speed
+        else:
+            elapsed = 0.0 if self._reckoned is None else time - self._reckoned
+            self._pose = advanced(self._pose, value, self._speed, elapsed)
+            self._reckoned = time
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
         """Return the ground and the posture by the latest messages."""
@@ -82,10 +96,13 @@ class LidarEstimator:
         self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
 
     def _add(self, scan: Scan) -> None:
-        points = self._of_ground(scan.points)
-        pose = self._pose
-        turn = attitude(pose.roll, pose.pitch, pose.yaw)
-        self._ground.add(points @ turn.T + (pose.x, pose.y, pose.z), pose.x, pose.y)
+        points, pose = self._of_ground(scan.points), self._pose
+        turned = points @ attitude(pose.roll, pose.pitch, pose.yaw).T + (pose.x, pose.y, pose.z)
+        if self._reckoned is not None:  # slipping belts lift the pose off the map or sink it
+            error = self._ground.height_error(turned, pose.x, pose.y, pose.yaw)
+            self._pose = lowered(pose, error)
+            turned[:, 2] -= error
+        self._ground.add(turned, pose.x, pose.y)
 
     def _of_ground(self, points: FloatArray) -> FloatArray:
         """Return the points of a scan that are not the robot's own, (P, 3) in frame R [m]."""
@@ -97,13 +114,15 @@ class LidarEstimator:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
-        return self._ground.save(), self._pose, self._joints, self._started
+        latest = self._pose, self._joints, self._speed, self._reckoned
+        return self._ground.save(), latest, self._started
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, self._pose, self._joints, self._started = saved
+        ground, latest, self._started = saved
+        self._pose, self._joints, self._speed, self._reckoned = latest
         self._ground.load(ground)
 
 
-def _is_finite(message: Pose | Joints) -> bool:
+def _is_finite(message: Pose | Joints | Inertial | Belts) -> bool:
     return all(map(math.isfinite, astuple(message)))

@@ -36,7 +36,15 @@ _MARGIN = 0.4
 _GAIN = 0.3
 """Fraction of the robot's clearance above the map that is corrected at once [-]."""
 _LARGEST = 0.06
-"""Largest clearance that is taken for an error; larger ones are falls and jumps [m]."""
+"""Largest correction of the map's height, and of a scan's height against the map [m]."""
+_LEVEL = 0.1, 0.03
+"""Ground is level if it rises by at most the second length within the first to both sides [m]."""
+_NEAREST, _FARTHEST = 0.2, 1.6
+"""Range ahead of the robot in which a scan is compared with the map [m]."""
+_REGISTERED = 20
+"""Points of a column of the map with which a scan is compared [-]."""
+_FEWEST_COLUMNS = 8
+"""Columns that scan and map must have in common to be compared [-]."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +98,31 @@ class GroundSeen:
         """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
         self._cells.add(points, x, y)
 
+    def height_error(self, points: FloatArray, x: float, y: float, yaw: float) -> float:
+        """Return by how much ``points`` (P, 3) in frame M lie above the map on the whole [m].
+
+        Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
+        """
+        s, reach = self._settings, (_NEAREST, _FARTHEST)
+        known = columns(
+            self._cells.around(x, y, yaw, reach, s.half_width), s.grid.cell, _REGISTERED
+        )
+        level = known.high - known.low < 3 * s.noise + s.grid.cell
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        dx, dy = points[:, 0] - x, points[:, 1] - y
+        along, beside = cos * dx + sin * dy, cos * dy - sin * dx
+        strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
+        new = columns(np.column_stack([along, beside, points[:, 2]])[strip], s.grid.cell, s.fewest)
+        _, i, j = np.intersect1d(
+            np.round(known.x[level] / s.grid.cell, 1),
+            np.round(new.x / s.grid.cell, 1),
+            return_indices=True,
+        )
+        if len(i) < _FEWEST_COLUMNS:
+            return 0.0
+        error = float(np.median(new.median[j] - known.median[level][i]))
+        return error if abs(error) <= _LARGEST else 0.0
+
     def sensed(self, position: FloatArray, yaw: float, stance: Stance) -> SensedGround:
         """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
 
@@ -110,7 +143,7 @@ class GroundSeen:
         gaps = clearances(stance.circles, stance.radius, points)
         above = filled & (gaps < 0)  # where the robot is, there is no ground
         points[above, 1] += gaps[above]
-        self._correct(np.maximum(gaps, np.where(filled, 0.0, -np.inf)), filled)
+        self._correct(points, np.where(above, 0.0, gaps), filled)
         heights = bins.mean_heights(points, s.bins, s.bin_width)
         seen = bins.occupied(points[~filled], s.bins, s.bin_width)
         return SensedGround(points, heights, filled, seen)
@@ -128,13 +161,20 @@ class GroundSeen:
         lift = float(assumed[-1, 1] - np.median(found.median[below]))
         return lift if abs(lift) <= _LARGEST else 0.0
 
-    def _correct(self, gaps: FloatArray, filled: NDArray[np.bool_]) -> None:
-        """Move the map towards the tracks, if the ground that they touch was seen."""
-        nearest = int(np.argmin(gaps)) if len(gaps) else 0
-        if not len(gaps) or filled[nearest] or abs(gaps[nearest]) > _LARGEST:
+    def _correct(self, points: FloatArray, gaps: FloatArray, filled: NDArray[np.bool_]) -> None:
+        """Move the map towards the tracks, if they touch level ground that was seen.
+
+        A contact at an edge tells nothing, since odometry shifts edges along x.
+        """
+        if not len(gaps):
+            return
+        contact = int(np.argmin(gaps))
+        near = np.abs(points[:, 0] - points[contact, 0]) <= _LEVEL[0]
+        if filled[near].any() or np.ptp(points[near, 1]) > _LEVEL[1] or np.isinf(gaps[contact]):
             return
         assert self._lift is not None  # since there is ground
-        self._lift += _GAIN * float(gaps[nearest])
+        lift = self._lift + _GAIN * float(gaps[contact])
+        self._lift = min(_LARGEST, max(-_LARGEST, lift))
 
     def _assumed(self, x: float, y: float, z: float, yaw: float) -> FloatArray:
         """Return vertices of the assumed ground in frame L, (A, 2) [m]."""

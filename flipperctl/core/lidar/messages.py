@@ -44,3 +44,23 @@ class Pose:
     """Angle of the chassis' x axis above the horizontal [rad]."""
     yaw: float
     """Heading from the x axis of frame M, to the left positive [rad]."""
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """The attitude that an inertial unit computes, and the rate of its heading."""
+
+    roll: float
+    """Angle of the chassis' y axis above the horizontal [rad]."""
+    pitch: float
+    """Angle of the chassis' x axis above the horizontal [rad]."""
+    yaw_rate: float
+    """Turn of the heading, to the left positive [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Belts:
+    """The speed of the belts from their encoders."""
+
+    speed: float
+    """Mean speed of the belts' surfaces on the left and the right, forward positive [m/s]."""

@@ -9,12 +9,13 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from flipperctl.api import (
     Estimator,
     Instrument,
     Mounting,
+    Robot,
     RobotGeometry,
     Sensor,
     sensor,
@@ -23,6 +24,7 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.cells import Grid
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.sim.lidar.inertial import BeltEncoders, InertialErrors, InertialUnit
 from flipperctl.sim.lidar.instruments import (
     SCAN_PERIOD,
     Encoders,
@@ -44,8 +46,10 @@ class LidarSensor(Sensor):
     """
 
     not_sampled = Sensor.not_sampled | {"azimuths", "pose"}
-    pose: Literal["true"] = Field(
-        "true", description="where scans enter the map: the true pose [-]"
+    pose: Literal["true", "belts"] = Field(
+        "true",
+        description="pose at which scans enter the map: the true one, or odometry by belt speeds "
+        "and an inertial unit, whose errors and the belts' slip then count [-]",
     )
     azimuths: int = Field(
         225,
@@ -89,6 +93,45 @@ class LidarSensor(Sensor):
     )
     dropout: float = Field(
         0.01, ge=0, le=0.9, description="fraction of the returns that are lost; a guess [-]"
+    )
+    tilt_wander: float = Field(
+        0.003,
+        ge=0,
+        le=0.1,
+        description="standard deviation of the inertial unit's slow error of roll and pitch; "
+        "0.2° of static accuracy are usual for such units (pose=belts) [rad]",
+    )
+    wander_time: float = Field(
+        30.0,
+        ge=1,
+        le=1000,
+        description="time constant of the slow error of roll and pitch (pose=belts) [s]",
+    )
+    tilt_noise: float = Field(
+        0.001,
+        ge=0,
+        le=0.1,
+        description="standard deviation of the white error of roll and pitch (pose=belts) [rad]",
+    )
+    yaw_rate_bias: float = Field(
+        0.0005,
+        ge=0,
+        le=0.05,
+        description="standard deviation of the constant error of an episode's yaw rate, which "
+        "is left after a calibration at rest (pose=belts) [rad/s]",
+    )
+    yaw_rate_noise: float = Field(
+        0.005,
+        ge=0,
+        le=0.1,
+        description="standard deviation of a yaw rate at 100 Hz (pose=belts) [rad/s]",
+    )
+    belt_error: float = Field(
+        0.01,
+        ge=0,
+        le=0.2,
+        description="largest relative error of the measured belt speed in an episode, sampled "
+        "uniformly from ± this; a guess for worn belts (pose=belts) [-]",
     )
     mount_x: float = Field(
         0.25,
@@ -138,6 +181,11 @@ class LidarSensor(Sensor):
         4, ge=1, le=100, description="points without which a column of cells is unseen [-]"
     )
 
+    @field_validator("pose", mode="before")
+    @classmethod
+    def _word(cls, value: object) -> object:
+        return "true" if value is True else value  # as YAML reads pose=true
+
     @model_validator(mode="after")
     def _flippers_outside(self) -> LidarSensor:
         if self.overall_width <= self.chassis_width:
@@ -149,16 +197,31 @@ class LidarSensor(Sensor):
 
     def instruments(self, mounting: Mounting) -> Mapping[str, Instrument]:
         """Return the instruments of one episode, those of one time in the order of use."""
-        bias = self.range_bias * mounting.rng.uniform(-1.0, 1.0)
-        errors = RangeErrors(self.noise, bias, self.resolution, self.dropout)
+        rng = mounting.rng
+        errors = RangeErrors(
+            self.noise, self.range_bias * rng.uniform(-1.0, 1.0), self.resolution, self.dropout
+        )
         body = self._body(mounting.robot)
-        return {
-            "tracking": Tracking(SCAN_PERIOD),
-            "encoders": Encoders(SCAN_PERIOD),
-            "lidar": Scanner(self.azimuths, self.far, errors, self._mount, body, mounting.rays),
-            "tracking_at_decision": Tracking(None),
-            "encoders_at_decision": Encoders(None),
-        }
+        scanner = Scanner(self.azimuths, self.far, errors, self._mount, body, mounting.rays)
+        scanning = {"encoders": Encoders(SCAN_PERIOD), "lidar": scanner}
+        at_decision: dict[str, Instrument] = {"encoders_at_decision": Encoders(None)}
+        if self.pose == "belts":
+            return {**self._odometry(mounting), **scanning, **at_decision}
+        at_decision["tracking_at_decision"] = Tracking(None)
+        return {"tracking": Tracking(SCAN_PERIOD), **scanning, **at_decision}
+
+    def _odometry(self, mounting: Mounting) -> dict[str, Instrument]:
+        rng, robot = mounting.rng, mounting.robot
+        assert isinstance(robot, Robot)  # a RobotGeometry has no speed
+        errors = InertialErrors(
+            tilt_wander=self.tilt_wander,
+            wander_time=self.wander_time,
+            tilt_noise=self.tilt_noise,
+            yaw_rate_noise=self.yaw_rate_noise,
+            yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),
+        )
+        speed = robot.track_speed * (1 + self.belt_error * rng.uniform(-1.0, 1.0))
+        return {"belts": BeltEncoders(speed), "inertial": InertialUnit(errors, rng)}
 
     def estimator(self, robot: RobotGeometry) -> Estimator:
         """Return a new estimator for the nominal ``robot``."""

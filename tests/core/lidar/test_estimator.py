@@ -9,7 +9,8 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
-from flipperctl.core.lidar.messages import Joints, Pose, Scan
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+from flipperctl.core.lidar.odometry import advanced
 from flipperctl.core.sensing import Measured
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
@@ -124,3 +125,47 @@ def test_any_messages_give_a_finite_estimate() -> None:
         assert np.isfinite(ground.heights).all()
         assert np.isfinite(ground.points).all()
         assert (np.diff(ground.points[:, 0]) >= 0).all()
+
+
+def reckoned(*messages: tuple[float, object]) -> LidarEstimator:
+    robot = estimator()
+    for time, value in messages:
+        robot.update(Measured("device", time, value))
+    return robot
+
+
+def test_odometry_moves_along_the_chassis_and_turns_with_the_yaw_rate() -> None:
+    pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    up = advanced(pose, Inertial(0.0, math.pi / 6, 0.0), 0.2, 0.1)
+    assert (up.x, up.y, up.z) == pytest.approx((0.02 * math.sqrt(0.75), 0.0, 0.01))
+    assert up.pitch == math.pi / 6
+    left = advanced(pose, Inertial(0.0, 0.0, math.pi), 0.2, 0.5)
+    assert (left.yaw, left.x, left.y) == pytest.approx((math.pi / 2, 0.0, 0.1))
+    late = advanced(pose, Inertial(0.0, 0.0, 0.0), 0.2, 100.0)
+    assert late.x == pytest.approx(0.1)  # half a second at most
+
+
+def test_ground_scanned_before_a_reckoned_motion_comes_nearer() -> None:
+    still = Inertial(0.0, 0.0, 0.0)
+    robot = reckoned((0.0, Belts(0.2)), (0.0, still), (0.0, Joints(0.0, 0.0)), (0.0, ahead()))
+    before = robot.estimate(0.0)[0].seen
+    for k in range(1, 101):
+        robot.update(Measured("inertial", 0.04 * k, still))
+    after, angles = robot.estimate(4.0)
+    assert before is not None
+    assert after.seen is not None
+    # 0.8 m later, what was seen from 0.45 to 1.25 m is from -0.35 to 0.45 m.
+    assert after.seen.tolist() == [False] * 5 + [True] * 6 + [False] * 4
+    assert angles.pitch == 0.0
+
+
+def test_a_scan_corrects_the_height_that_slipping_belts_feign() -> None:
+    climbing, level = Inertial(0.0, 0.5, 0.0), Inertial(0.0, 0.0, 0.0)
+    robot = reckoned((0.0, Belts(0.2)), (0.0, level), (0.0, ahead()), (0.0, ahead()))
+    robot.estimate(0.0)
+    robot.update(Measured("inertial", 0.1, climbing))
+    robot.update(Measured("inertial", 0.1, level))
+    risen = robot.estimate(0.1)[0].heights[12]
+    assert risen == pytest.approx(-0.1 - 0.02 * math.sin(0.5), abs=1e-3)
+    robot.update(Measured("lidar", 0.1, ahead()))  # the ground is as far below as before
+    assert robot.estimate(0.1)[0].heights[12] == pytest.approx(-0.1, abs=1e-3)

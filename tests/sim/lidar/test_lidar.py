@@ -10,6 +10,7 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import Mount
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.lidar import LidarSensor
+from flipperctl.sim.lidar.inertial import InertialErrors, InertialUnit
 from flipperctl.sim.lidar.instruments import RangeErrors, Scanner
 from flipperctl.sim.lidar.pattern import RINGS, directions
 from flipperctl.sim.planar import PlanarSensor
@@ -104,3 +105,32 @@ def test_equal_seeds_give_equal_scans_and_other_noise_other_ones() -> None:
 def test_the_exact_sensor_is_that_of_the_true_ground() -> None:
     found = LidarSensor(bins=11).exact()
     assert found == PlanarSensor(bins=11)
+
+
+def test_the_inertial_unit_errs_by_its_settings_and_its_bias_stays() -> None:
+    errors = InertialErrors(0.01, 5.0, 0.001, 0.0, 0.02)
+    rng = np.random.default_rng(1)
+    unit = InertialUnit(errors, rng)
+    found = [unit.measure(at(0.1, pitch=0.3), rng) for _ in range(20_000)]
+    pitches = np.array([measured.pitch for measured in found]) - 0.3
+    assert pitches.std() == pytest.approx(0.01, rel=0.5)
+    assert np.diff(pitches).std() == pytest.approx(0.001 * math.sqrt(2), rel=0.2)
+    assert {measured.yaw_rate for measured in found} == {0.02}
+
+
+def test_odometry_by_belts_follows_a_robot_that_does_not_slip() -> None:
+    sensing = {"name": "lidar", "pose": "belts", **EXACT, "belt_error": 0.0}
+    env = FlipperEnv("step", sim="mujoco", perception=sensing)
+    env.reset(seed=3)  # a step of 3 cm
+    for _ in range(8):
+        env.step(HOLD)
+    true = PlanarSensor().over(env.profile, 10.0).sense(env.state, np.random.default_rng(0))[0]
+    heights = env.perception.observation[: env.layout.bins]
+    assert np.abs(heights - true.heights).mean() < 0.004
+    assert env.perception.pitch != env.state.pitch  # the unit's error
+
+
+def test_the_pose_is_chosen_by_word_and_as_yaml_reads_it() -> None:
+    assert LidarSensor(pose=True).pose == "true"  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="belts"):
+        LidarSensor(pose="guess")  # type: ignore[arg-type]
