@@ -6,7 +6,7 @@ In: messages of the devices with their times. Out: the sensed ground and posture
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,7 @@ class LidarEstimator:
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
         stance = Stance(circles, self._body.track_radius)
         ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw, stance)
+        ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
 
     def _start(self) -> None:
