@@ -14,8 +14,9 @@ import numpy as np
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
+from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
-from flipperctl.core.lidar.odometry import advanced, lowered
+from flipperctl.core.lidar.odometry import advanced, moved_to
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
@@ -39,11 +40,19 @@ class Mount:
 class LidarEstimator:
     """Puts scans into a map at the pose of the robot."""
 
-    def __init__(self, body: Body, mount: Mount, settings: MapSettings) -> None:
+    def __init__(
+        self,
+        body: Body,
+        mount: Mount,
+        settings: MapSettings,
+        matcher: ScanMatcher | None = None,
+    ) -> None:
+        """``matcher`` corrects the pose by ``Belts`` and ``Inertial``; None: nothing does."""
         self._body, self._mount = body, mount
         self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
         self._turn = mounting(mount.axis)
         self._ground = GroundSeen(settings)
+        self._matcher = matcher
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._joints = Joints(0.0, 0.0)
         self._speed = 0.0  # of the belts [m/s]
@@ -97,13 +106,18 @@ class LidarEstimator:
         self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
 
     def _add(self, scan: Scan) -> None:
-        points, pose = self._of_ground(scan.points), self._pose
-        turned = points @ attitude(pose.roll, pose.pitch, pose.yaw).T + (pose.x, pose.y, pose.z)
+        pose = self._pose
+        points = self._of_ground(scan.points) @ attitude(pose.roll, pose.pitch, pose.yaw).T
+        if self._matcher is not None:
+            guess = np.array([pose.x, pose.y, pose.z])
+            pose = moved_to(pose, self._matcher.corrected(points, guess))
+        points += (pose.x, pose.y, pose.z)
         if self._reckoned is not None:  # slipping belts lift the pose off the map or sink it
-            error = self._ground.height_error(turned, pose.x, pose.y, pose.yaw)
-            self._pose = lowered(pose, error)
-            turned[:, 2] -= error
-        self._ground.add(turned, pose.x, pose.y)
+            error = self._ground.height_error(points, pose.x, pose.y, pose.yaw)
+            pose = moved_to(pose, np.array([pose.x, pose.y, pose.z - error]))
+            points[:, 2] -= error
+        self._pose = pose
+        self._ground.add(points, pose.x, pose.y)
 
     def _of_ground(self, points: FloatArray) -> FloatArray:
         """Return the points of a scan that are not the robot's own, (P, 3) in frame R [m]."""
@@ -116,11 +130,14 @@ class LidarEstimator:
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
         latest = self._pose, self._joints, self._speed, self._reckoned
-        return self._ground.save(), latest, self._started
+        matched = None if self._matcher is None else self._matcher.save()
+        return self._ground.save(), latest, self._started, matched
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, latest, self._started = saved
+        ground, latest, self._started, matched = saved
+        if self._matcher is not None:
+            self._matcher.load(matched)
         self._pose, self._joints, self._speed, self._reckoned = latest
         self._ground.load(ground)
 

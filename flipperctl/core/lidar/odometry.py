@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.messages import Inertial, Pose
 from flipperctl.core.lidar.rotations import attitude
 
@@ -27,6 +28,7 @@ def advanced(pose: Pose, inertial: Inertial, speed: float, elapsed: float) -> Po
     return Pose(pose.x + x, pose.y + y, pose.z + z, inertial.roll, inertial.pitch, yaw)
 
 
-def lowered(pose: Pose, by: float) -> Pose:
-    """Return the pose ``by`` [m] lower."""
-    return replace(pose, z=pose.z - by)
+def moved_to(pose: Pose, position: FloatArray) -> Pose:
+    """Return the pose at another ``position``, (3,) [m]."""
+    x, y, z = position.tolist()
+    return replace(pose, x=x, y=y, z=z)

@@ -24,6 +24,8 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.cells import Grid
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.matching import ScanMatcher
+from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar.inertial import BeltEncoders, InertialErrors, InertialUnit
 from flipperctl.sim.lidar.instruments import (
     SCAN_PERIOD,
@@ -46,10 +48,11 @@ class LidarSensor(Sensor):
     """
 
     not_sampled = Sensor.not_sampled | {"azimuths", "pose"}
-    pose: Literal["true", "belts"] = Field(
+    pose: Literal["true", "belts", "matched"] = Field(
         "true",
-        description="pose at which scans enter the map: the true one, or odometry by belt speeds "
-        "and an inertial unit, whose errors and the belts' slip then count [-]",
+        description="pose at which scans enter the map: the true one; belts is odometry by belt "
+        "speeds and an inertial unit, whose errors and the belts' slip then count; matched "
+        "corrects that by matching the scans, with the extra flipperctl[lidar] [-]",
     )
     azimuths: int = Field(
         225,
@@ -99,39 +102,40 @@ class LidarSensor(Sensor):
         ge=0,
         le=0.1,
         description="standard deviation of the inertial unit's slow error of roll and pitch; "
-        "0.2° of static accuracy are usual for such units (pose=belts) [rad]",
+        "0.2° of static accuracy are usual for such units (not for pose=true) [rad]",
     )
     wander_time: float = Field(
         30.0,
         ge=1,
         le=1000,
-        description="time constant of the slow error of roll and pitch (pose=belts) [s]",
+        description="time constant of the slow error of roll and pitch (not for pose=true) [s]",
     )
     tilt_noise: float = Field(
         0.001,
         ge=0,
         le=0.1,
-        description="standard deviation of the white error of roll and pitch (pose=belts) [rad]",
+        description="standard deviation of the white error of roll and pitch (not for "
+        "pose=true) [rad]",
     )
     yaw_rate_bias: float = Field(
         0.0005,
         ge=0,
         le=0.05,
         description="standard deviation of the constant error of an episode's yaw rate, which "
-        "is left after a calibration at rest (pose=belts) [rad/s]",
+        "is left after a calibration at rest (not for pose=true) [rad/s]",
     )
     yaw_rate_noise: float = Field(
         0.005,
         ge=0,
         le=0.1,
-        description="standard deviation of a yaw rate at 100 Hz (pose=belts) [rad/s]",
+        description="standard deviation of a yaw rate at 100 Hz (not for pose=true) [rad/s]",
     )
     belt_error: float = Field(
         0.01,
         ge=0,
         le=0.2,
         description="largest relative error of the measured belt speed in an episode, sampled "
-        "uniformly from ± this; a guess for worn belts (pose=belts) [-]",
+        "uniformly from ± this; a guess for worn belts (not for pose=true) [-]",
     )
     mount_x: float = Field(
         0.25,
@@ -205,7 +209,7 @@ class LidarSensor(Sensor):
         scanner = Scanner(self.azimuths, self.far, errors, self._mount, body, mounting.rays)
         scanning = {"encoders": Encoders(SCAN_PERIOD), "lidar": scanner}
         at_decision: dict[str, Instrument] = {"encoders_at_decision": Encoders(None)}
-        if self.pose == "belts":
+        if self.pose != "true":
             return {**self._odometry(mounting), **scanning, **at_decision}
         at_decision["tracking_at_decision"] = Tracking(None)
         return {"tracking": Tracking(SCAN_PERIOD), **scanning, **at_decision}
@@ -224,7 +228,11 @@ class LidarSensor(Sensor):
         return {"belts": BeltEncoders(speed), "inertial": InertialUnit(errors, rng)}
 
     def estimator(self, robot: RobotGeometry) -> Estimator:
-        """Return a new estimator for the nominal ``robot``."""
+        """Return a new estimator for the nominal ``robot``.
+
+        Raises:
+            MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
+        """
         grid = Grid(cell=self.cell, lane=self.lane, keep=self.keep)
         settings = MapSettings(
             bins=self.bins,
@@ -234,7 +242,17 @@ class LidarSensor(Sensor):
             fewest=self.fewest,
             noise=max(_LEAST_NOISE, self.noise),
         )
-        return LidarEstimator(self._body(robot), self._mount, settings)
+        matcher = self._matcher() if self.pose == "matched" else None
+        return LidarEstimator(self._body(robot), self._mount, settings, matcher)
+
+    def _matcher(self) -> ScanMatcher:
+        try:
+            return ScanMatcher()
+        except ImportError as error:
+            raise MissingExtraError(
+                "perception.pose=matched needs small_gicp, which is not installed; "
+                "run pip install 'flipperctl[lidar]'"
+            ) from error
 
     def exact(self) -> PlanarSensor:
         """Return the sensor of the true ground."""

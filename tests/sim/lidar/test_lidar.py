@@ -1,6 +1,7 @@
 """The simulated LiDAR: its rays, its errors, and the ground that comes of it."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from flipperctl.api import ACTIONS, RobotState
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import Mount
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar import LidarSensor
 from flipperctl.sim.lidar.inertial import InertialErrors, InertialUnit
 from flipperctl.sim.lidar.instruments import RangeErrors, Scanner
@@ -134,3 +136,10 @@ def test_the_pose_is_chosen_by_word_and_as_yaml_reads_it() -> None:
     assert LidarSensor(pose=True).pose == "true"  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="belts"):
         LidarSensor(pose="guess")  # type: ignore[arg-type]
+
+
+def test_without_its_extra_matching_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    env = FlipperEnv("flat", perception={"name": "lidar", "pose": "matched"})
+    with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[lidar\]'"):
+        env.reset(seed=0)
