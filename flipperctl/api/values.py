@@ -183,6 +183,11 @@ class Perception:
     """(P,) whether a point fills unseen ground; None: every point was seen."""
     friction: float | None = None
     """Friction between track and ground, known in exact perception only; None: unknown [-]."""
+    seen: NDArray[np.bool_] | None = None
+    """(N,) whether any ground of a bin was ever seen; None: all of it."""
+    position: FloatArray | None = None
+    """(2,) x and z of the chassis centre by odometry, from an origin of its own [m]; None: the
+    sensor has no odometry."""
 
 
 @dataclass(frozen=True)
@@ -207,3 +212,5 @@ class Transition:
     """Front and rear flipper angle in frame R at each pose of ``path``, (S + 1, 2) [rad]."""
     sample_period: float = 0.01
     """Time between two poses of ``path`` [s]."""
+    perception: Perception | None = None
+    """What the policy perceived when it decided; None in predictions. Measures may use it."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.core import observation
 from flipperctl.core.arrays import FloatArray
@@ -55,3 +56,11 @@ def mean_heights(
         return total
     where = np.flatnonzero(count)
     return np.interp(np.arange(bins), where, total[where] / count[where])
+
+
+def occupied(points: FloatArray, bins: int, bin_width: float) -> NDArray[np.bool_]:
+    """Return which bins have points, (N,); ``points`` are (P, 2) as for ``mean_heights`` [m]."""
+    index = (points[:, 0] + observation.reach(bins, bin_width)) / bin_width
+    found = np.zeros(bins, np.bool_)
+    found[np.clip(index.astype(np.int64), 0, bins - 1)] = True
+    return found

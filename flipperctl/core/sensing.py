@@ -21,6 +21,11 @@ class SensedGround:
     """(N,) mean height of each bin (paper Eq. 1) [m]."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
+    seen: NDArray[np.bool_] | None = None
+    """(N,) whether any ground of a bin was ever seen; None: all of it."""
+    position: FloatArray | None = None
+    """(2,) x and z of the chassis centre by the sensor's odometry, from an origin of its own [m];
+    None: it has none."""
 
 
 @dataclass(frozen=True)

@@ -55,9 +55,19 @@ class EstimateCheck:
         if filled is not None and not (_is_array(filled, "b") and filled.shape == (len(points),)):
             allowed = f"None, or booleans of the shape {(len(points),)}"
             raise self._refusal(f"filled {_text(filled)}", allowed)
-        for name, numbers in (("points", points), ("heights", heights)):
+        self._check_optional("seen", ground.seen, "b", self._heights)
+        self._check_optional("position", ground.position, _NUMBERS, (2,))
+        checked = [("points", points), ("heights", heights)]
+        if ground.position is not None:
+            checked.append(("position", ground.position))
+        for name, numbers in checked:
             if not np.isfinite(numbers).all():
                 raise self._refusal(f"{name} that are not finite", "finite numbers", NonFiniteError)
+
+    def _check_optional(self, name: str, found: Any, kinds: str, shape: tuple[int, ...]) -> None:
+        if found is not None and not (_is_array(found, kinds) and found.shape == shape):
+            kind = "booleans" if kinds == "b" else "numbers"
+            raise self._refusal(f"{name} {_text(found)}", f"None, or {kind} of the shape {shape}")
 
     def _check_angles(self, angles: object) -> None:
         if not isinstance(angles, SensedAngles):

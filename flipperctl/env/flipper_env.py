@@ -246,6 +246,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             previous_action=previous,
             flippers=poses[:, 3:],
             sample_period=SAMPLE_PERIOD,
+            perception=self.perception,
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)

@@ -130,6 +130,8 @@ class Perceiver:
             recent=tuple(self._recent),
             filled=ground.filled,
             friction=self._friction,
+            seen=ground.seen,
+            position=ground.position,
         )
 
     def save(self) -> tuple[Any, ...]:

@@ -1,7 +1,7 @@
 """Sensors whose instruments measure between decisions, and observers of an episode's samples."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +221,25 @@ def broken(registry: dict, **methods: Any) -> FlipperEnv:
 def test_a_part_that_fails_is_named(registry: dict, methods: dict, text: str) -> None:
     with pytest.raises(PluginFailedError, match=rf"perception 'broken': {text}.*\(.*:\d+\)"):
         broken(registry, **methods).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "text"),
+    [
+        ({"seen": np.ones(3)}, r"seen of the type float64 and the shape \(3,\); allowed: None, or"),
+        ({"position": np.ones(3)}, r"position .* the shape \(3,\); allowed: None, or numbers of"),
+        ({"position": np.array([0.0, np.nan])}, "position that are not finite"),
+    ],
+)
+def test_odometry_and_seen_bins_are_checked(registry: dict, changed: dict, text: str) -> None:
+    class Odd(Ages):
+        def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+            ground, angles = super().estimate(time)
+            return replace(ground, **changed), angles
+
+    env = broken(registry, estimator=lambda s, robot: Odd())
+    with pytest.raises((PluginFailedError, NonFiniteError), match=text):
+        env.reset(seed=0)
 
 
 def test_an_estimate_that_is_not_finite_is_named(registry: dict) -> None:

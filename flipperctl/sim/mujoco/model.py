@@ -44,6 +44,8 @@ _SLIP = 10.0
 """Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
 _SERVO = 2000.0
 """Torque of a flipper's servo for each rad/s of velocity error [N m s/rad], before its limit."""
+ROBOT_GROUP = 1
+"""Group of the robot's shapes, which rays pass through; the ground is in group 0 [-]."""
 _STOP_PLAY = 1e-3  # distance of the end stops past the largest target [rad], as in sim=planar
 
 
@@ -184,6 +186,7 @@ def _add_end(
         surfacevel=[0.0, 0.0, 0.0, 0.0, 0.0, robot.track_speed / radius],
         contype=1,
         conaffinity=0,
+        group=ROBOT_GROUP,
         rgba=[0.2, 0.24, 0.28, 1.0],
         **_surface(sim),
     )
@@ -202,6 +205,7 @@ def _add_board(
         surfacevel=[0.0, 0.0, 0.0, 0.0, robot.track_speed / height, 0.0],
         contype=1,
         conaffinity=0,
+        group=ROBOT_GROUP,
         rgba=[0.85, 0.45, 0.1, 1.0],
         **_surface(sim),
     )

@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import boxes
-from flipperctl.sim.mujoco.model import build
+from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _STEER_AHEAD = 1.0
 """Steering aims at the middle of the ground this far ahead [m]."""
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _HINGES = slice(7, 11)  # of qpos, after the free joint
+_RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)
 _BAD = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -86,6 +87,7 @@ class MujocoWorld:
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
         self._camera: tuple[tuple[int, int], Camera] | None = None
+        self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
         lift = robot.track_radius + robot.flipper_axle * below
@@ -212,6 +214,22 @@ class MujocoWorld:
         """Return the largest depth by which the robot overlaps the ground [m]."""
         mujoco.mj_fwdPosition(self.model, self.data)
         return max(0.0, -float(np.min(self.data.contact.dist, initial=0.0)))
+
+    def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
+        """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
+
+        See ``flipperctl.api.RayWorld``.
+        """
+        if not self._ground_is_placed:  # before the first step, MuJoCo's data has no poses
+            mujoco.mj_kinematics(self.model, self.data)
+            self._ground_is_placed = True
+        count = len(directions)
+        shapes, found = np.empty(count, np.int32), np.empty(count)
+        rays = np.ascontiguousarray(directions, np.float64).ravel()
+        start = np.asarray(origin, np.float64)
+        scene = self.model, self.data, start, rays, _RAY_GROUPS, True, -1
+        mujoco.mj_multiRay(*scene, shapes, found, None, count, reach)
+        return np.where((shapes >= 0) & (found <= reach), found, np.inf)
 
     def draw(self, width: int, height: int) -> NDArray[np.uint8]:
         """Return a picture of the current state from behind the robot, (H, W, 3).

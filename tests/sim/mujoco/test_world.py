@@ -249,3 +249,17 @@ def test_without_mujoco_the_error_names_the_extra(
     done = call(*asked, cwd=tmp_path)
     assert done.code == 2
     assert "pip install 'flipperctl[mujoco]'" in done.err
+
+
+def test_rays_end_on_the_ground_and_pass_through_the_robot() -> None:
+    step = Profile([(0.0, 0.0), (0.0, 0.2), (2.0, 0.2)])
+    directions = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    origin = np.array([-1.0, 0.1, 0.15])  # within the robot, 0.05 m above its centre
+    before, cast = (place(step, Robot(), -1.0) for _ in range(2))
+    at_start = cast.cast_rays(origin, directions, 3.0)
+    assert at_start == pytest.approx([0.15, 1.0, math.inf], abs=1e-9)
+    run(cast, 0.1)
+    assert cast.cast_rays(origin, directions, 3.0) == pytest.approx(at_start)
+    assert cast.cast_rays(origin, directions, 0.9)[1] == math.inf  # beyond the reach
+    run(before, 0.1)
+    assert before.save()[0].tolist() == cast.save()[0].tolist()  # rays leave the physics alone

@@ -1,0 +1,110 @@
+"""A rolling map: the newest points of the ground in cells around the robot.
+
+In: points in the map's frame M and the robot's place. Out: the points near the robot, in its level
+frame. The cells are a window that moves with the robot: the cell of a place is stored at its number
+modulo the size of the window, and a point of another place that falls there empties it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Sizes of the cells."""
+
+    cell: float = 0.025
+    """Length of a cell along x [m]."""
+    lane: float = 0.09
+    """Width of a cell along y [m]."""
+    keep: int = 32
+    """Newest points that a cell holds [-]."""
+
+
+class Cells:
+    """The newest points of each cell."""
+
+    def __init__(self, grid: Grid, ahead: float, beside: float) -> None:
+        """Cover ``ahead`` to both ends and ``beside`` to both sides of the robot [m]."""
+        self._grid, self._ahead, self._beside = grid, ahead, beside
+        self._shape = 2 * math.ceil(ahead / grid.cell) + 1, 2 * math.ceil(beside / grid.lane) + 1
+        rows, lanes = self._shape
+        self._points = np.zeros((rows * lanes, grid.keep, 3), np.float32)
+        self._count = np.zeros(rows * lanes, np.int64)  # points that the cell has received
+        self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
+
+    def add(self, points: FloatArray, x: float, y: float) -> None:
+        """Add ``points`` (P, 3) in frame M, oldest first; the robot is at (x, y) [m].
+
+        Points outside the window are dropped.
+        """
+        near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
+        points = points[near]
+        if not len(points):
+            return
+        place = self._places(points)
+        slot = self._slots(place)
+        order = np.argsort(slot, kind="stable")
+        points, place, slot = points[order], place[order], slot[order]
+        first = np.flatnonzero(np.concatenate([[True], slot[1:] != slot[:-1]]))
+        used, counts = slot[first], np.diff(np.append(first, len(slot)))
+        moved = (self._place[used] != place[first]).any(axis=1)
+        self._count[used[moved]] = 0
+        self._place[used] = place[first]
+        rank = np.arange(len(slot)) - np.repeat(first, counts)
+        newest = rank >= np.repeat(counts, counts) - self._grid.keep
+        at = (self._count[slot] + rank) % self._grid.keep
+        self._points[slot[newest], at[newest]] = points[newest]
+        self._count[used] += counts
+
+    def around(
+        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
+    ) -> FloatArray:
+        """Return the points near the robot at (x, y) with this heading, (P, 3) [m].
+
+        They are level, with x along the heading from the robot, y to its left and z as in frame M.
+        Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned.
+        """
+        grid = self._grid
+        rows, lanes = self._shape
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        corners = [(u * cos - v * sin) for u in reach for v in (-side, side)]
+        low = math.floor((x + max(min(corners), -self._ahead)) / grid.cell)
+        high = math.floor((x + min(max(corners), self._ahead)) / grid.cell)
+        wanted = np.arange(low, high + 1)[: self._shape[0]]
+        slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
+        held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
+        slots = slots[held]
+        filled = np.arange(grid.keep) < self._count[slots, None]
+        found = self._points[slots][filled].astype(np.float64)
+        dx, dy = found[:, 0] - x, found[:, 1] - y
+        level = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, found[:, 2]])
+        inside = (
+            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
+        )
+        return np.asarray(level[inside])
+
+    def _places(self, points: FloatArray) -> NDArray[np.int64]:
+        """Return the numbers of the points' cells along x and y, (P, 2)."""
+        sizes = np.array([self._grid.cell, self._grid.lane])
+        return np.asarray(np.floor(points[:, :2] / sizes), np.int64)
+
+    def _slots(self, place: NDArray[np.int64]) -> NDArray[np.int64]:
+        rows, lanes = self._shape
+        return (place[:, 0] % rows) * lanes + place[:, 1] % lanes
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot, which later points do not change."""
+        return self._points.copy(), self._count.copy(), self._place.copy()
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Restore a snapshot."""
+        self._points, self._count, self._place = (array.copy() for array in saved)

@@ -1,0 +1,196 @@
+"""The ground that a LiDAR has seen, in the layout of the observation.
+
+In: points in the map's frame M, poses. Out: ``SensedGround`` at the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core import bins, observation
+from flipperctl.core.arrays import FloatArray
+from flipperctl.core.lidar.cells import Cells, Grid
+from flipperctl.core.lidar.contact import clearances
+from flipperctl.core.lidar.outline import (
+    Columns,
+    columns,
+    points_along,
+    polyline,
+    with_assumed,
+)
+from flipperctl.core.sensing import SensedGround
+
+_SPACING = 0.02
+"""Distance between the points along the ground, as dense as ``perception=planar``'s [m]."""
+_GAP = 0.06
+"""Seen columns farther apart than this have unseen ground between them [m]."""
+_PAST = 1.5
+"""Length of the map past the bins that is evaluated, so that gaps at their ends are filled [m]."""
+_MARGIN = 0.4
+"""Width of the map beside the strip, for headings that turn [m]."""
+_GAIN = 0.3
+"""Fraction of the robot's clearance above the map that is corrected at once [-]."""
+_LARGEST = 0.06
+"""Largest correction of the map's height, and of a scan's height against the map [m]."""
+_LEVEL = 0.1, 0.03
+"""Ground is level if it rises by at most the second length within the first to both sides [m]."""
+_NEAREST, _FARTHEST = 0.2, 1.6
+"""Range ahead of the robot in which a scan is compared with the map [m]."""
+_REGISTERED = 20
+"""Points of a column of the map with which a scan is compared [-]."""
+_FEWEST_COLUMNS = 8
+"""Columns that scan and map must have in common to be compared [-]."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """The robot's outline on the ground."""
+
+    circles: FloatArray
+    """(C, 2) centres of circles that the tracks cover, in frame L [m]."""
+    radius: float
+    """Radius of the circles [m]."""
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """Layout of the observation and quality of the map."""
+
+    bins: int
+    """Number of bins [-]."""
+    bin_width: float
+    """Width of a bin [m]."""
+    grid: Grid = field(default_factory=Grid)
+    """Sizes of the cells."""
+    half_width: float = 0.36
+    """Ground within this distance beside the robot's line counts [m]."""
+    fewest: int = 4
+    """Points without which a column is unseen [-]."""
+    noise: float = 0.01
+    """Standard deviation of the height of a point [m]."""
+
+
+class GroundSeen:
+    """A map of the ground around the robot and what is assumed about the ground at the start."""
+
+    def __init__(self, settings: MapSettings) -> None:
+        self._settings = settings
+        self._reach = observation.reach(settings.bins, settings.bin_width)
+        self._cells = Cells(
+            settings.grid, self._reach + _PAST + _MARGIN, settings.half_width + _MARGIN
+        )
+        self._start: tuple[float, float] | None = None
+        self._lift: float | None = None  # added to the map's heights; None before the first [m]
+
+    def assume_level(self, x: float, z: float) -> None:
+        """Take ground that was never seen for level at the height ``z``, up to ``x`` ahead [m].
+
+        A robot knows so much when it starts: it stands on the ground below it.
+        """
+        self._start = x, z
+
+    def add(self, points: FloatArray, x: float, y: float) -> None:
+        """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
+        self._cells.add(points, x, y)
+
+    def height_error(self, points: FloatArray, x: float, y: float, yaw: float) -> float:
+        """Return by how much ``points`` (P, 3) in frame M lie above the map on the whole [m].
+
+        Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
+        """
+        s, reach = self._settings, (_NEAREST, _FARTHEST)
+        known = columns(
+            self._cells.around(x, y, yaw, reach, s.half_width), s.grid.cell, _REGISTERED
+        )
+        level = known.high - known.low < 3 * s.noise + s.grid.cell
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        dx, dy = points[:, 0] - x, points[:, 1] - y
+        along, beside = cos * dx + sin * dy, cos * dy - sin * dx
+        strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
+        new = columns(np.column_stack([along, beside, points[:, 2]])[strip], s.grid.cell, s.fewest)
+        _, i, j = np.intersect1d(
+            np.round(known.x[level] / s.grid.cell, 1),
+            np.round(new.x / s.grid.cell, 1),
+            return_indices=True,
+        )
+        if len(i) < _FEWEST_COLUMNS:
+            return 0.0
+        error = float(np.median(new.median[j] - known.median[level][i]))
+        return error if abs(error) <= _LARGEST else 0.0
+
+    def sensed(self, position: FloatArray, yaw: float, stance: Stance) -> SensedGround:
+        """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
+
+        Call it once for each decision, since it corrects the map's height a bit by each stance.
+        """
+        s, (x, y, z) = self._settings, position.tolist()
+        reach = self._reach + _PAST
+        near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
+        near[:, 2] -= z
+        found = columns(near, s.grid.cell, s.fewest)
+        line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
+        if self._lift is None:
+            self._lift = self._first_lift(found, assumed, stance)
+        line[:, 1] += self._lift
+        line, unseen = with_assumed(line, assumed, _GAP / 2)
+        limits = (-self._reach, self._reach)
+        points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
+        gaps = clearances(stance.circles, stance.radius, points)
+        above = filled & (gaps < 0)  # where the robot is, there is no ground
+        points[above, 1] += gaps[above]
+        self._correct(points, np.where(above, 0.0, gaps), filled)
+        heights = bins.mean_heights(points, s.bins, s.bin_width)
+        seen = bins.occupied(points[~filled], s.bins, s.bin_width)
+        return SensedGround(points, heights, filled, seen)
+
+    def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
+        """Return by how much the ground that is seen below the flippers differs from the start's.
+
+        A robot starts on level ground, which its front flippers reach.
+        """
+        if not len(assumed):
+            return 0.0
+        below = (found.x > assumed[-1, 0]) & (found.x < stance.circles[:, 0].max())
+        if not below.any():
+            return 0.0
+        lift = float(assumed[-1, 1] - np.median(found.median[below]))
+        return lift if abs(lift) <= _LARGEST else 0.0
+
+    def _correct(self, points: FloatArray, gaps: FloatArray, filled: NDArray[np.bool_]) -> None:
+        """Move the map towards the tracks, if they touch level ground that was seen.
+
+        A contact at an edge tells nothing, since odometry shifts edges along x.
+        """
+        if not len(gaps):
+            return
+        contact = int(np.argmin(gaps))
+        near = np.abs(points[:, 0] - points[contact, 0]) <= _LEVEL[0]
+        if filled[near].any() or np.ptp(points[near, 1]) > _LEVEL[1] or np.isinf(gaps[contact]):
+            return
+        assert self._lift is not None  # since there is ground
+        lift = self._lift + _GAIN * float(gaps[contact])
+        self._lift = min(_LARGEST, max(-_LARGEST, lift))
+
+    def _assumed(self, x: float, y: float, z: float, yaw: float) -> FloatArray:
+        """Return vertices of the assumed ground in frame L, (A, 2) [m]."""
+        if self._start is None:
+            return np.zeros((0, 2))
+        until, height = self._start
+        reach = self._reach + _PAST
+        along = np.arange(-reach, reach, self._settings.grid.cell)
+        along = along[x + along * math.cos(yaw) < until]
+        return np.column_stack([along, np.full(len(along), height - z)])
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot, which later points do not change."""
+        return self._cells.save(), self._start, self._lift
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Restore a snapshot."""
+        cells, self._start, self._lift = saved
+        self._cells.load(cells)

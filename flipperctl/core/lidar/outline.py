@@ -1,0 +1,189 @@
+"""The ground in the robot's side plane, from the points of a map.
+
+In: level points around the robot. Out: a polyline with vertical faces, and points along it.
+
+The points are sorted into columns. Where the heights of a column spread more than noise and slope
+explain, a riser stands in it; neighbouring columns of this kind become one vertical face. Their
+medians would make it a ramp, which a robot climbs differently.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core.arrays import FloatArray
+
+_SPREAD = 2.6
+"""Spread of a level column's heights between their 10 % and 90 % quantiles, in σ [-]."""
+_SLOPE = 1.5
+"""Rise of a steep slope within a column, in lengths of the column [-]."""
+_APART = 2.5
+"""Columns this far apart are not neighbours, in lengths of the column [-]."""
+_FACE = 0.2
+"""Fraction of a face's height at either end whose points do not tell where it stands [-]."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The points of the map by columns along x, those without enough points left out."""
+
+    x: FloatArray
+    """(C,) middle of each column [m]."""
+    median: FloatArray
+    """(C,) median height [m]."""
+    low: FloatArray
+    """(C,) 10 % quantile of the heights [m]."""
+    high: FloatArray
+    """(C,) 90 % quantile of the heights [m]."""
+    begin: NDArray[np.int64]
+    """(C,) index of each column's first point in ``points``."""
+    end: NDArray[np.int64]
+    """(C,) index past each column's last point in ``points``."""
+    points: FloatArray
+    """(P, 2) x and z of the points, by column, then by height [m]."""
+    cell: float
+    """Length of a column [m]."""
+
+
+def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
+    """Sort ``points`` (P, 3) [m] into columns of the length ``cell`` [m]; y is pooled.
+
+    Columns of less than ``fewest`` points are left out.
+    """
+    number = np.floor(points[:, 0] / cell).astype(np.int64)
+    order = np.lexsort((points[:, 2], number))
+    number, ordered = number[order], points[order][:, [0, 2]]
+    changes = np.flatnonzero(np.diff(number)) + 1
+    begin = np.concatenate([[0], changes]).astype(np.int64)
+    end = np.concatenate([changes, [len(number)]]).astype(np.int64)  # one empty column if no points
+    enough = end - begin >= max(1, fewest)
+    begin, end = begin[enough], end[enough]
+    z, count = ordered[:, 1], end - begin
+    return Columns(
+        x=np.asarray((number[begin] + 0.5) * cell, np.float64),
+        median=z[begin + count // 2],
+        low=z[begin + count // 10],
+        high=z[end - 1 - count // 10],
+        begin=begin,
+        end=end,
+        points=ordered,
+        cell=cell,
+    )
+
+
+def polyline(found: Columns, noise: float) -> FloatArray:
+    """Return the ground as a polyline with vertical faces, x never decreasing, (V, 2) [m].
+
+    ``noise``: standard deviation of the heights of points on level ground [m].
+    """
+    steep = found.high - found.low > _SPREAD * noise + _SLOPE * found.cell
+    near = np.diff(found.x) < _APART * found.cell
+    line: list[tuple[float, float]] = []
+    i, count = 0, len(found.x)
+    while i < count:
+        j = i
+        while steep[i] and j + 1 < count and steep[j + 1] and near[j]:
+            j += 1
+        if steep[i]:
+            before = float(found.median[i - 1]) if i and near[i - 1] else None
+            after = float(found.median[j + 1]) if j + 1 < count and near[j] else None
+            line += _face(found, i, j, before, after)
+        else:
+            line.append((float(found.x[i]), float(found.median[i])))
+        i = j + 1
+    vertices = np.array(line).reshape(-1, 2)
+    vertices[:, 0] = np.maximum.accumulate(vertices[:, 0])
+    return vertices
+
+
+def _face(
+    found: Columns, first: int, last: int, before: float | None, after: float | None
+) -> list[tuple[float, float]]:
+    """Return the vertices of the steep columns ``first`` to ``last``.
+
+    ``before`` and ``after`` are the heights of the ground on either side, None where unseen [m].
+    """
+    low, high = float(found.low[first : last + 1].min()), float(found.high[first : last + 1].max())
+    middle = (low + high) / 2
+    if before is None:
+        before = low if after is None or after > middle else high
+    if after is None:
+        after = high if before < middle else low
+    if abs(after - before) <= (high - low) / 2:  # a narrow ridge or trench, or an oblique edge
+        run = slice(first, last + 1)
+        return list(zip(found.x[run].tolist(), found.median[run].tolist(), strict=True))
+    x = _face_position(found, first, last, before, after)
+    return [(x, before), (x, after)]
+
+
+def _face_position(found: Columns, first: int, last: int, before: float, after: float) -> float:
+    """Return where the face between two levels stands: the mean x of its points [m]."""
+    points = found.points[found.begin[first] : found.end[last]]
+    share = (points[:, 1] - before) / (after - before)
+    on_face = points[(share > _FACE) & (share < 1 - _FACE), 0]
+    if len(on_face) >= 3:
+        return float(on_face.mean())
+    passed = np.clip((found.median[first : last + 1] - after) / (before - after), 0.0, 1.0)
+    start = float(found.x[first]) - found.cell / 2
+    width = float(found.x[last]) + found.cell / 2 - start
+    return start + width * float(passed.mean())
+
+
+def with_assumed(
+    line: FloatArray, assumed: FloatArray, gap: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the polyline with ``assumed`` vertices where it has gaps, and which are assumed.
+
+    An assumed vertex, (A, 2), is taken if no vertex of ``line`` lies within ``gap`` of it [m].
+    """
+    if len(line):
+        right = np.searchsorted(line[:, 0], assumed[:, 0])
+        distances = [
+            np.abs(line[np.clip(right + shift, 0, len(line) - 1), 0] - assumed[:, 0])
+            for shift in (-1, 0)
+        ]
+        assumed = assumed[np.minimum(*distances) > gap]
+    both = np.concatenate([line, assumed])
+    flags = np.arange(len(both)) >= len(line)
+    order = np.argsort(both[:, 0], kind="stable")  # keeps the order within a face
+    return both[order], flags[order]
+
+
+def points_along(
+    line: FloatArray,
+    assumed: NDArray[np.bool_],
+    spacing: float,
+    gap: float,
+    limits: tuple[float, float],
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return points along the polyline, (P, 2) [m], and which of them fill unseen ground.
+
+    They are ``spacing`` apart, and include both ends of each face. Parts longer than ``gap`` along
+    x or beside an ``assumed`` vertex were not seen; beyond its ends, the line goes on level.
+    ``limits``: range of x [m].
+    """
+    low, high = limits
+    if not len(line):
+        return np.zeros((0, 2)), np.zeros(0, np.bool_)
+    ends = np.array([[min(low, line[0, 0]), line[0, 1]], [max(high, line[-1, 0]), line[-1, 1]]])
+    line = np.concatenate([ends[:1], line, ends[1:]])
+    assumed = np.concatenate([[True], assumed, [True]])
+    step = np.diff(line, axis=0)
+    unseen = (step[:, 0] > gap) | assumed[:-1] | assumed[1:]
+    length = np.hypot(step[:, 0], step[:, 1])
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    upright = np.flatnonzero((step[:, 0] == 0) & (length > 0) & ~unseen)
+    regular = np.arange(0.0, along[-1], spacing)
+    part = np.clip(np.searchsorted(along, regular, side="right") - 1, 0, len(step) - 1)
+    part = np.concatenate([part, upright, upright])
+    at = np.concatenate([regular, along[upright], along[upright + 1]])
+    share = (at - along[part]) / np.maximum(length[part], 1e-12)
+    points = line[part] + share[:, None] * step[part]
+    order = np.argsort(at, kind="stable")
+    points, filled = points[order], unseen[part][order]
+    points[:, 0] = np.maximum.accumulate(points[:, 0])  # rounding
+    inside = (points[:, 0] >= low) & (points[:, 0] < high)
+    return points[inside], filled[inside]

@@ -1,0 +1,9 @@
+"""The simulated LiDAR; importing this package registers the sensor ``lidar``.
+
+The fields are in ``settings``, the instruments in ``instruments``; what a robot computes from
+their messages is ``flipperctl.core.lidar``.
+"""
+
+from flipperctl.sim.lidar.settings import LidarSensor
+
+__all__ = ["LidarSensor"]

@@ -1,0 +1,53 @@
+"""The rolling map keeps the newest points of places near the robot."""
+
+import numpy as np
+import pytest
+
+from flipperctl.core.lidar.cells import Cells, Grid
+
+GRID = Grid(cell=0.1, lane=0.1, keep=2)
+
+
+def point(x: float, z: float, y: float = 0.0) -> np.ndarray:
+    return np.array([[x, y, z]])
+
+
+def heights(cells: Cells, x: float) -> list[float]:
+    found = cells.around(x, 0.0, 0.0, (-1.0, 1.0), 0.5)[:, 2]
+    return sorted(round(float(z), 3) for z in found)
+
+
+def test_a_cell_holds_its_newest_points() -> None:
+    cells = Cells(GRID, 2.0, 1.0)
+    cells.add(np.concatenate([point(0.01, z) for z in (1.0, 2.0, 3.0)]), 0.0, 0.0)
+    assert heights(cells, 0.0) == [2.0, 3.0]
+    cells.add(point(0.02, 4.0), 0.0, 0.0)
+    assert heights(cells, 0.0) == [3.0, 4.0]
+
+
+def test_the_window_moves_with_the_robot() -> None:
+    cells = Cells(GRID, 2.0, 1.0)
+    cells.add(point(0.0, 1.0), 0.0, 0.0)
+    cells.add(point(4.15, 2.0), 4.0, 0.0)  # 41 cells farther: in the same place of the memory
+    assert heights(cells, 4.0) == [2.0]
+    assert heights(cells, 0.0) == []
+    cells.add(point(9.0, 3.0), 4.0, 0.0)  # beyond the window
+    assert heights(cells, 9.0) == []
+
+
+def test_points_are_returned_along_the_heading() -> None:
+    cells = Cells(GRID, 2.0, 1.0)
+    cells.add(point(0.5, 1.0, y=0.5), 0.0, 0.0)
+    found = cells.around(0.0, 0.0, np.pi / 4, (-1.0, 1.0), 0.1)
+    assert found == pytest.approx(np.array([[0.5**0.5, 0.0, 1.0]]), abs=1e-6)
+    assert not len(cells.around(0.0, 0.0, 0.0, (-1.0, 1.0), 0.1))  # beside the strip
+
+
+def test_a_snapshot_is_left_alone_by_later_points() -> None:
+    cells = Cells(GRID, 2.0, 1.0)
+    cells.add(point(0.0, 1.0), 0.0, 0.0)
+    saved = cells.save()
+    for _ in range(2):
+        cells.add(point(0.0, 5.0), 0.0, 0.0)
+    cells.load(saved)
+    assert heights(cells, 0.0) == [1.0]

@@ -1,0 +1,171 @@
+"""The estimator from messages alone, as on a robot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.contact import clearances
+from flipperctl.core.lidar.estimator import LidarEstimator, Mount
+from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+from flipperctl.core.lidar.odometry import advanced
+from flipperctl.core.sensing import Measured
+
+BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
+UP = Mount(x=0.25, z=0.4, axis=math.pi / 2, near=0.1, margin=0.02)  # frame S is level
+LEVEL = Pose(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+
+
+def estimator() -> LidarEstimator:
+    return LidarEstimator(BODY, UP, MapSettings(bins=15, bin_width=0.15))
+
+
+def told(robot: LidarEstimator, *values: object) -> LidarEstimator:
+    for value in values:
+        robot.update(Measured("device", 0.0, value))
+    return robot
+
+
+def ahead(error: float = 0.0) -> Scan:
+    """Return points in frame S of level ground 0.5 m below it, from 0.2 to 1 m ahead."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.2, 1.0, 0.005), np.arange(-0.3, 0.31, 0.1)))
+    return Scan(np.column_stack([x, y, np.full(len(x), -0.5 + error)]))
+
+
+def test_level_ground_is_a_track_radius_below_the_robot_and_partly_seen() -> None:
+    ground, angles = told(estimator(), LEVEL, Joints(0.1, 0.2), ahead()).estimate(0.0)
+    assert ground.heights == pytest.approx(np.full(15, -0.1))
+    assert (angles.front, angles.rear, angles.pitch) == (0.1, 0.2, 0.0)
+    assert ground.seen is not None
+    # Seen from 0.45 to 1.125 m: the bins from 0.375 m on, not those below and behind the robot.
+    assert ground.seen.tolist() == [False] * 10 + [True] * 5
+
+
+def test_a_pitched_robot_sees_the_same_level_ground() -> None:
+    turn = 0.2
+    cos, sin = math.cos(turn), math.sin(turn)
+    tilted = ahead().points + np.array([0.25, 0.0, 0.4])  # in frame R of a level robot
+    x, z = tilted[:, 0].copy(), tilted[:, 2].copy()
+    tilted[:, 0], tilted[:, 2] = cos * x + sin * z, cos * z - sin * x
+    scan = Scan(tilted - np.array([0.25, 0.0, 0.4]))
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
+    robot.estimate(0.0)  # starts level
+    told(robot, Pose(0.0, 0.0, 0.1, 0.0, turn, 0.0), scan)
+    ground, _ = robot.estimate(0.0)
+    assert ground.seen is not None
+    assert ground.seen.sum() >= 4
+    assert ground.heights[ground.seen] == pytest.approx(-0.1, abs=1e-3)
+
+
+def test_the_map_remembers_ground_that_is_behind() -> None:
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0), ahead(0.2))  # a block, 0.2 m high
+    robot.estimate(0.0)
+    ground, _ = told(robot, Pose(1.0, 0.0, 0.3, 0.0, 0.0, 0.0)).estimate(0.0)
+    assert ground.seen is not None
+    assert ground.seen[4:8].all()
+    assert ground.heights[4:8] == pytest.approx(-0.1, abs=0.001)
+
+
+def test_points_of_the_robot_itself_and_numbers_that_are_not_finite_are_dropped() -> None:
+    clean = told(estimator(), LEVEL, Joints(0.0, 0.0), ahead()).estimate(0.0)[0]
+    own = [[0.3, 0.25, -0.35], [-0.25, 0.0, -0.35]]  # on a front flipper and on the chassis
+    odd = [[math.nan, 0.0, 0.0], [math.inf, 0.0, 0.0], [0.01, 0.0, 0.0]]
+    scan = Scan(np.concatenate([ahead().points, np.array(10 * own + odd)]))
+    bad = Pose(math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0), bad, Joints(math.inf, 0.0), scan)
+    assert np.array_equal(robot.estimate(0.0)[0].points, clean.points)
+
+
+@pytest.mark.parametrize("error", [0.02, -0.02])
+def test_ground_seen_too_high_or_low_is_moved_to_where_the_robot_starts(error: float) -> None:
+    ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), ahead(error)).estimate(0.0)
+    assert ground.heights == pytest.approx(np.full(15, -0.1), abs=1e-6)
+
+
+def test_the_clearance_is_measured_below_the_tracks_alone() -> None:
+    circles = np.array([[0.0, 0.0], [0.3, 0.0]])
+    flat = np.array([[0.0, -0.12], [0.05, -0.12], [0.09, 0.3]])  # the last one on a face
+    found = clearances(circles, 0.1, flat)
+    assert found == pytest.approx([0.02, 0.12 - 0.1 * math.sqrt(0.75), math.inf])
+    assert clearances(circles, 0.1, np.array([[0.15, 0.0]])) == pytest.approx([math.inf])
+    assert not len(clearances(circles, 0.1, np.zeros((0, 2))))
+
+
+def test_unseen_ground_is_not_where_the_robot_is() -> None:
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
+    robot.estimate(0.0)  # assumes ground at z = 0
+    lower = Pose(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
+    ground, _ = told(robot, lower).estimate(0.0)
+    x, z = ground.points.T
+    assert z[np.abs(x) < 0.3] == pytest.approx(-0.1, abs=0.004)
+    assert z[np.abs(x) > 0.8] == pytest.approx(-0.05)
+
+
+def test_a_snapshot_restores_the_map() -> None:
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0), ahead())
+    first = robot.estimate(0.0)[0]
+    saved = robot.save()
+    told(robot, ahead(0.2), ahead(0.2)).estimate(0.0)
+    robot.load(saved)
+    assert np.array_equal(robot.estimate(0.0)[0].points, first.points)
+
+
+def test_any_messages_give_a_finite_estimate() -> None:
+    rng = np.random.default_rng(5)
+    robot = estimator()
+    for _ in range(200):
+        scale = 10.0 ** rng.integers(-3, 7)
+        points = scale * rng.standard_normal((rng.integers(0, 50), 3))
+        points[rng.random(points.shape) < 0.05] = math.nan
+        pose = Pose(*(rng.standard_normal(6) * scale).tolist())
+        robot = told(robot, pose, Joints(*rng.uniform(-4, 4, 2).tolist()), Scan(points))
+        ground, _ = robot.estimate(0.0)
+        assert np.isfinite(ground.heights).all()
+        assert np.isfinite(ground.points).all()
+        assert (np.diff(ground.points[:, 0]) >= 0).all()
+
+
+def reckoned(*messages: tuple[float, object]) -> LidarEstimator:
+    robot = estimator()
+    for time, value in messages:
+        robot.update(Measured("device", time, value))
+    return robot
+
+
+def test_odometry_moves_along_the_chassis_and_turns_with_the_yaw_rate() -> None:
+    pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    up = advanced(pose, Inertial(0.0, math.pi / 6, 0.0), 0.2, 0.1)
+    assert (up.x, up.y, up.z) == pytest.approx((0.02 * math.sqrt(0.75), 0.0, 0.01))
+    assert up.pitch == math.pi / 6
+    left = advanced(pose, Inertial(0.0, 0.0, math.pi), 0.2, 0.5)
+    assert (left.yaw, left.x, left.y) == pytest.approx((math.pi / 2, 0.0, 0.1))
+    late = advanced(pose, Inertial(0.0, 0.0, 0.0), 0.2, 100.0)
+    assert late.x == pytest.approx(0.1)  # half a second at most
+
+
+def test_ground_scanned_before_a_reckoned_motion_comes_nearer() -> None:
+    still = Inertial(0.0, 0.0, 0.0)
+    robot = reckoned((0.0, Belts(0.2)), (0.0, still), (0.0, Joints(0.0, 0.0)), (0.0, ahead()))
+    before = robot.estimate(0.0)[0].seen
+    for k in range(1, 101):
+        robot.update(Measured("inertial", 0.04 * k, still))
+    after, angles = robot.estimate(4.0)
+    assert before is not None
+    assert after.seen is not None
+    # 0.8 m later, what was seen from 0.45 to 1.25 m is from -0.35 to 0.45 m.
+    assert after.seen.tolist() == [False] * 5 + [True] * 6 + [False] * 4
+    assert angles.pitch == 0.0
+
+
+def test_a_scan_corrects_the_height_that_slipping_belts_feign() -> None:
+    climbing, level = Inertial(0.0, 0.5, 0.0), Inertial(0.0, 0.0, 0.0)
+    robot = reckoned((0.0, Belts(0.2)), (0.0, level), (0.0, ahead()), (0.0, ahead()))
+    robot.estimate(0.0)
+    robot.update(Measured("inertial", 0.1, climbing))
+    robot.update(Measured("inertial", 0.1, level))
+    risen = robot.estimate(0.1)[0].heights[12]
+    assert risen == pytest.approx(-0.1 - 0.02 * math.sin(0.5), abs=1e-3)
+    robot.update(Measured("lidar", 0.1, ahead()))  # the ground is as far below as before
+    assert robot.estimate(0.1)[0].heights[12] == pytest.approx(-0.1, abs=1e-3)
