@@ -30,6 +30,8 @@ def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_th
     (experiment,) = compose.compose_train(Overrides.parse(words))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
     mix, grown = trained.pop("terrain"), wanted.pop("terrain")
+    for train in (trained["train"], wanted["train"]):
+        del train["best_by"]  # newer than the policies; the weights of mpc_value are the last ones
     assert trained == wanted
     # The mix has grown by long flights since the generalist was trained; its card says so.
     added = [part for part in grown["parts"] if part not in mix["parts"]]
