@@ -118,7 +118,7 @@ def smaller(command: list[str]) -> list[str]:
 def with_budget(command: list[str]) -> list[str]:
     """The same command with a budget for a test behind it."""
     if command[0] == "train" and "--cfg" not in command:
-        command = fewer(command)
+        command, few = fewer(command), list[str]()
         if any(word.startswith("experiment=taught,") for word in command):
             command = [*command, "teacher=okada"]  # whose labels cost no search
         if {"experiment=taught", "experiment=generalist"} & set(command):
@@ -127,6 +127,7 @@ def with_budget(command: list[str]) -> list[str]:
             fast = {"beam": 1, "horizon": 1, "groups": 4}
             fewer_groups = [f"teacher.controller.{key}={n}" for key, n in fast.items()]
             command = [*command, *fewer_groups, "teacher.batch_groups=4"]
+            few = ["train.decisions=40"]  # a search of the ground for each episode takes seconds
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
@@ -134,7 +135,7 @@ def with_budget(command: list[str]) -> list[str]:
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
-        return [*command, *quick, *trials, *own]
+        return [*command, *quick, *few, *trials, *own]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
         quick = ["engines"] if every else []  # each has a test in tests/bench
