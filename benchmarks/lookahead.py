@@ -22,6 +22,7 @@ from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.testing.network import one_thread
 
 ABOUT = (
     "CPU time of a decision of mpc at its defaults, without the first, which compiles; its "
@@ -62,7 +63,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     first = _first_decision(policy, config)
     searches = Searches.of(bench.config, s.seed)
     rounds, on_rewards = [], []
-    with lookahead_values.one_thread():
+    with one_thread():
         searches.play(config, 0, [first])  # which compiles
         for index in range(s.repeats):
             found, valued = Round([], [], 0.0), lookahead_values.Round([], [], [])

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -103,17 +102,6 @@ class Searches:
         begun = time.process_time()
         self.graph.reset(env.simulator())
         return Round(list(plain), timed.seconds, [time.process_time() - begun])
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute with one thread."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def rates(rounds: Sequence[Round]) -> dict[str, Any]:
