@@ -1,6 +1,7 @@
 """Perception by LiDAR as a robot's computer runs it: self-filter, odometry, map, estimates.
 
-In: messages of the devices. Out: the sensed ground and posture. It needs numpy alone.
+In: messages of the devices. Out: the sensed ground and posture. It needs numpy alone,
+but for ``matching``, which a robot may leave out and which needs small_gicp.
 
 Frames: S is the LiDAR's, whose z axis is the axis of its rings; R is fixed to the chassis (x
 forward, y to the left, z up, origin at its centre); M is the map's, level, in which the robot
