@@ -1,7 +1,7 @@
 """Random input for the robot's controller: ``python -m benchmarks.controller [STEPS]``.
 
-In: ages, jumps of the clock, frames, numbers and clouds of any kind, sound ones among them. Out: how
-often each answer came; any exception ends the command.
+In: ages, jumps of the clock, frames, numbers and clouds of any kind, sound ones among them. Out:
+how often each answer came; any exception ends the command.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 import sys
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,16 @@ from flipperctl.runtime import (
 )
 
 STEPS = 1_000_000
-_ODD = (math.nan, math.inf, -math.inf, None, "1", 1e300, -40.0, [], object())
-_CLOUDS = (None, "points", [], np.zeros((0, 3)), np.full((50, 3), np.nan), np.zeros((5, 2)), [[1]])
+_ODD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, None, "1", 1e300, -40.0, [], object())
+_CLOUDS: tuple[Any, ...] = (
+    None,
+    "points",
+    [],
+    np.zeros((0, 3)),
+    np.full((50, 3), np.nan),
+    np.zeros((5, 2)),
+    [[1]],
+)
 SETUP = RobotSetup(cloud_frame="base_link", mount=Mount(0.0, 0.0, math.pi / 2, 0.0, 0.05))
 
 
@@ -66,15 +75,15 @@ class Garbage:
     def _is_odd(self) -> bool:
         return bool(self._rng.random() < self._odd)
 
-    def _pick(self, values: tuple[object, ...]) -> object:
+    def _pick(self, values: tuple[Any, ...]) -> Any:
         return values[self._rng.integers(len(values))]
 
     def _value(self, scale: float) -> float:
         return float(scale * self._rng.random())
 
-    def _number(self, scale: float) -> float:
+    def _number(self, scale: float) -> Any:
         if self._is_odd():
-            return self._pick(_ODD)  # type: ignore[return-value]  # what a driver must not send
+            return self._pick(_ODD)
         return float(scale * self._rng.uniform(-1, 1))
 
     def _stamp(self) -> float:
@@ -85,7 +94,7 @@ class Garbage:
     def _frame(self) -> str:
         return "map" if self._is_odd() else "base_link"
 
-    def _points(self) -> object:
+    def _points(self) -> Any:
         if self._is_odd():
             return self._pick(_CLOUDS)
         points = self._level + 0.02 * self._rng.standard_normal(self._level.shape)
