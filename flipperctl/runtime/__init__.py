@@ -7,13 +7,49 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from flipperctl.core.lidar.estimator import Mount
     from flipperctl.core.targets import TargetRule
+    from flipperctl.runtime.controller import Answer, FlipperController
     from flipperctl.runtime.interface import Interface, Quantity
+    from flipperctl.runtime.limits import Ages, Limits, RobotSetup
+    from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
     from flipperctl.runtime.policy import OnnxPolicy
+    from flipperctl.runtime.signs import OURS, REP_103, Signs
 
-__all__ = ["Interface", "OnnxPolicy", "Quantity", "TargetRule"]
+__all__ = [
+    "OURS",
+    "REP_103",
+    "Ages",
+    "Answer",
+    "Attitude",
+    "Cloud",
+    "FlipperController",
+    "Interface",
+    "JointAngles",
+    "Limits",
+    "Mount",
+    "Odometry",
+    "OnnxPolicy",
+    "Quantity",
+    "RobotSetup",
+    "Signs",
+    "TargetRule",
+]
 
 _MODULES = {
+    "Answer": "flipperctl.runtime.controller",
+    "FlipperController": "flipperctl.runtime.controller",
+    "Attitude": "flipperctl.runtime.messages",
+    "Cloud": "flipperctl.runtime.messages",
+    "JointAngles": "flipperctl.runtime.messages",
+    "Odometry": "flipperctl.runtime.messages",
+    "Ages": "flipperctl.runtime.limits",
+    "Limits": "flipperctl.runtime.limits",
+    "RobotSetup": "flipperctl.runtime.limits",
+    "Signs": "flipperctl.runtime.signs",
+    "OURS": "flipperctl.runtime.signs",
+    "REP_103": "flipperctl.runtime.signs",
+    "Mount": "flipperctl.core.lidar.estimator",
     "Interface": "flipperctl.runtime.interface",
     "OnnxPolicy": "flipperctl.runtime.policy",
     "Quantity": "flipperctl.runtime.interface",

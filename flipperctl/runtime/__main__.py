@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flipperctl import entry
@@ -13,14 +14,21 @@ if TYPE_CHECKING:
     from flipperctl.runtime.interface import Interface
 
 HELP = """Usage: python -m flipperctl.runtime FILE
+       python -m flipperctl.runtime --self-test MESSAGES [--signs rep103]
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, the actions, the decision period, the robot and the training.
 It needs only numpy and onnxruntime.
 
+--self-test finds wrong signs on the robot: it says which part to move, reads what the devices
+measure from a file of JSON lines, or from a pipe with the name -, and names each sign that is
+wrong. --signs is the convention of the messages, flipperctl (default) or rep103.
+
 Examples
 
   python -m flipperctl.runtime stair.onnx
+
+  python -m flipperctl.runtime --self-test messages.jsonl --signs rep103
 
   python -m flipperctl.runtime --help"""
 
@@ -61,6 +69,8 @@ def _main(words: list[str]) -> int:
     if {"-h", "--help"} & set(words):
         print(HELP)
         return 0
+    if "--self-test" in words:
+        return _self_test(words)
     if len(words) != 1 or words[0].startswith("-"):
         raise RequestError(
             f"expected one exported policy, as in python -m flipperctl.runtime stair.onnx; "
@@ -70,6 +80,34 @@ def _main(words: list[str]) -> int:
 
     print(describe(OnnxPolicy(words[0]).interface))
     return 0
+
+
+def _self_test(words: list[str]) -> int:
+    from flipperctl.runtime.limits import RobotSetup
+    from flipperctl.runtime.self_test import run
+    from flipperctl.runtime.signs import CONVENTIONS
+
+    match words:
+        case ["--self-test", file]:
+            name = "flipperctl"
+        case ["--self-test", file, "--signs", name] | ["--signs", name, "--self-test", file]:
+            pass
+        case _:
+            raise RequestError(
+                "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME]; got "
+                f"{shlex.join(words)}; see --help"
+            )
+    if name not in CONVENTIONS:
+        known = ", ".join(CONVENTIONS)
+        raise RequestError(f"there is no convention {name!r}; {known} is allowed")
+    setup = RobotSetup(signs=CONVENTIONS[name])
+    if file == "-":
+        return run(sys.stdin, "the input", setup)
+    try:
+        with Path(file).open(encoding="utf-8") as lines:
+            return run(lines, file, setup)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise RequestError(f"{file} cannot be read: {error}") from error
 
 
 if __name__ == "__main__":

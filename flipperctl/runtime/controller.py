@@ -1,0 +1,270 @@
+"""From the messages of a robot's devices to safe targets of its flippers.
+
+In: an exported policy; clouds, attitudes, joint angles and belt speeds with their times. Out: the
+targets, whether the belts may run, and why.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from flipperctl.core import observation as layout
+from flipperctl.core.lidar.messages import Belts
+from flipperctl.core.sensing import Measured, SensedGround
+from flipperctl.runtime.estimating import new_estimator
+from flipperctl.runtime.following import Following
+from flipperctl.runtime.intake import Accepted, Fault, Intake
+from flipperctl.runtime.limits import Limits, RobotSetup
+from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.policy import OnnxPolicy
+
+Pair = tuple[float, float]
+State = Literal["waiting", "driving", "holding", "stopped"]
+_ON_TIME = 1e-6
+"""Part of a step by which a decision may be early, for times that are sums of periods [s]."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the flippers and the belts shall do until the next step."""
+
+    targets: Pair | None
+    """Angles to turn the front and the rear flippers to, in the robot's signs [rad].
+
+    None as long as no angle was measured: then leave the flippers as they are.
+    """
+    setpoints: Pair | None
+    """Where the flippers shall be now on their way there, at the speed of the training [rad]."""
+    drive: bool
+    """Whether the belts may run."""
+    state: State
+    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``."""
+    fault: str = ""
+    """Stable name of the fault, as ``cloud_age``; empty without one."""
+    reason: str = ""
+    """What was found and what is allowed; empty without a fault."""
+    action: int | None = None
+    """The action, if this step decided; a row of ``interface.actions``."""
+
+
+class FlipperController:
+    """Decides at the period of the policy, and holds and then stops while it cannot.
+
+    Call ``step`` whenever a message has arrived, and at least every 0.1 s, from one thread. The
+    simulator's ``perception=lidar`` uses the same estimator, so a policy perceives on the robot
+    what it was judged with.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        setup: RobotSetup | None = None,
+        limits: Limits | None = None,
+        log: Callable[[str], object] | None = None,
+    ) -> None:
+        """``log`` receives a line of JSON for each decision and each change of state.
+
+        Raises:
+            MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
+            PolicyError: the file is no exported policy, or a setting is not allowed.
+        """
+        self.policy = OnnxPolicy(path)
+        self._setup, self._limits = setup or RobotSetup(), limits or Limits()
+        self._log = log
+        interface = self.policy.interface
+        self._period, self._rule = interface.decision_period, interface.targets
+        self._turning = float(interface.robot.get("flipper_speed", math.inf))
+        self._driving_speed = float(interface.robot.get("track_speed", 0.0))
+        self._intake = Intake(self._setup, self._limits)
+        self._following = Following(self._limits)
+        self._last: float | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, as after the robot was carried: map, odometry and targets are forgotten."""
+        self._estimator = new_estimator(self.policy.interface, self._setup)
+        self.policy.reset()
+        self._intake.forget()
+        self._following.reset()
+        self._targets: Pair | None = None
+        self._setpoints: Pair | None = None
+        self._due = -math.inf  # time of the next decision
+        self._faulty_since: float | None = None
+        self._held_until = -math.inf
+        self._stall = ""
+        self._decided = False
+        self._answer = Answer(None, None, False, "waiting")
+
+    def step(
+        self,
+        now: float,
+        cloud: Cloud | None = None,
+        attitude: Attitude | None = None,
+        joints: JointAngles | None = None,
+        odometry: Odometry | None = None,
+    ) -> Answer:
+        """Take in what has arrived and return what to do.
+
+        ``now``: a clock that never goes back [s]. Nothing is raised for bad input: whatever keeps
+        the controller from deciding is the answer's ``reason``.
+        """
+        jump = self._clock_fault(now)
+        if jump is not None:
+            return self._say(now, jump, None)
+        elapsed, self._last = now - (now if self._last is None else self._last), now
+        messages = {"odometry": odometry, "attitude": attitude, "joints": joints, "cloud": cloud}
+        # The scan comes last: it enters the map at the pose that the others tell.
+        action = None
+        try:
+            for device, time, message in self._intake.receive(now, **messages):
+                self._perceive(device, time, message)
+            fault = self._intake.fault(now) or self._stall_fault(now)
+            if fault is None and now >= self._due - _ON_TIME:
+                action, fault = self._decide(now)
+        except Exception as error:  # noqa: BLE001 - a robot must get an answer, whatever was wrong
+            fault = Fault("inference", " ".join(str(error).split()) or type(error).__name__)
+        self._advance(elapsed)
+        return self._say(now, fault, action)
+
+    def _clock_fault(self, now: object) -> Fault | None:
+        """Return a fault if the clock is no clock; after a jump nothing old is of use."""
+        if isinstance(now, bool) or not isinstance(now, int | float) or not math.isfinite(now):
+            return Fault("clock", f"the time is {str(now)[:40]}; a finite number is allowed")
+        if self._last is None:
+            return None
+        elapsed = now - self._last
+        if 0 <= elapsed <= self._limits.clock_jump:
+            return None
+        targets = self._targets
+        self.reset()
+        self._targets = self._setpoints = targets
+        self._last = float(now)
+        return Fault(
+            "clock_jump",
+            f"the clock went on by {elapsed:.2f} s; 0 to {self._limits.clock_jump:g} s is allowed",
+            at_once=True,
+        )
+
+    def _stall_fault(self, now: float) -> Fault | None:
+        joints = self._intake.joints
+        if joints is None or self._targets is None:
+            return None
+        angles = joints.front, joints.rear
+        stalled = self._following.stalled(now, self._targets, angles)
+        if stalled:
+            self._stall = " and ".join(stalled)
+            self._held_until = now + self._limits.stall_hold
+            self._targets = self._within(angles)  # do not push
+            self._following.reset()
+        if now < self._held_until:
+            return Fault(
+                "stall",
+                f"the {self._stall} flippers do not follow; they are held where they are for "
+                f"{self._limits.stall_hold:g} s",
+            )
+        return None
+
+    def _perceive(self, device: str, time: float, message: Accepted) -> None:
+        if device == "attitude" and "odometry" not in self._intake.known:
+            speed = self._driving_speed if self._answer.drive else 0.0
+            self._estimator.update(Measured("odometry", time, Belts(speed)))
+        self._estimator.update(Measured(device, time, message))
+
+    def _decide(self, now: float) -> tuple[int | None, Fault | None]:
+        """Return the action, or why there is none."""
+        ground, angles = self._estimator.estimate(now)
+        covered = _covered(ground)
+        if covered < self._limits.coverage:
+            return None, Fault(
+                "coverage",
+                f"ground was seen in {covered:.0%} of the bins; "
+                f"{self._limits.coverage:.0%} or more is allowed",
+            )
+        measured = angles.front, angles.rear
+        seen = layout.assemble(
+            ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
+        )
+        action = self.policy.act(seen)
+        last = measured if self._targets is None else self._targets
+        front, rear = self.policy.next_targets(last, measured, action).tolist()
+        self._targets = self._within((front, rear))
+        if self._setpoints is None:
+            self._setpoints = self._within(measured)
+        late = now - self._due > self._period  # or the first decision
+        self._due = now + self._period if late else self._due + self._period
+        self._decided = True
+        return action, None
+
+    def _within(self, angles: Pair) -> Pair:
+        limit = self._rule.limit
+        front, rear = (min(limit, max(-limit, angle)) for angle in angles)
+        return front, rear
+
+    def _advance(self, elapsed: float) -> None:
+        """Move the setpoints towards the targets, no faster than in the training."""
+        if self._targets is None or self._setpoints is None:
+            return
+        most = self._turning * elapsed
+        front, rear = (
+            point + min(most, max(-most, target - point))
+            for point, target in zip(self._setpoints, self._targets, strict=True)
+        )
+        self._setpoints = front, rear
+
+    def _say(self, now: float, fault: Fault | None, action: int | None) -> Answer:
+        """Return the answer: hold at a fault, and stop if it lasts."""
+        drive, state = True, "driving"
+        if fault is None:
+            self._faulty_since = None
+        else:
+            if self._faulty_since is None:
+                self._faulty_since = self._last if self._last is not None else 0.0
+                self._hold()
+            lasted = (self._last or 0.0) - self._faulty_since
+            drive = self._decided and not fault.at_once and lasted < self._limits.stop_after
+            state = "holding" if drive else "stopped" if self._decided else "waiting"
+            if fault.at_once or fault.name == "clock":
+                drive, state = False, "stopped"
+        answer = Answer(
+            self._theirs(self._targets),
+            self._theirs(self._setpoints),
+            drive,
+            state,  # type: ignore[arg-type]  # one of State, by the lines above
+            "" if fault is None else fault.name,
+            "" if fault is None else fault.reason,
+            action,
+        )
+        if self._log is not None and (
+            action is not None
+            or (answer.state, answer.fault) != (self._answer.state, self._answer.fault)
+        ):
+            self._log(json.dumps({"time": _number(now), **asdict(answer)}))
+        self._answer = answer
+        return answer
+
+    def _hold(self) -> None:
+        """Hold the flippers where they are; the policy forgets its earlier observations."""
+        joints = self._intake.joints
+        if self._targets is not None and joints is not None:
+            self._targets = self._within((joints.front, joints.rear))
+            self._following.reset()
+        self.policy.reset()
+
+    def _theirs(self, pair: Pair | None) -> Pair | None:
+        signs = self._setup.signs
+        return None if pair is None else (signs.front * pair[0], signs.rear * pair[1])
+
+
+def _covered(ground: SensedGround) -> float:
+    return 1.0 if ground.seen is None else float(np.mean(ground.seen))
+
+
+def _number(now: object) -> object:
+    return now if isinstance(now, int | float) and math.isfinite(now) else str(now)[:40]

@@ -1,0 +1,46 @@
+"""The estimator of ``perception=lidar`` for a robot, from the file of its policy.
+
+In: an interface and the robot's devices. Out: a ``LidarEstimator`` that knows nothing yet.
+"""
+
+from __future__ import annotations
+
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.matching import ScanMatcher
+from flipperctl.errors import MissingExtraError, PolicyError
+from flipperctl.runtime.interface import Interface
+from flipperctl.runtime.limits import RobotSetup
+
+_LENGTHS = "chassis_length", "flipper_length", "track_radius"
+
+
+def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
+    """Return a new estimator with the bins of the policy and the lengths of its robot.
+
+    Raises:
+        PolicyError: the file states no lengths of its robot.
+        MissingExtraError: scans shall be matched, and small_gicp is not installed.
+    """
+    missing = [name for name in _LENGTHS if name not in interface.robot]
+    if missing:
+        raise PolicyError(f"the policy's file does not state robot.{missing[0]}; export it again")
+    body = Body(
+        **{name: float(interface.robot[name]) for name in _LENGTHS},
+        chassis_width=setup.chassis_width,
+        overall_width=setup.overall_width,
+    )
+    settings = MapSettings(bins=interface.bins, bin_width=interface.bin_width)
+    return LidarEstimator(body, setup.mount, settings, _matcher(setup))
+
+
+def _matcher(setup: RobotSetup) -> ScanMatcher | None:
+    if setup.pose != "matched":
+        return None
+    try:
+        return ScanMatcher()
+    except ImportError as error:
+        raise MissingExtraError(
+            "pose='matched' needs small_gicp, which is not installed; run pip install small_gicp"
+        ) from error

@@ -1,0 +1,197 @@
+"""Checks what a driver hands over, before anything uses it.
+
+In: messages of any content, with their times. Out: messages of ``flipperctl.core.lidar`` in
+flipperctl's signs, and the fault that keeps a decision from being made.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.runtime.limits import Limits, RobotSetup
+from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+
+Accepted = Scan | Inertial | Joints | Belts
+_FEWEST_POINTS = 20
+"""Points without which a cloud tells nothing [-]."""
+_FASTEST = 20.0
+"""Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Why no decision is made."""
+
+    name: str
+    """Its stable name, as ``cloud_age``."""
+    reason: str
+    """What was found and what is allowed."""
+    at_once: bool = False
+    """Whether the belts stop without a time of holding."""
+
+
+class _RefusedError(Exception):
+    """A message that does not fit; holds a ``Fault``."""
+
+
+class Intake:
+    """The newest accepted message of each device, and the newest refusal."""
+
+    def __init__(self, setup: RobotSetup, limits: Limits) -> None:
+        self._setup, self._limits = setup, limits
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing, as at the start."""
+        self._times: dict[str, float] = {}
+        self._refused: dict[str, Fault] = {}
+        self.joints: Joints | None = None
+        self.inertial: Inertial | None = None
+
+    @property
+    def known(self) -> Collection[str]:
+        """The devices of which a message was accepted."""
+        return self._times.keys()
+
+    def receive(self, now: float, **messages: object) -> Iterator[tuple[str, float, Accepted]]:
+        """Yield device, time and content of each message that is accepted; None is no message.
+
+        A message that is no newer than the last one of its device is skipped, so that a driver may
+        hand over the same one again.
+        """
+        for device, message in messages.items():
+            if message is None:
+                continue
+            try:
+                found = self._checked(device, message, now)
+            except _RefusedError as error:
+                self._refused[device] = error.args[0]
+                continue
+            if found is None:
+                continue
+            time, accepted = found
+            self._refused.pop(device, None)
+            self._times[device] = time
+            if isinstance(accepted, Joints):
+                self.joints = accepted
+            elif isinstance(accepted, Inertial):
+                self.inertial = accepted
+            yield device, time, accepted
+
+    def fault(self, now: float) -> Fault | None:
+        """Return why a decision cannot be made ``now``, or None."""
+        ages = self._limits.ages
+        for device in ("joints", "attitude", "cloud", "odometry"):
+            limit, time = getattr(ages, device), self._times.get(device)
+            if time is None and device == "odometry" and device not in self._refused:
+                continue  # a robot without encoders of its belts
+            if time is not None and now - time <= limit:
+                continue
+            if device in self._refused:
+                return self._refused[device]
+            if time is None:
+                return Fault(f"{device}_missing", f"no {device} was received yet")
+            return Fault(
+                f"{device}_age",
+                f"{device} is {now - time:.2f} s old; at most {limit:g} s is allowed",
+            )
+        tilted = self.inertial
+        if tilted is not None and max(abs(tilted.roll), abs(tilted.pitch)) > self._limits.tilt:
+            return Fault(
+                "tilt",
+                f"roll {tilted.roll:+.2f} rad, pitch {tilted.pitch:+.2f} rad; "
+                f"±{self._limits.tilt:.2f} rad is allowed",
+                at_once=True,
+            )
+        return None
+
+    def _checked(self, device: str, message: Any, now: float) -> tuple[float, Accepted] | None:
+        kind = _KINDS[device]
+        if not isinstance(message, kind):
+            raise _refusal(device, "kind", f"is {type(message).__name__}", kind.__name__)
+        time = _number(device, "time", message.time, math.inf)
+        if time > now + self._limits.ahead:
+            raise _refusal(
+                device,
+                "stamp",
+                f"is stamped {time - now:.3f} s ahead of the clock",
+                f"{self._limits.ahead:g} s ahead",
+            )
+        if time <= self._times.get(device, -math.inf):
+            return None
+        if isinstance(message, Cloud):
+            return time, self._scan(message)
+        if isinstance(message, Attitude):
+            return time, self._attitude(message)
+        signs = self._setup.signs
+        if isinstance(message, JointAngles):
+            front = _number(device, "front", message.front, math.pi)
+            rear = _number(device, "rear", message.rear, math.pi)
+            return time, Joints(signs.front * front, signs.rear * rear)
+        return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
+
+    def _scan(self, cloud: Cloud) -> Scan:
+        _check_frame("cloud", cloud.frame, self._setup.cloud_frame)
+        points = _points(cloud.points)
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < _FEWEST_POINTS:
+            found = f"has {len(points)} finite points"
+            raise _refusal("cloud", "points", found, f"{_FEWEST_POINTS} or more")
+        if self._setup.signs.x < 0:  # a turn by π about z keeps the frame right-handed
+            points = points * (-1.0, -1.0, 1.0)
+        return Scan(points)
+
+    def _attitude(self, message: Attitude) -> Inertial:
+        _check_frame("attitude", message.frame, self._setup.attitude_frame)
+        signs = self._setup.signs
+        return Inertial(
+            roll=_number("attitude", "roll", message.roll, math.pi),
+            pitch=signs.pitch * _number("attitude", "pitch", message.pitch, math.pi),
+            yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST),
+        )
+
+
+_KINDS: dict[str, type[Any]] = {
+    "joints": JointAngles,
+    "attitude": Attitude,
+    "odometry": Odometry,
+    "cloud": Cloud,
+}
+
+
+def _refusal(device: str, name: str, found: str, allowed: str) -> _RefusedError:
+    return _RefusedError(Fault(f"{device}_{name}", f"{device} {found}; {allowed} is allowed"))
+
+
+def _check_frame(device: str, found: object, allowed: str) -> None:
+    if found != allowed:
+        raise _refusal(device, "frame", f"is in the frame {str(found)[:40]!r}", repr(allowed))
+
+
+def _number(device: str, name: str, value: object, limit: float) -> float:
+    """Return a finite number of at most ``limit`` in magnitude."""
+    try:
+        number = float(value)  # type: ignore[arg-type]  # any content is possible
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if math.isfinite(number) and abs(number) <= limit:
+        return number
+    allowed = "a finite number" if math.isinf(limit) else f"a number within ±{limit:.3g}"
+    raise _refusal(device, "value", f"has {name} {str(value)[:40]}", allowed)
+
+
+def _points(points: object) -> NDArray[np.float64]:
+    try:
+        array = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.empty(0)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise _refusal("cloud", "shape", f"has points of shape {array.shape}", "(P, 3) of numbers")
+    return array

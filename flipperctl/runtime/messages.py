@@ -1,0 +1,80 @@
+"""The messages that a robot's driver hands to ``FlipperController.step``.
+
+In: numbers of the driver. Out: plain data with the time of the measurement. Nothing is checked
+here: the controller refuses what does not fit, with a reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a LiDAR or a depth camera."""
+
+    time: float
+    """Instant at which the points were measured, by the clock of ``step`` [s].
+
+    Of a turning LiDAR, that of the whole scan which its driver moved the points to.
+    """
+    frame: str
+    """Name of the frame of the points."""
+    points: ArrayLike
+    """(P, 3) points [m]; rows that are not finite are left out."""
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """What an inertial unit says of the chassis."""
+
+    time: float
+    """Instant of the measurement [s]."""
+    frame: str
+    """Name of the frame whose attitude it is."""
+    roll: float
+    """Angle of the y axis, to the left, above the horizontal [rad]."""
+    pitch: float
+    """Angle of the x axis, ahead, above the horizontal [rad], before the sign of ``Signs``."""
+    yaw_rate: float
+    """Turn of the heading, to the left positive [rad/s]."""
+
+    @classmethod
+    def from_quaternion(
+        cls, time: float, frame: str, x: float, y: float, z: float, w: float, yaw_rate: float
+    ) -> Attitude:
+        """Return the attitude of a quaternion from the frame to a level world with z up.
+
+        The pitch is positive nose **down**, as rotations about +y are (REP 103).
+        """
+        rises_x, rises_y = 2 * (x * z - w * y), 2 * (y * z + w * x)
+        return cls(time, frame, _asin(rises_y), -_asin(rises_x), yaw_rate)
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """The measured angles of the flippers."""
+
+    time: float
+    """Instant of the measurement [s]."""
+    front: float
+    """Angle of the front flippers, before the sign of ``Signs`` [rad]."""
+    rear: float
+    """Angle of the rear flippers, before the sign of ``Signs`` [rad]."""
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """The speed of the belts from their encoders."""
+
+    time: float
+    """Instant of the measurement [s]."""
+    speed: float
+    """Mean of the left and the right belts, forward positive, before ``Signs`` [m/s]."""
+
+
+def _asin(value: float) -> float:
+    return math.asin(min(1.0, max(-1.0, value))) if math.isfinite(value) else math.nan

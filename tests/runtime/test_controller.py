@@ -1,0 +1,251 @@
+"""The robot's controller: the simulator's actions, and a safe answer to whatever goes wrong."""
+
+import json
+import math
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl.config import EnvConfig
+from flipperctl.core.actions import ACTIONS
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.core.sensing import Measured
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import decisions
+from flipperctl.runtime import (
+    REP_103,
+    Ages,
+    Attitude,
+    Cloud,
+    FlipperController,
+    JointAngles,
+    Limits,
+    Mount,
+    Odometry,
+    RobotSetup,
+    Signs,
+)
+from tests.runtime.linear import METADATA, STEP, write
+
+ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_speed": 0.436}
+RULE = {"window": STEP, "limit": math.pi / 3}
+RELAXED = Limits(ages=Ages(joints=0.2))  # the simulated encoders report with each scan
+LEVEL = np.stack(np.meshgrid(np.linspace(-1, 2, 61), np.linspace(-0.5, 0.5, 11)), -1).reshape(-1, 2)
+GROUND = np.column_stack([LEVEL, np.full(len(LEVEL), -0.1)])
+IN_CHASSIS = RobotSetup(cloud_frame="base_link", mount=Mount(0.0, 0.0, math.pi / 2, 0.0, 0.05))
+"""Clouds come in the frame of the chassis."""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy whose action is the bin of the highest of the nine rear heights."""
+    path = tmp_path_factory.mktemp("policy") / "linear.onnx"
+    return write(path, robot=ROBOT, targets=RULE)
+
+
+@pytest.fixture
+def controller(file: Path) -> FlipperController:
+    return FlipperController(file, IN_CHASSIS, RELAXED)
+
+
+def good(now: float, **changes: object) -> dict[str, object]:
+    """Messages of a robot at rest on level ground."""
+    return {
+        "cloud": Cloud(now, "base_link", GROUND),
+        "attitude": Attitude(now, "base_link", 0.0, 0.0, 0.0),
+        "joints": JointAngles(now, 0.1, 0.2),
+        "odometry": Odometry(now, 0.2),
+        **changes,
+    }
+
+
+def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded: list[Measured] = []
+    update = LidarEstimator.update
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            LidarEstimator, "update", lambda self, m: (recorded.append(m), update(self, m))[1]
+        )
+        perception = {"name": "lidar", "pose": "belts", "azimuths": 60}
+        env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
+        policy = PolicySource(file).build(env.config)
+        driven = islice(decisions(env, policy, 7), 12)
+        actions = [ACTIONS.index(d.transition.action) for d in driven]
+    controller = FlipperController(file, limits=RELAXED)
+    kinds = {Scan: "cloud", Inertial: "attitude", Joints: "joints", Belts: "odometry"}
+    taken = []
+    for time in sorted({m.time for m in recorded}):
+        messages = {kinds[type(m.value)]: told(m) for m in recorded if m.time == time}
+        answer = controller.step(time, **messages)
+        assert not answer.fault, answer.reason
+        if answer.action is not None:
+            taken.append(answer.action)
+    assert len(actions) == 12
+    assert taken[: len(actions)] == actions
+    assert len(set(actions)) > 1
+
+
+def told(m: Measured) -> object:
+    """Return the message as a driver would send it."""
+    v = m.value
+    if isinstance(v, Scan):
+        return Cloud(m.time, "lidar", v.points)
+    if isinstance(v, Inertial):
+        return Attitude(m.time, "base_link", v.roll, v.pitch, v.yaw_rate)
+    if isinstance(v, Joints):
+        return JointAngles(m.time, v.front, v.rear)
+    return Odometry(m.time, v.speed)
+
+
+def drive(controller: FlipperController, until: float = 1.0) -> float:
+    """Let it drive on level ground; return the time of the last step."""
+    for i in range(round(until / 0.05) + 1):
+        answer = controller.step(0.05 * i, **good(0.05 * i))
+        assert answer.state == "driving", answer
+    return 0.05 * i
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault", "within"),
+    [
+        ({"cloud": None}, "cloud_age", 0.55),
+        ({"attitude": None}, "attitude_age", 0.15),
+        ({"joints": None}, "joints_age", 0.25),
+        ({"odometry": None}, "odometry_age", 0.35),
+        ({"cloud": Cloud(9.0, "base_link", GROUND)}, "cloud_stamp", 0.55),
+        ({"cloud": Cloud(1.1, "camera", GROUND)}, "cloud_frame", 0.55),
+        ({"cloud": Cloud(1.1, "base_link", np.full((500, 3), np.nan))}, "cloud_points", 0.55),
+        ({"cloud": Cloud(1.1, "base_link", "points")}, "cloud_shape", 0.55),
+        ({"attitude": Attitude(1.1, "base_link", 0, math.nan, 0)}, "attitude_value", 0.15),
+        ({"attitude": Attitude(1.1, "odom", 0, 0, 0)}, "attitude_frame", 0.15),
+        ({"joints": JointAngles(1.1, 57.0, 0.2)}, "joints_value", 0.25),
+        ({"joints": 0.3}, "joints_kind", 0.25),
+    ],
+)
+def test_a_bad_input_holds_the_flippers_in_time_and_then_stops(
+    controller: FlipperController, changes: dict, fault: str, within: float
+) -> None:
+    begun = now = drive(controller)
+    states = {}
+    while "stopped" not in states:
+        now += 0.05
+        answer = controller.step(now, **good(now, **changes))
+        states.setdefault(answer.state, (now, answer))
+        assert now < begun + 3
+    held, stopped = states["holding"], states["stopped"]
+    assert held[1].fault == stopped[1].fault == fault
+    assert held[0] - begun <= within + 1e-6
+    assert held[1].drive
+    assert not stopped[1].drive
+    assert stopped[0] - held[0] == pytest.approx(1.0, abs=0.06)
+    assert held[1].targets == pytest.approx((0.1, 0.2))  # the measured angles
+    assert controller.step(now + 0.05, **good(now + 0.05)).state == "driving"
+
+
+def test_too_large_a_tilt_stops_at_once(controller: FlipperController) -> None:
+    now = drive(controller) + 0.05
+    tilted = Attitude(now, "base_link", 0.0, 1.1, 0.0)
+    answer = controller.step(now, **good(now, attitude=tilted))
+    assert (answer.state, answer.drive, answer.fault) == ("stopped", False, "tilt")
+
+
+@pytest.mark.parametrize("jump", [-0.5, 30.0, math.nan])
+def test_a_clock_that_jumps_stops_and_what_was_known_is_forgotten(
+    controller: FlipperController, jump: float
+) -> None:
+    now = drive(controller)
+    answer = controller.step(now + jump)
+    assert (answer.drive, answer.state) == (False, "stopped")
+    assert answer.fault in ("clock", "clock_jump")
+    if math.isfinite(jump):
+        now += jump
+        assert controller.step(now + 0.05).fault == "joints_missing"
+        assert controller.step(now + 0.1, **good(now + 0.1)).state == "driving"
+
+
+def test_a_network_that_gives_no_number_holds(tmp_path: Path) -> None:
+    file = write(tmp_path / "linear.onnx", robot=ROBOT, targets=RULE)
+    controller = FlipperController(file, IN_CHASSIS, RELAXED)
+    controller.policy._limits[:] = math.inf
+    now = drive(controller) + 0.05
+    controller.policy._session = None  # every run fails from here on
+    for _ in range(12):
+        now += 0.05
+        answer = controller.step(now, **good(now))
+    assert answer.fault == "inference"
+    assert answer.targets == pytest.approx((0.1, 0.2))
+    assert answer.action is None
+
+
+def test_a_flipper_that_does_not_follow_is_not_pushed(file: Path) -> None:
+    limits = Limits(ages=Ages(joints=0.2), stall_time=1.0)
+    controller = FlipperController(file, IN_CHASSIS, limits)
+    faults = set()
+    for i in range(60):
+        now = 0.05 * i
+        answer = controller.step(now, **good(now))  # the angles never change
+        faults.add(answer.fault)
+        if answer.fault == "stall":
+            assert "flippers do not follow" in answer.reason
+            assert answer.targets == pytest.approx((0.1, 0.2))
+    assert faults == {"", "stall"}
+
+
+def test_the_targets_are_in_the_signs_of_the_robot(file: Path) -> None:
+    ours = FlipperController(file, IN_CHASSIS, RELAXED)
+    theirs = FlipperController(
+        file,
+        RobotSetup(signs=REP_103, cloud_frame="base_link", mount=IN_CHASSIS.mount),
+        RELAXED,
+    )
+    a = ours.step(0.0, **good(0.0))
+    b = theirs.step(0.0, **good(0.0, joints=JointAngles(0.0, -0.1, 0.2)))
+    assert a.action == b.action
+    assert (-b.targets[0], b.targets[1]) == pytest.approx(a.targets)
+
+
+def test_setpoints_move_at_the_speed_of_the_training(controller: FlipperController) -> None:
+    points = [controller.step(0.05 * i, **good(0.05 * i)).setpoints for i in range(12)]
+    steps = np.abs(np.diff(np.array(points), axis=0))
+    assert steps.max() <= 0.436 * 0.05 + 1e-9
+    assert steps.max() > 0
+
+
+def test_each_decision_and_each_change_of_state_is_logged(file: Path) -> None:
+    lines: list[str] = []
+    controller = FlipperController(file, IN_CHASSIS, RELAXED, lines.append)
+    now = drive(controller, 1.3)
+    controller.step(now + 5)
+    found = [json.loads(line) for line in lines]
+    assert [e["time"] for e in found[:3]] == pytest.approx([0.0, 0.6, 1.2])
+    assert all(e["action"] is not None for e in found[:3])
+    assert found[-1]["fault"] == "clock_jump"
+
+
+def test_any_input_gets_an_answer(controller: FlipperController) -> None:
+    """As ``python -m benchmarks.controller`` does with a million steps."""
+    from benchmarks.controller import Garbage
+
+    garbage = Garbage(5)
+    faults = set()
+    for _ in range(400):
+        now, messages = garbage.draw()
+        answer = controller.step(now, **messages)
+        faults.add(answer.fault)
+        assert answer.targets is None or np.abs(answer.targets).max() <= math.pi / 3 + 1e-9
+        assert answer.drive is (answer.state in ("driving", "holding"))
+        assert bool(answer.fault) == bool(answer.reason)
+    assert len(faults) > 8
+    assert "" in faults
+
+
+@pytest.mark.parametrize(("name", "value"), [("front", 2), ("x", 0), ("yaw", True)])
+def test_another_sign_is_refused(name: str, value: object) -> None:
+    with pytest.raises(Exception, match=f"signs.{name} is {value}; 1 or -1 is allowed"):
+        Signs(**{name: value})
