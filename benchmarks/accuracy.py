@@ -14,8 +14,9 @@ from benchmarks.policy_accuracy import measure_policies
 from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD
 from flipperctl.bench.statistics import quantity, ratio
-from flipperctl.config import resolver, with_overrides
+from flipperctl.config import with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
 
@@ -68,7 +69,7 @@ def _play(bench: Benchmark, scene: str, substep: float) -> list[Row]:
     """Play an episode from each start."""
     changes = {"terrain": scene, "sim.substep": substep}
     env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))
-    policy = resolver.create("controller", bench.settings.controller, "bench.controller").build()
+    policy = PolicySource.of_plugin(bench.settings.controller, "bench.controller").build(env.config)
     s = bench.settings
     seeds = EvaluationSeeds.of(s.seed, env.config.terrain).first(s.starts)
     return [play(env, policy, seed) for seed in seeds]

@@ -1,4 +1,4 @@
-"""Speed of the controller ``mpc`` at its defaults, and the accuracy of its prediction model.
+"""Speed of the controller ``mpc`` with its hand-set cost, and the accuracy of its prediction model.
 
 Whole episodes on several terrains: in turn, ``mpc`` plays an episode, the environment replays its
 actions, and the searches on rewards (``lookahead_values``) play it as well. Times are CPU times of
@@ -25,7 +25,7 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.testing.network import one_thread
 
 ABOUT = (
-    "CPU time of a decision of mpc at its defaults, without the first, which compiles; its "
+    "CPU time of a decision of mpc with its hand-set cost, without the first, which compiles; its "
     "simulated decisions against the environment's; errors of its prediction model against the "
     f"engine after one decision; {lookahead_values.ABOUT}"
 )
@@ -57,7 +57,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure times [s] and rates [1/s] of decisions, and errors of predictions."""
     s, config = bench.settings, bench.config.environment()
     terrains = {f: with_overrides(config, {"terrain": f}) for f in FAMILIES[: s.families]}
-    policy = Mpc().build()
+    policy = Mpc(value="").build()
     assert isinstance(policy, MpcPolicy)
     bench.report_progress("first decision, which compiles", 0.0)
     first = _first_decision(policy, config)

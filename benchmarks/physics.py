@@ -19,9 +19,10 @@ from benchmarks.planar import planar
 from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.statistics import quantity, ratio
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.world import GuardedWorld
+from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -58,7 +59,7 @@ class Recording:
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     """Play an episode with a controller plugin and record it."""
     env = FlipperEnv(config=config)
-    policy = resolver.create("controller", controller, "bench.controller").build()
+    policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
     env.reset(seed=seed)
     state = env.state
     start = Start(float(state.position[0]), state.front, state.rear)

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from flipperctl.api import FloatArray, RobotState
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc import Mpc
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, decisions
 
 MEASURES = {"position": "m", "pitch": "rad", "swing": "rad"}
@@ -31,7 +32,7 @@ def prediction_errors(
     The last decision of an episode is left out, since the engine ends it early.
     """
     env = FlipperEnv(config=config)
-    policy = resolver.create("controller", controller, "bench.controller").build()
+    policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
     found: dict[str, list[float]] = {name: [] for name in MEASURES}
     for seed in seeds:
         model = None
@@ -45,7 +46,7 @@ def prediction_errors(
 
 
 def _model(env: FlipperEnv) -> Model:
-    settings = Mpc()
+    settings = Mpc(value="")
     return Model(
         env.profile.points,
         env.robot,

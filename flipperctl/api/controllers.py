@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from flipperctl.api.plugin import Plugin, register
@@ -130,6 +130,9 @@ class Controller(Plugin):
     can teach."""
     baselines: ClassVar[tuple[str, ...]] = ()
     """Names of the controllers that ``eval`` compares this one with by default."""
+    reference_settings: ClassVar[Mapping[str, Any]] = {}
+    """Fields that differ from their defaults where the controller teaches, or is named beside
+    another policy: as a baseline, a reference or one of several that are compared."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:

@@ -16,9 +16,10 @@ from typing import Any
 from flipperctl.api.plugin import registered_names
 from flipperctl.bench.settings import ENGINE_GROUNDS, Bench, BenchSettings
 from flipperctl.bench.statistics import Values, measure_in_turn, quantity, ratio
-from flipperctl.config import DEFAULT_ENGINE, EnvConfig, resolver, with_overrides
+from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 
@@ -46,7 +47,7 @@ class Clock:
             MissingExtraError: the engine is not installed.
         """
         self._env = FlipperEnv(config=config)
-        policy = resolver.create("controller", controller, "bench.controller").build()
+        policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
         self._recordings = [
             Recording(seed, [d.action for d in decisions(self._env, policy, seed)])
             for seed in seeds

@@ -33,7 +33,10 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
         resolver.get("controller", controller, "--controller")
         overrides = Overrides.parse([f"controller={controller}", *words])
         found = compose.compose_eval(overrides)
-        return [(config, PolicySource(settings=settings)) for config, settings in found]
+        made = [(config, PolicySource(settings=settings)) for config, settings in found]
+        for note in dict.fromkeys(note for config, source in made for note in source.notes(config)):
+            print_note(note)
+        return made
     return _scenes_of_file(checkpoint, words)
 
 

@@ -45,7 +45,8 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
         defaults = resolver.defaults(cls)
         yield kind, name, defaults
         if kind == "controller":
-            yield "teacher", name, {**teaching, "controller": defaults}
+            own = getattr(cls, "reference_settings", {})
+            yield "teacher", name, {**teaching, "controller": {**defaults, **own}}
     for collector in (LocalCollector(), RayCollector()):
         yield "collector", collector.name, resolver.to_dict(collector)
 

@@ -69,6 +69,15 @@ def create(kind: str, settings: object, where: str) -> Any:
         raise ConfigError(explain(error, where, cls, fields)) from error
 
 
+def reference(name: str, where: str) -> dict[str, Any]:
+    """Return name and fields of a controller that is named beside another policy.
+
+    Raises:
+        ConfigError: there is no such controller.
+    """
+    return {"name": name, **getattr(get("controller", name, where), "reference_settings", {})}
+
+
 def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
     """Return an instance of a plugin, whose methods are guarded (``config.guarded``).
 
@@ -175,17 +184,21 @@ def _unwrap(error: BaseException) -> BaseException:
 def defaults(cls: type[Plugin]) -> dict[str, Any]:
     """Return the brief plain data of a plugin at its defaults.
 
+    A default of null stays null, also if the plugin then chooses by its other fields.
+
     Raises:
         ConfigError: a field has no default, or a default that is not valid.
         PluginError: the plugin's own code raised anything else.
     """
     try:
-        return to_dict(construct(cls, {}), brief=True)
+        found = to_dict(construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
             f"{guard.plugin_label(cls)}: its defaults are not valid: "
             f"{explain(error, '', cls)} ({guard.definition(cls)})"
         ) from error
+    chosen = {name for name, info in cls.model_fields.items() if info.default is None}
+    return {name: None if name in chosen else value for name, value in found.items()}
 
 
 def nested_plugins(plugin: Plugin) -> list[Plugin]:

@@ -48,7 +48,10 @@ class PlannerPolicy:
         """``trained``: a policy whose trajectory the search starts from."""
         self._settings = settings
         self._starts = {
-            name: resolver.create("controller", name, "planner").build() for name in _STARTS
+            name: resolver.create(
+                "controller", resolver.reference(name, "planner"), "planner"
+            ).build()
+            for name in _STARTS
         }
         if trained is not None:
             self._starts["policy"] = trained

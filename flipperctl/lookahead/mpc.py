@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from pydantic import PrivateAttr
 
@@ -17,13 +18,15 @@ class Mpc(MpcSettings, Controller):
     """Model predictive control: plan on the perceived ground, take one action, plan again.
 
     At each decision a beam search simulates a nominal robot on the perceived ground and takes the
-    first action of the cheapest plan. The cost of a plan is its lost time plus, weighted in
-    seconds, its pitch variation, its postures and its pitch at the horizon. The controller needs
-    no training and runs in real time on one core. With ``value``, plans have the largest return of
-    reward terms instead, and end with the values of a trained policy.
+    first action of the best plan. With ``value``, by default the shipped one, plans have the
+    largest return of reward terms, and end with the values of a trained policy. Without it, they
+    have the least hand-set cost: lost time plus, weighted in seconds, pitch variation, postures and
+    the pitch at the horizon. The controller needs no training of its own and runs in real time on
+    one core.
     """
 
     baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+    reference_settings: ClassVar[Mapping[str, Any]] = {"value": ""}
 
     _learned: LearnedValue | None = PrivateAttr(None)
 
@@ -35,6 +38,10 @@ class Mpc(MpcSettings, Controller):
         settings = self.model_copy()
         settings._learned = learned
         return settings
+
+    def without_value(self) -> Mpc:
+        """Return these settings with the hand-set cost."""
+        return self.model_copy(update={"value": ""})
 
     def build(self) -> Policy:
         """Return a policy that plans with these settings.
@@ -50,7 +57,8 @@ class Mpc(MpcSettings, Controller):
             return ReturnPolicy(self, self._learned)
         if self.value:
             raise ConfigError(
-                f"controller.value={self.value}: this command reads no values for the controller"
+                f"controller.value={self.value}: the file of the values was not read; "
+                "flipperctl.load and the commands read it, and value='' needs none"
             )
         if self.rewards is not None:
             raise ConfigError(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flipperctl.api import Robot, Settings
 from flipperctl.config.models import AnyRewards
@@ -16,15 +17,31 @@ if TYPE_CHECKING:
 STEEP_FROM, STEEP = 0.9, 30.0
 """Pitch above which steepness is charged, below overturning [rad], and its cost weight [s/rad]."""
 
+SHIPPED = "mpc_value"
+"""Name of the shipped policy whose values end the horizon by default."""
+HAND_SET = (
+    *("swing", "pitch", "lean", "flippers", "turn", "standstill", "standstill_from", "steep"),
+    *("steep_from", "wider", "stuck_from"),
+)
+"""Fields of the hand-set cost, which have no effect with ``value``."""
+
 
 class MpcSettings(Settings):
     """Size of the search, cost weights of a plan, and settings of the prediction model."""
 
-    value: str = Field(
-        "",
+    value: str | None = Field(
+        None,
         description="a run, a checkpoint or a shipped policy whose values end the horizon; plans "
         "then have the largest return of ``rewards`` instead of the least hand-set cost; empty: "
-        "none [-]",
+        "the hand-set cost; null: mpc_value, and the hand-set cost if there are ``rewards`` or a "
+        "setting of it (swing, pitch, lean, flippers, turn, standstill, standstill_from, steep, "
+        "steep_from, wider, stuck_from) is not at its default [-]",
+    )
+    fallback: bool | None = Field(
+        None,
+        description="whether the hand-set cost replaces ``value`` for a robot of other dimensions "
+        "than those of its training, or if less of the ground is perceived; null: only if "
+        "``value`` is null [-]",
     )
     rewards: AnyRewards | None = Field(
         None,
@@ -113,6 +130,24 @@ class MpcSettings(Settings):
         description="time after which a search ends early; only without it are decisions exactly "
         "repeatable [s]",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_value(cls, data: Any) -> Any:
+        """Return the settings with a value in place of null, so that saved ones name it.
+
+        Saved settings of version 0.2 have no ``value`` and every field of the hand-set cost, which
+        they keep: without ``value``, a field of that cost counts even at its default.
+        """
+        if not isinstance(data, Mapping) or data.get("value") is not None:
+            return data
+        own = (name for name in HAND_SET if name in data)
+        defaults = {name: cls.model_fields[name].default for name in HAND_SET}
+        chosen = any("value" not in data or data[name] != defaults[name] for name in own)
+        if chosen or data.get("rewards") is not None:
+            return {**data, "value": ""}
+        fallback = data.get("fallback")
+        return {**data, "value": SHIPPED, "fallback": True if fallback is None else fallback}
 
     @property
     def assumed_friction(self) -> float:

@@ -68,11 +68,18 @@ class ValueUser(Protocol):
     """A controller that ends its plans with the values of a trained policy."""
 
     @property
-    def value(self) -> str:
+    def value(self) -> str | None:
         """A run, a checkpoint or a shipped policy; empty for none."""
+
+    @property
+    def fallback(self) -> bool | None:
+        """Whether the controller plans without values for a robot that these do not fit."""
 
     def ending_with(self, learned: LearnedValue, /) -> Controller:
         """Return the same settings with the values that the setting ``value`` names."""
+
+    def without_value(self) -> Controller:
+        """Return the same settings without values."""
 
 
 @runtime_checkable

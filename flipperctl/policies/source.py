@@ -5,6 +5,7 @@ In: a file, or the name and settings of a controller plugin. Out: the policy.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,14 +37,15 @@ class PolicySource:
 
     @classmethod
     def of_plugin(cls, name: str, path: str) -> PolicySource:
-        """Return the source of a registered controller at its defaults.
+        """Return the source of a registered controller at its ``reference_settings``.
 
         ``path``: the option or configuration key that asks for it, for the error.
 
         Raises:
             ConfigError: there is no such controller, or its defaults are not valid.
         """
-        return cls(settings=resolver.to_dict(resolver.create("controller", name, path)))
+        found = resolver.create("controller", resolver.reference(name, path), path)
+        return cls(settings=resolver.to_dict(found))
 
     def label(self) -> str:
         """Return the name that tables and files use.
@@ -90,6 +92,15 @@ class PolicySource:
             return _exported(self.checkpoint, config)
         return _trained(self.checkpoint, config)
 
+    def notes(self, config: EnvConfig) -> Iterator[str]:
+        """Yield what a controller does otherwise than its settings name in this environment.
+
+        Raises:
+            CheckpointError: a file is missing or damaged.
+        """
+        if self.checkpoint is None:
+            yield from controller_notes(self._controller(), config)
+
     def _controller(self) -> Controller:
         found = resolver.create("controller", self.settings, "controller")
         assert isinstance(found, Controller)
@@ -108,15 +119,48 @@ def controller_policy(
         ConfigError: the controller's settings are not possible.
         PluginFailedError: the controller's code failed.
     """
+    return plugin_policy(with_files(controller, config, path))
+
+
+def with_files(controller: Controller, config: EnvConfig, path: str = "controller") -> Controller:
+    """Return a controller with the files and rewards that it uses, ready to be built.
+
+    ``path``: section of the controller, for errors.
+
+    Raises:
+        CheckpointError: a file is missing or damaged, or does not fit the environment.
+    """
     if isinstance(controller, PolicyUser) and controller.policy:
         with naming(f"{path}.policy"):
             file = find(Path(controller.policy))
         controller = controller.starting_from(PolicySource(file).build(config))
     if isinstance(controller, ValueUser) and controller.value:
-        controller = controller.ending_with(learned_value(controller.value, f"{path}.value"))
+        learned = learned_value(controller.value, f"{path}.value")
+        if controller.fallback and any(learned.misfits(config.robot, config.perception.layout)):
+            controller = controller.without_value()
+        else:
+            controller = controller.ending_with(learned)
     if isinstance(controller, RewardUser):
         controller = controller.paying(config.rewards)
-    return plugin_policy(controller)
+    return controller
+
+
+def controller_notes(
+    controller: Controller, config: EnvConfig, path: str = "controller"
+) -> Iterator[str]:
+    """Yield a line if ``with_files`` replaces the values of a controller by its own cost.
+
+    Raises:
+        CheckpointError: the file is missing or damaged.
+    """
+    if isinstance(controller, ValueUser) and controller.value and controller.fallback:
+        learned = learned_value(controller.value, f"{path}.value")
+        found = list(learned.misfits(config.robot, config.perception.layout))
+        if found:
+            yield (
+                f"{path}.value: {controller.value} was not trained for {', '.join(found)}; plans "
+                f"have the hand-set cost instead; {path}.value={controller.value} keeps the values"
+            )
 
 
 def _exported(file: Path, config: EnvConfig) -> Policy:

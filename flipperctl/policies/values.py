@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray
-from flipperctl.checkpoint import find, read
+from flipperctl.api import FloatArray, RobotGeometry
+from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
-from flipperctl.lookahead.learned import LearnedValue
+from flipperctl.lookahead.learned import TOLERANCE, LearnedValue
 from flipperctl.policies.exported import is_exported
 from flipperctl.policies.trained import policy_module
 
@@ -45,6 +46,18 @@ def learned_value(name: str, path: str) -> LearnedValue:
                 f"{file}: an exported file has no rewards and no discount; give its run or "
                 "checkpoint"
             )
+    if file in shipped_policies().values():  # each policy that is built would read it again
+        return _cached(name, path, file)
+    return _read(name, path, file)
+
+
+@cache
+def _cached(name: str, path: str, file: Path) -> LearnedValue:
+    return _read(name, path, file)
+
+
+def _read(name: str, path: str, file: Path) -> LearnedValue:
+    with naming(path):
         checkpoint = read(file)
         config = checkpoint.policy_config()
     if config.network.frames > 1:
@@ -71,4 +84,13 @@ def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
             best = module(torch.from_numpy(observations)).amax(dim=1)
         return np.asarray(best.numpy(), np.float64) / scale
 
-    return LearnedValue(value, config.rewards, config.agent.gamma, config.perception.layout)
+    layout, sizes = config.perception.layout, dict(_sizes(config))
+    return LearnedValue(value, config.rewards, config.agent.gamma, layout, sizes)
+
+
+def _sizes(config: TrainConfig) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield each dimension of the training's robots with its smallest and largest size [m, rad]."""
+    for name in RobotGeometry.model_fields:
+        own, sampled = getattr(config.robot, name), config.randomise.find("robot", name)
+        close = ((1 - TOLERANCE) * own, (1 + TOLERANCE) * own)
+        yield name, close if sampled is None else sampled.ends

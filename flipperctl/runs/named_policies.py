@@ -49,7 +49,7 @@ def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str 
 
 
 def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
-    """Return controllers at their defaults; ``names`` are separated by commas.
+    """Return controllers at their ``reference_settings``; ``names`` are separated by commas.
 
     ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
 
@@ -106,7 +106,8 @@ def _source(
         return PolicySource(checkpoint=find_policy(path, tell))
     known = resolver.get("controller", label, option).model_fields
     own = {name: value for name, value in fields.items() if name in known}
-    made: Controller = resolver.create("controller", {"name": label, **own}, "controller")
+    settings = {**resolver.reference(label, option), **own}
+    made: Controller = resolver.create("controller", settings, "controller")
     return PolicySource(settings=resolver.to_dict(made))
 
 

@@ -180,6 +180,8 @@ class LoadedPolicy:
         return self._policy.act(perception)
 
     def _build(self, config: EnvConfig) -> None:
+        for note in self.source.notes(config):
+            print_note(note)
         self._policy, self._config = self.source.build(config), config
 
     def _observing(self, given: str) -> ObservationPolicy:

@@ -8,6 +8,8 @@ from statistics import median
 from time import perf_counter
 
 from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Simulator
+from flipperctl.config import EnvConfig
+from flipperctl.policies.abilities import ValueUser
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
@@ -63,11 +65,20 @@ def _play(controller: Controller, scene: int, enough: float) -> tuple[list[int],
     The episode is left once these times exceed ``enough`` [s].
     """
     env = _scenes(controller)[scene].environment()
-    recorder = _ActionRecorder(controller, scene)
+    recorder = _ActionRecorder(_ready(controller, env.config), scene)
     for _ in islice(decisions(env, recorder, scene), DECISIONS):
         if sum(recorder.times) > enough:  # planners are slow at their outermost settings
             break
     return recorder.actions, recorder.times
+
+
+def _ready(controller: Controller, config: EnvConfig) -> Controller:
+    """Return the controller with the values that it names; torch is imported only for these."""
+    if not isinstance(controller, ValueUser):
+        return controller
+    from flipperctl.policies.source import with_files
+
+    return with_files(controller, config)
 
 
 class _ActionRecorder:

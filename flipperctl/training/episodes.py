@@ -14,7 +14,7 @@ from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.policies.source import controller_policy
+from flipperctl.policies.source import controller_notes, controller_policy
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
@@ -36,7 +36,7 @@ class EpisodeSource:
     ) -> None:
         """``rng`` chooses the random actions of episodes in this process.
 
-        ``report`` is called with sentences about the workers for the user.
+        ``report`` is called with sentences about the workers and the teacher for the user.
         """
         self._config, self._agent, self._progress = config, agent, progress
         self._rng, self._report = rng, report
@@ -56,6 +56,9 @@ class EpisodeSource:
         ``stop`` can end its waits and its evaluations.
         """
         config = self._config
+        if (teacher := config.teacher.controller) is not None:
+            for note in controller_notes(teacher, config, "teacher.controller"):
+                self._report(note)
         if config.train.mode == "exact":
             return self._in_process_collector(stop)
         document, paths = to_dict(config), plugins.configured_paths()

@@ -152,7 +152,7 @@ def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_recorded_episodes_are_those_of_the_evaluation(jobs: int) -> None:
     config = EnvConfig(terrain="step")
-    source = PolicySource(settings={"name": "mpc", "beam": 4, "horizon": 3})
+    source = PolicySource(settings={"name": "mpc", "beam": 2, "horizon": 2})
     plain = list(play_episodes(config, source, episodes=2, seed=3))
     with EpisodeWorkers(jobs) as workers:
         played = play_episodes(config, source, episodes=2, seed=3, workers=workers, record=True)

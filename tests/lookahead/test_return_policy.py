@@ -127,7 +127,9 @@ def test_rewards_need_values_of_what_follows() -> None:
         ConfigError, match=r"controller\.rewards: .* set controller\.value to a run"
     ):
         Mpc(rewards={"end": "end"}).build()
-    with pytest.raises(ConfigError, match=r"controller\.value=run: this command reads no values"):
+    with pytest.raises(
+        ConfigError, match=r"controller\.value=run: the file of the values was not read"
+    ):
         Mpc(value="run").build()
 
 

@@ -12,6 +12,7 @@ from flipperctl.rollout.episode import play
 
 pytestmark = pytest.mark.slow
 
+MPC = {"name": "mpc", "value": ""}
 QUICK = {"name": "planner", "width": 6, "budget": 6000}
 
 
@@ -27,7 +28,7 @@ def planned(env: FlipperEnv, **settings: object) -> dict[str, object]:
 def test_a_plan_crosses_a_step_more_smoothly_than_the_policies_it_starts_from() -> None:
     env = FlipperEnv("paper_step", **{"episode.start_noise": 0.0})
     row = planned(env, budget=3000)
-    others = [play(env, built(name), seed=1) for name in ("level", "okada", "mpc")]
+    others = [play(env, built(name), seed=1) for name in ("level", "okada", MPC)]
     assert row["outcome"] == Outcome.REACHED
     costs = [r["t_cost"] + 30 * r["pitch_variation_100hz"] for r in (row, *others)]
     assert costs[0] == min(costs)
@@ -83,7 +84,7 @@ class Script:
 def test_a_given_policy_is_one_of_the_first_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(best_known, "_STARTS", ("level",))
     env, actions = FlipperEnv("step"), list[int]()
-    mpc = resolver.create("controller", "mpc", "test").build()
+    mpc = resolver.create("controller", MPC, "test").build()
     row = play(env, mpc, seed=1, watch=lambda d: actions.append(d.action))
     settings = {**QUICK, "budget": 1, "policy": "a script"}
     planner = resolver.create("controller", settings, "test").starting_from(Script(actions))

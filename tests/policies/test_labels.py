@@ -29,7 +29,7 @@ def test_an_action_that_costs_a_temperature_more_is_e_times_less_probable() -> N
 
 
 def test_only_some_controllers_offer_costs() -> None:
-    assert isinstance(policy("mpc"), CostPolicy)
+    assert isinstance(policy("mpc", value=""), CostPolicy)
     assert not isinstance(policy("okada"), CostPolicy)
 
 
@@ -47,7 +47,7 @@ def test_a_collector_keeps_the_labels_of_any_policy_that_has_them() -> None:
 def test_the_cheapest_action_of_mpc_is_the_one_that_it_takes() -> None:
     env = FlipperEnv("pallet")
     env.reset(seed=3)
-    asked, acting = (policy("mpc", beam=4, horizon=4) for _ in range(2))
+    asked, acting = (policy("mpc", value="", beam=4, horizon=4) for _ in range(2))
     for one in (asked, acting):
         one.reset(env.simulator(lambda fraction: None))
     for _ in range(25):
@@ -65,7 +65,7 @@ def test_the_cheapest_action_of_mpc_is_the_one_that_it_takes() -> None:
 def test_mpc_plans_on_from_an_action_that_was_not_its_own() -> None:
     env = FlipperEnv("flat")
     env.reset(seed=1)
-    asked = policy("mpc", beam=2, horizon=2)
+    asked = policy("mpc", value="", beam=2, horizon=2)
     asked.reset(env.simulator(lambda fraction: None))
     up = len(ACTIONS) - 1
     for _ in range(40):

@@ -98,7 +98,8 @@ def test_a_plugin_whose_groups_are_nonsense_is_named(answer: Any, text: str) -> 
 def test_most_controllers_value_no_states(name: str) -> None:
     found = resolver.create("controller", name, "controller")
     assert isinstance(found, Controller)
-    assert not isinstance(plugin_policy(found), ValuingPolicy)
+    policy = controller_policy(found, EnvConfig(terrain="flat"))
+    assert not isinstance(policy, ValuingPolicy)
 
 
 def test_value_iteration_gets_the_rewards_of_the_environment() -> None:

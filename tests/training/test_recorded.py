@@ -24,7 +24,7 @@ from tests.short import short_config, trainer
 pytestmark = pytest.mark.slow
 
 OKADA = PolicySource(settings={"name": "okada"})
-MPC = {"teacher.controller": {"name": "mpc", "beam": 2, "horizon": 2}}
+MPC = {"teacher.controller": {"name": "mpc", "value": "", "beam": 2, "horizon": 2}}
 
 
 @pytest.fixture(scope="module")

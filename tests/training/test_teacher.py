@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.config import EnvConfig, Teacher, TrainConfig, with_overrides
+from flipperctl.config import EnvConfig, Teacher, TrainConfig, resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import plugin_policy
@@ -22,7 +22,7 @@ from tests.short import short_config, trainer
 pytestmark = pytest.mark.slow
 
 OKADA = {"teacher.controller": {"name": "okada"}}
-LOOKAHEAD = {"teacher.controller": {"name": "mpc", "beam": 1, "horizon": 2}}
+LOOKAHEAD = {"teacher.controller": {"name": "mpc", "value": "", "beam": 1, "horizon": 2}}
 
 
 class _Student:
@@ -66,7 +66,8 @@ def drive(settings: Teacher, *, learns: bool = True, count: int = 10) -> list[tu
 
 @pytest.mark.parametrize("name", ["okada", "mpc"])
 def test_the_teacher_labels_what_the_student_drives(name: str) -> None:
-    driven = drive(Teacher(controller=name, student_share=1))
+    controller = resolver.reference(name, "teacher")
+    driven = drive(Teacher(controller=controller, student_share=1))
     assert {action for action, _ in driven} == {8}
     assert any(label != 8 for _, label in driven)
 
@@ -111,7 +112,11 @@ def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> Non
     )
 
     def labels(config: EnvConfig, **settings: bool) -> NDArray[np.float64]:
-        mpc = {"name": "mpc", "friction": 1.0}  # the true one, which a privileged teacher is told
+        mpc = {
+            "name": "mpc",
+            "value": "",
+            "friction": 1.0,
+        }  # the true one, which a privileged teacher is told
         teacher = Teacher(controller=mpc, student_share=1, **settings)
         policy = TaughtPolicy(
             *(_Student(), plugin_policy(teacher.controller), teacher),

@@ -12,7 +12,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.sim.planar import PlanarSensor
 
-MPC = to_dict(Mpc())
+MPC = to_dict(Mpc(value=""))
 
 
 def compose_train(words: list[str]) -> list[TrainConfig]:

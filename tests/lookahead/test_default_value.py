@@ -1,0 +1,189 @@
+"""The value of ``mpc`` that null stands for, and the robots for which it is not used."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import flipperctl
+from flipperctl import checkpoint
+from flipperctl.api import Controller
+from flipperctl.cli.hydra import compose
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.scenes import scenes
+from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead import best_known
+from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.planner_settings import PlannerSettings
+from flipperctl.lookahead.policy import MpcPolicy
+from flipperctl.lookahead.return_policy import ReturnPolicy
+from flipperctl.policies.source import PolicySource, with_files
+from flipperctl.policies.values import learned_value
+from flipperctl.runs import named_policies
+from tests.short import short_config, trainer
+
+FLAT = EnvConfig(terrain="flat")
+SMALLER = {"robot.flipper_length": 0.45}
+NOTE = r"^controller\.value: mpc_value was not trained for robot\.flipper_length=0\.45 \(0\.5253 to"
+HAND_SET = [
+    *("swing", "pitch", "lean", "flippers", "turn", "standstill", "standstill_from", "steep"),
+    *("steep_from", "wider", "stuck_from"),
+]
+
+
+def built(settings: Any, config: EnvConfig = FLAT) -> type[object]:
+    """Return the class of the policy that a controller builds with its files."""
+    found = resolver.create("controller", settings, "controller")
+    assert isinstance(found, Controller)
+    return type(with_files(found, config).build())
+
+
+def composed(*words: str) -> dict[str, Any]:
+    ((_, settings),) = compose.compose_eval(Overrides.parse(["controller=mpc", *words]))
+    assert settings is not None
+    return settings
+
+
+def taught(*words: str) -> dict[str, Any]:
+    (config,) = compose.compose_train(Overrides.parse(list(words)))
+    controller = to_dict(config)["teacher"]["controller"]
+    assert isinstance(controller, dict)
+    return controller
+
+
+def test_null_is_the_shipped_value_and_saved_settings_name_it() -> None:
+    saved = to_dict(Mpc())
+    assert (saved["value"], saved["fallback"]) == ("mpc_value", True)
+    assert resolver.create("controller", saved, "controller") == Mpc()
+    assert composed()["value"] is None  # so that other settings can still choose
+    assert built(composed()) is built("mpc") is ReturnPolicy
+    assert built({"name": "mpc", "value": ""}) is MpcPolicy
+
+
+@pytest.mark.parametrize("name", HAND_SET)
+def test_a_setting_of_the_hand_set_cost_chooses_that(name: str) -> None:
+    other = 1.5 * Mpc.model_fields[name].default
+    assert (Mpc(**{name: other}).value, Mpc(**{name: other}).assumed_friction) == ("", 0.8)
+    chosen = resolver.create("controller", composed(f"controller.{name}={other}"), "controller")
+    assert chosen.value == ""
+    assert Mpc(**{name: other, "value": "mpc_value"}).value == "mpc_value"
+
+
+def test_other_settings_and_defaults_do_not() -> None:
+    for words in (["controller.beam=4"], ["controller.swing=10"], ["controller.averaging=0"]):
+        assert built(composed(*words)) is ReturnPolicy
+    assert Mpc(beam=4, friction=0.7).value == "mpc_value"
+
+
+def test_settings_of_version_0_2_keep_the_hand_set_cost() -> None:
+    """They hold every field of the cost at its default, and no value."""
+    file = checkpoint.shipped_policies()["generalist"]
+    saved = checkpoint.read(file).document.config.model_dump(mode="json")["teacher"]["controller"]
+    assert "value" not in saved
+    assert saved["swing"] == Mpc.model_fields["swing"].default
+    assert resolver.create("controller", saved, "controller").value == ""
+
+
+def test_rewards_alone_take_no_other_objective_s_value() -> None:
+    assert Mpc(rewards={"end": "end"}).value == ""
+    assert Mpc(rewards={"end": "end"}, value="mpc_value").value == "mpc_value"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=generalist"], ["experiment=taught_td"]],
+    ids=" ".join,
+)
+def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
+    assert taught(*words)["value"] == ""
+    own = taught(*words, "teacher.controller.value=null")
+    assert (own["value"], own["fallback"]) == ("mpc_value", True)
+
+
+def test_a_name_beside_another_policy_is_the_hand_set_cost() -> None:
+    (baseline,) = named_policies.controllers("mpc", "--baseline")
+    assert baseline.settings is not None
+    compared = named_policies.policies("level,mpc", {}, print)["mpc"]
+    valued = named_policies.policies("level,mpc", {"value": "mpc_value"}, print)["mpc"]
+    assert baseline == compared
+    assert built(baseline.settings) is MpcPolicy
+    assert built(valued.settings) is ReturnPolicy
+
+
+def test_a_planner_starts_from_the_hand_set_cost() -> None:
+    starts = best_known.PlannerPolicy(PlannerSettings(), None)._starts
+    assert type(starts["mpc"]) is MpcPolicy
+
+
+# Other robots
+
+
+@pytest.mark.parametrize(
+    ("changed", "fits"),
+    [
+        ({}, True),
+        ({"robot.flipper_length": 0.546}, True),  # 2 % more
+        ({"robot.flipper_length": 0.548}, False),
+        ({"robot.chassis_length": 0.9}, False),
+        ({"robot.track_radius": 0.09}, False),
+        ({"robot.angle_step": 0.2}, False),
+        ({"robot.angle_limit": 1.2}, False),
+        ({"robot.track_speed": 0.5, "robot.chassis_mass": 60.0}, True),
+        ({"perception.bins": 31}, True),
+        ({"perception.bins": 7}, False),
+        ({"perception.bins": 75, "perception.bin_width": 0.03}, True),  # as far, finer
+    ],
+)
+def test_the_default_is_used_for_robots_like_those_of_its_training(
+    changed: dict[str, float], fits: bool
+) -> None:
+    config = with_overrides(FLAT, changed)
+    assert built("mpc", config) is (ReturnPolicy if fits else MpcPolicy)
+    assert bool(list(PolicySource(settings={"name": "mpc"}).notes(config))) is not fits
+    for named in ({"value": "mpc_value"}, {"fallback": False}):
+        assert built({"name": "mpc", **named}, config) is ReturnPolicy
+    named = {"value": "mpc_value", "fallback": True}
+    assert built({"name": "mpc", **named}, config) is (ReturnPolicy if fits else MpcPolicy)
+
+
+def test_the_range_of_a_training_s_robots_counts(tmp_path: Path) -> None:
+    config = short_config(**{"randomise.flipper_length": [0.5, 0.6], "robot.angle_limit": 1.0})
+    trainer(config, tmp_path).save()
+    sizes = learned_value(str(tmp_path), "controller.value").sizes
+    assert sizes["flipper_length"] == (0.5, 0.6)
+    assert sizes["angle_limit"] == pytest.approx((0.98, 1.02))
+
+
+def test_one_line_says_that_the_value_is_not_used(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["terrain=flat,step", "robot.flipper_length=0.45"]
+    scenes(words, None, "mpc")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.match(NOTE, line)
+    scenes([*words, "controller.value=mpc_value"], None, "mpc")
+    scenes(words, None, "okada")
+    assert not capsys.readouterr().err
+
+
+def test_python_says_it_too(capsys: pytest.CaptureFixture[str]) -> None:
+    env = FlipperEnv("flat", **SMALLER)
+    env.reset(seed=1)
+    loaded = flipperctl.load("mpc", beam=1, horizon=1)
+    for _ in range(2):
+        loaded.reset(env)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.match(NOTE, line)
+
+
+def test_a_training_says_it_of_its_teacher(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    run = trainer(short_config(**{"teacher.controller": "mpc", **SMALLER}), tmp_path)
+    monkeypatch.setattr(run.episodes, "_report", said.append)
+    run.episodes.start_collector((), lambda: False).close()
+    (line,) = said
+    assert re.match(NOTE, line.removeprefix("teacher."))
+
+
+def test_the_shipped_file_is_read_once() -> None:
+    assert learned_value("mpc_value", "here") is learned_value("mpc_value", "here")
