@@ -36,7 +36,7 @@ _RESERVED = frozenset(
         *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
         *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
-        *("static_bound", "by", "mean_return"),
+        *("static_bound", "by", "mean_return", "failed_by"),
     )
 )
 """Columns and keys of files besides the measures."""

@@ -19,11 +19,13 @@ from flipperctl.evaluation.results import (
     SceneResult,
     Summary,
 )
+from flipperctl.evaluation.sensing import counts
 from flipperctl.evaluation.tables import interval_text
 from flipperctl.terminal.groups import BOUND, group_table
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
 
+_CAUSES = "failures by cause"
 _PASSABLE = ("passable", "of these", "beyond")
 _FAILED = f"{HEADING} where not reached"
 
@@ -36,22 +38,25 @@ def table(result: EvaluationResult, label: str) -> Table:
     title = label if result.interruption is None else f"{label} ({result.interruption.text})"
     passable = any(scene.summary.passable for scene in result.scenes)
     failed = any(scene.summary.not_reached for scene in result.scenes)
+    causes = any(counts(scene.episodes) for scene in result.scenes)
     bound = any(scene.summary.static_bound for scene in result.scenes)
     headings = [
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
+        *((_CAUSES,) if causes else ()),
         *(HEADING, *((BOUND,) if bound else ()), PAPERS_HEADING),
         *(*((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
         *map(heading, other_measures()),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
-    found = Table(headings, title, words=["outcomes"])
+    found = Table(headings, title, words=["outcomes", _CAUSES])
 
-    def cells(name: str, summary: Summary) -> list[str]:
+    def cells(name: str, summary: Summary, failed: Mapping[str, int] | None = None) -> list[str]:
         return [
             *(name, str(summary.episodes), interval_text(summary.success, 3)),
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
+            *((_numbers(failed or {}),) if causes else ()),
             interval_text(summary.pitch_variation_100hz),
             *((interval_text(summary.static_bound),) if bound else ()),
             interval_text(summary.pitch_variation),
@@ -64,7 +69,7 @@ def table(result: EvaluationResult, label: str) -> Table:
 
     for name, scene in _named(result):
         shown = f"{name}, {scene.controller}" if several else name
-        found.add(*cells(shown, scene.summary))
+        found.add(*cells(shown, scene.summary, counts(scene.episodes)))
         for part, summary in scene.summary.parts.items():
             found.add(*cells(f"  {part}", summary), dim=True)
     return found
@@ -139,8 +144,11 @@ def _passable_cells(summary: Summary) -> list[str]:
 
 
 def _outcomes(summary: Summary) -> str:
-    counts = summary.outcomes.to_dict()
-    return " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count)
+    return _numbers(summary.outcomes.to_dict())
+
+
+def _numbers(counted: Mapping[str, int]) -> str:
+    return " ".join(f"{name} {count}" for name, count in counted.items() if count)
 
 
 def _failed_text(summary: Summary) -> str:
