@@ -72,7 +72,8 @@ class EpisodeResult:
         rest = dict(row)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
         drawn = {n.removeprefix(DRAWN): rest.pop(n) for n in row if n.startswith(DRAWN)}
-        further = {m.plugin_name: rest.pop(m.plugin_name) for m in other_measures()}
+        names = (m.plugin_name for m in other_measures())
+        further = {name: rest.pop(name) for name in names if name in rest}
         return cls(
             episode,
             seed=rest.pop("seed"),
