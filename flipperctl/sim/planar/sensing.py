@@ -60,20 +60,22 @@ class PlanarSensor(Sensor):
         ge=0,
         le=0.1,
         description="standard deviation of an error of the ground's heights that stays at its "
-        "place during the episode, as on a map; 0.006 is like perception=lidar [m]",
+        "place during the episode, as on a map; 0.005 is like perception=lidar [m]",
     )
     map_length: float = Field(
-        0.3,
+        2.0,
         gt=0.01,
         le=10,
-        description="distance over which map_error loses its correlation [m]",
+        description="distance over which map_error loses its correlation, as fitted to "
+        "perception=lidar, whose bias of the distances reaches far [m]",
     )
     map_drift: float = Field(
         0.0,
         ge=0,
         le=0.5,
         description="standard deviation of the error of odometry over 1 m of the way, by which "
-        "ground that was seen earlier, below and behind the robot, is displaced [m]",
+        "ground that was seen earlier, below and behind the robot, is displaced; 0.065 is like "
+        "perception=lidar perception.pose=matched [m]",
     )
     occlusion: bool = Field(
         False,
