@@ -48,7 +48,7 @@ from flipperctl.api.sensors import (
     sensor,
 )
 from flipperctl.api.surface import MirroredSurface, Surface
-from flipperctl.api.terrains import AnyTerrain, Terrain, terrain
+from flipperctl.api.terrains import AnyTerrain, Published, Terrain, terrain
 from flipperctl.api.transitions import LAST_PITCHES, RobotStates, Transitions
 from flipperctl.api.values import (
     MAX_HISTORY,
@@ -96,6 +96,7 @@ __all__ = [
     "Plugin",
     "Policy",
     "Profile",
+    "Published",
     "RayWorld",
     "RememberingSensor",
     "RewardTerm",

@@ -24,6 +24,9 @@ class Measure(Plugin, ABC):
     """Number of decimals in tables."""
     reached_only: ClassVar[bool] = False
     """Whether only episodes that reached the finish are compared, as for a duration."""
+    mapped_only: ClassVar[bool] = False
+    """Whether only episodes whose sensor maps the ground have it (``Perception.seen`` is not None).
+    Such a measure is shown in evaluations with such a sensor, and no training logs it."""
     better: ClassVar[Literal["lower", "higher"] | None] = None
     """Which values are better, as stated in tables of differences; None: neither."""
 

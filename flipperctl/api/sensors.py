@@ -121,6 +121,11 @@ class Sensor(ObservationLayout, Plugin):
         return type(self)(**self.layout.model_dump())
 
     @property
+    def without_effect(self) -> frozenset[str]:
+        """Names of the settings that change nothing, given the others."""
+        return frozenset()
+
+    @property
     def layout(self) -> ObservationLayout:
         """Layout of the observation, without the sensor's own settings."""
         return ObservationLayout(bins=self.bins, bin_width=self.bin_width)

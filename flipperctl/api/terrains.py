@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -15,10 +15,28 @@ from flipperctl.api.plugin import Plugin, mapping, register, registered_names, s
 from flipperctl.api.profile import Profile
 
 
+@dataclass(frozen=True)
+class Published:
+    """What someone measured on a terrain at its defaults, for ``eval`` to show beside its own."""
+
+    source: str
+    """Who measured it, in a word or two."""
+    conditions: str
+    """The ``conditions=`` that repeat the experiment; under others nothing is shown."""
+    t_cost: float
+    """Mean time from start to finish [s]."""
+    pitch_variation: float
+    """Mean θ̂_R at decisions [rad]."""
+    pitch_variation_range: float
+    """Largest minus smallest θ̂_R at decisions [rad]."""
+
+
 class Terrain(Plugin, ABC):
     """Generates the ground of an episode."""
 
     kind: ClassVar[str] = "terrain"
+    published: ClassVar[Published | None] = None
+    """Published results on this terrain, if there are any."""
 
     @abstractmethod
     def generate(self, rng: np.random.Generator) -> Profile:

@@ -17,6 +17,10 @@ the same ground, start and sampled physics. The differences are paired by seed, 
 intervals. Each failure in 3-D is replayed to find its cause: overturned (by pitch), roll, heading
 (turned away or off the ground), traction (reached with twice the friction), or stuck.
 
+With perception=lidar, both engines perceive the true ground, and a third column has 3-D with the
+LiDAR. Its failures are also due to drift (reached with the true pose) or perception (reached on the
+true ground).
+
 Settings of sim are those of the 3-D engine; friction and gravity apply to both.
 
 [bold]Examples[/]
@@ -24,6 +28,8 @@ Settings of sim are those of the 3-D engine; friction and gravity apply to both.
   flipperctl transfer --controller okada terrain=stair,plum --episodes 50
 
   flipperctl transfer --checkpoint generalist terrain=ramp sim.yaw=0.087 sim.lateral_slope=0.087
+
+  flipperctl transfer --checkpoint generalist terrain=stair perception=lidar perception.pose=belts
 
   flipperctl transfer --controller okada terrain=plum --seed 3 --only 4 --film plum.gif
 """

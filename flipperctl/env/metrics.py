@@ -6,7 +6,7 @@ In: the transitions of an episode with their rewards. Out: numbers by name, for 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -36,7 +36,7 @@ _RESERVED = frozenset(
         *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
         *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
-        *("static_bound", "by", "mean_return"),
+        *("static_bound", "by", "mean_return", "failed_by"),
     )
 )
 """Columns and keys of files besides the measures."""
@@ -59,6 +59,17 @@ def other_measures() -> list[type[Measure]]:
         for (kind, name), cls in sorted(registry.items(), key=lambda entry: entry[0])
         if kind == Measure.kind and name not in CORE and issubclass(cls, Measure)
     ]
+
+
+def logged() -> list[str]:
+    """Return the names of the measures that trainings log, in the order of ``measures``."""
+    return [name for name, one in measures().items() if not one.mapped_only]
+
+
+def occurring(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
+    """Return the measures beyond ``CORE`` that occur as a key, sorted by name."""
+    names = {name for values in further for name in values}
+    return [cls for cls in other_measures() if cls.plugin_name in names]
 
 
 def heading(measure: type[Measure]) -> str:
@@ -92,10 +103,20 @@ class EpisodeMetrics:
             PluginFailedError: a measure raised an error, or returned no number.
         """
         return {
-            **{name: _value(one, self._episode) for name, one in self._measures.items()},
+            **{
+                name: _value(one, self._episode)
+                for name, one in self._measures.items()
+                if applies(one, self._episode)
+            },
             "return": sum(self._parts.values()),
             **{f"reward_{name}": value for name, value in self._parts.items()},
         }
+
+
+def applies(measure: Measure, episode: Sequence[Transition]) -> bool:
+    """Return whether the episode has the measure."""
+    perceived = episode[0].perception
+    return not measure.mapped_only or (perceived is not None and perceived.seen is not None)
 
 
 def _with_pitches(t: Transition, pitches: FloatArray) -> Transition:

@@ -42,7 +42,8 @@ class Conditions:
         whole = to_dict(config.environment())
         left_out = {
             "sim": config.sim.without_effect,
-            "perception": set(ObservationLayout.model_fields),  # set by the policy
+            # The layout is set by the policy.
+            "perception": {*ObservationLayout.model_fields, *config.perception.without_effect},
         }
         sections = {
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}

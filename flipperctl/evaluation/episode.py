@@ -57,6 +57,8 @@ class EpisodeResult:
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
+    failed_by: str | None = None
+    """What the failure is due to, a ``SensingCause``; None if it reached or was not looked into."""
     recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
     """The episode decision by decision, if recording was requested."""
 
@@ -70,7 +72,8 @@ class EpisodeResult:
         rest = dict(row)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
         drawn = {n.removeprefix(DRAWN): rest.pop(n) for n in row if n.startswith(DRAWN)}
-        further = {m.plugin_name: rest.pop(m.plugin_name) for m in other_measures()}
+        names = (m.plugin_name for m in other_measures())
+        further = {name: rest.pop(name) for name in names if name in rest}
         return cls(
             episode,
             seed=rest.pop("seed"),
@@ -120,4 +123,5 @@ class EpisodeResult:
             **({} if self.static_bound is None else {"static_bound": self.static_bound}),
             **{f"{SEARCH}{name}": value for name, value in self.search.items()},
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
+            **({} if self.failed_by is None else {"failed_by": self.failed_by}),
         }

@@ -16,6 +16,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
 from flipperctl.evaluation.interruption import Interruption
+from flipperctl.evaluation.sensing import counts
 
 
 @dataclass(frozen=True)
@@ -244,6 +245,7 @@ class SceneResult:
             "controller": self.controller,
             "seed": self.seed,
             "conditions": self.conditions.to_dict(),
+            **({"failed_by": failed} if (failed := counts(self.episodes)) else {}),
             **_baselines(self.baselines),
             **({"by": _groups(self.by)} if self.by else {}),
         }

@@ -19,6 +19,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
+from flipperctl.evaluation.sensing import causes
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -108,6 +109,20 @@ class _SceneEpisodes:
             self._played.append((source, known))
         return known
 
+    def with_causes(
+        self, source: PolicySource, episodes: Sequence[EpisodeResult]
+    ) -> list[EpisodeResult]:
+        """Return the episodes, the failed ones with their cause if the sensor maps the ground."""
+
+        def again(config: EvalConfig, indices: Sequence[int]) -> list[EpisodeResult]:
+            label = f"{self.terrain}, failed episodes again"
+            return play_scene(config, source, label, self._workers, self._progress, indices)
+
+        failed = [e for e in episodes if not e.reached]
+        found = {} if self._workers.interrupted else causes(self.config, failed, again)
+        known = {index: str(cause) for index, cause in found.items()}
+        return [replace(e, failed_by=known.get(e.episode)) for e in episodes]
+
     def static_bounds(self, episodes: Sequence[EpisodeResult]) -> dict[int, float]:
         """Return the static bound of each episode by its seed, if it is asked for."""
         if not self.config.eval.static_bound or self._workers.interrupted:
@@ -150,6 +165,7 @@ def _evaluate_scene(
     episodes = scene.play(source, terrain, record=record)
     if not episodes:
         return None
+    episodes = scene.with_causes(source, episodes)
     others = [(b.label(), scene.play(b, f"{terrain}, {b.label()}")) for b in baselines]
     if references and (crossed_by := scene.crossed_by(references)) is not None:
         episodes = [replace(e, crossed_by=crossed_by[e.episode]) for e in episodes]

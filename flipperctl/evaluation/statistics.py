@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from flipperctl.api import Measure, Outcome
-from flipperctl.env.metrics import other_measures
+from flipperctl.env.metrics import occurring
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
@@ -60,7 +60,7 @@ def _summary(
         episode_return=measure([e.episode_return for e in episodes]),
         further={
             m.plugin_name: _measure(_further(m, good if m.reached_only else episodes))
-            for m in other_measures()
+            for m in occurring(e.further for e in episodes)
         },
         passable=_passable(episodes),
         parts=parts,
@@ -82,7 +82,7 @@ def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str,
 
 
 def _further(measure: type[Measure], episodes: Sequence[EpisodeResult]) -> list[float]:
-    return [e.further[measure.plugin_name] for e in episodes]
+    return [e.further[measure.plugin_name] for e in episodes if measure.plugin_name in e.further]
 
 
 def _success(episodes: Sequence[EpisodeResult]) -> Interval:
@@ -111,7 +111,9 @@ def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
         pitch_variation_100hz=measure([e.pitch_variation_100hz for e in failed]),
         flipper_travel=measure([e.flipper_travel for e in failed]),
         further={
-            m.plugin_name: measure(_further(m, failed)) for m in other_measures() if m.reached_only
+            m.plugin_name: measure(_further(m, failed))
+            for m in occurring(e.further for e in failed)
+            if m.reached_only
         },
     )
 
@@ -148,6 +150,7 @@ def paired(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> li
 
 def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Differences:
     pairs = [(mine, other) for mine, other in played if mine.reached and other.reached]
+    shared = occurring(e.further for pair in played for e in pair)
     return Differences(
         success=paired_success(
             sum(mine.reached and not other.reached for mine, other in played),
@@ -157,7 +160,7 @@ def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Di
         t_cost=_difference(pairs, lambda e: e.t_cost),
         pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
         pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),
-        further={m.plugin_name: _further_difference(m, played) for m in other_measures()},
+        further={m.plugin_name: _further_difference(m, played) for m in shared},
         parts=parts,
     )
 
@@ -166,6 +169,7 @@ def _further_difference(measure: type[Measure], played: Sequence[Pair]) -> Paire
     pairs = [
         (mine, other)
         for mine, other in played
+        if measure.plugin_name in mine.further and measure.plugin_name in other.further
         if not measure.reached_only or (mine.reached and other.reached)
     ]
     return _difference(pairs, lambda e: e.further[measure.plugin_name])

@@ -1,6 +1,7 @@
 """A figure of one episode: the robot's poses on the terrain, its pitch and flipper angles.
 
-In: the states of an episode in order, the profile and the robot's geometry. Out: a figure.
+In: the states of an episode in order, the profile and the robot's geometry; also what a sensor
+that maps the ground perceived. Out: a figure.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
-from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.api import FloatArray, Perception, Profile, RobotGeometry, RobotState
 from flipperctl.report.figure import (
     WIDTH,
     draw_ground,
@@ -24,6 +25,7 @@ from flipperctl.report.figure import (
     z_label,
     z_scale,
 )
+from flipperctl.report.mapped import draw_heights, draw_points
 from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
 
@@ -36,12 +38,16 @@ def episode_figure(
     profile: Profile,
     robot: RobotGeometry,
     title: str = "",
+    perceived: Sequence[Perception] = (),
 ) -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
     Poses are drawn at the start, at the end and evenly in between. Along the path of the chassis'
     centre they are a little less than the robot's length apart, or a twelfth of the path if that is
     longer. The heights of very long ground are scaled up, as the axis label states.
+
+    ``perceived``: what a sensor that maps the ground perceived in each state but the last. Then the
+    map's points are drawn as of each pose, and the heights H over time below.
 
     Raises:
         ValueError: the trace is empty.
@@ -51,16 +57,24 @@ def episode_figure(
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
     path = np.array([state.position for state in trace])  # (T, 2) [m]
     length = float(np.hypot(*np.diff(path, axis=0).T).sum())
-    shown = [trace[i] for i in pose_indices(path, max(1.75 * reach, length / _POSES))]
+    poses = pose_indices(path, max(1.75 * reach, length / _POSES))
+    shown = [trace[i] for i in poses]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = window(path, profile, reach, max(tops))
     scale = z_scale(high - low, WIDTH - 1.0)
     natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
     height = float(np.clip(natural, 1.0, 6.0))
-    figure = Figure(figsize=(WIDTH, height + 3.9), layout="constrained")
-    above, below = figure.subplots(2, 1, height_ratios=[height, 2.6])
+    heights = [2.4] if perceived else []
+    figure = Figure(figsize=(WIDTH, height + 3.9 + sum(heights)), layout="constrained")
+    above, below, *lowest = figure.subplots(
+        2 + len(heights), 1, height_ratios=[height, 2.6, *heights]
+    )
     draw_ground(above, profile)
-    centre = above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
+    above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
+    if perceived:
+        latest = [min(i, len(perceived) - 1) for i in poses]
+        draw_points(above, [(perceived[i], path[i]) for i in latest])
+    lines = above.get_lines()[1:]  # without the ground, and before the robots
     for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
         RobotArtist(above, zorder=5.0 + i).show(state, robot)
         above.annotate(
@@ -69,8 +83,11 @@ def episode_figure(
         )  # fmt: skip
     frame(above, low, high, scale)
     style_axes(above, title, "x [m]", z_label(scale))
-    legend_above(above, centre)
+    legend_above(above, lines)
     _draw_angles(below, trace, shown, robot)
+    for axes in lowest:
+        draw_heights(figure, axes, perceived, [state.time for state in trace])
+        axes.set_xlim(below.get_xlim())
     return figure
 
 

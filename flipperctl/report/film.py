@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from flipperctl.api import Profile, Robot, RobotState, Transition
+from flipperctl.api import FloatArray, Profile, Robot, RobotState, Transition
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
 from flipperctl.report.episode import window
@@ -31,7 +31,8 @@ from flipperctl.report.figure import (
     z_label,
     z_scale,
 )
-from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
+from flipperctl.report.mapped import map_points, mapped
+from flipperctl.report.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
 
 if TYPE_CHECKING:
@@ -72,6 +73,8 @@ def save_film(
 ) -> None:
     """Write the film of an episode, completely or not at all.
 
+    The points of a sensor that maps the ground are drawn as of the latest decision.
+
     ``report_progress`` is called with the fraction of frames drawn so far.
 
     Raises:
@@ -81,7 +84,7 @@ def save_film(
     """
     check_film(path)
     states = list(instants(transitions))
-    picture = _Picture(states, profile, robot, title)
+    picture = _Picture(states, profile, robot, title, _maps(transitions, states))
     frames: list[Image] = []
     for index, state in enumerate(states):
         colours = frames[0] if frames else None
@@ -123,13 +126,30 @@ def instants(transitions: Sequence[Transition], period: float = _PERIOD) -> Iter
     yield transitions[-1].after
 
 
+def _maps(transitions: Sequence[Transition], states: Sequence[RobotState]) -> list[FloatArray]:
+    """Return the map at each state, (P, 2) in world [m]; nothing unless the sensor has one."""
+    perceived = mapped(transitions)
+    if not perceived:
+        return []
+    places = [t.before.position for t in transitions]
+    maps = [map_points(p, place) for p, place in zip(perceived, places, strict=True)]
+    starts = [t.before.time for t in transitions]
+    latest = np.searchsorted(starts, [state.time + 1e-9 for state in states], "right") - 1
+    return [maps[i] for i in latest.tolist()]
+
+
 class _Picture:
     """One figure of which each frame redraws only the moving parts."""
 
     def __init__(
-        self, states: Sequence[RobotState], profile: Profile, robot: Robot, title: str
+        self,
+        states: Sequence[RobotState],
+        profile: Profile,
+        robot: Robot,
+        title: str,
+        maps: Sequence[FloatArray] = (),
     ) -> None:
-        self._robot = robot
+        self._robot, self._maps = robot, maps
         self._times = [state.time for state in states]
         reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
@@ -142,6 +162,9 @@ class _Picture:
         above, below = figure.subplots(2, 1, height_ratios=[height, 1.3])
         draw_ground(above, profile)
         self._artist = RobotArtist(above)
+        (self._points,) = above.plot(
+            [], [], ".", color=HEIGHTS, markersize=2.4, zorder=4, scalex=False, scaley=False
+        )
         frame(above, low, high, scale)
         rate = round(_PERIOD / _SHOWN)
         style_axes(above, f"{title}, {rate} × real time".lstrip(", "), "x [m]", z_label(scale))
@@ -150,7 +173,7 @@ class _Picture:
             family="DejaVu Sans Mono",
         )  # fmt: skip
         self._build_angles(below, states)
-        self._moving = [*self._artist.artists, self._clock, self._now]
+        self._moving = [self._points, *self._artist.artists, self._clock, self._now]
         self._moving += [line for line, _ in self._lines]
         for artist in self._moving:
             artist.set_animated(True)  # excludes it from the background
@@ -162,6 +185,8 @@ class _Picture:
         from PIL import Image
 
         self._artist.show(state, self._robot, self._robot.track_speed * state.time)
+        if self._maps:
+            self._points.set_data(*self._maps[index].T)
         self._clock.set_text(f"{state.time:4.1f} s")
         self._now.set_xdata([state.time, state.time])
         for line, angles in self._lines:

@@ -13,6 +13,7 @@ from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save
 from flipperctl.report.film import save_film
+from flipperctl.report.mapped import mapped
 
 
 def draw_scenes(
@@ -48,12 +49,13 @@ def _draw(path: Path, scene: Scene, progress: Progress) -> None:
     config, source = scene
     terrain = config.terrain.plugin_name
     with progress(f"{terrain}, picture", 1) as report:
-        states, profile = EpisodeRunner(config, source, config.eval.seed, report).trace(0)
+        made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
     title = (
         f"{source.label()} on {terrain}, conditions {Conditions.of(config).label}, "
         f"episode 1 of {config.eval.episodes}"
     )
-    save(episode_figure(states, profile, config.robot, title), path)
+    states = [made[0].before, *(t.after for t in made)]
+    save(episode_figure(states, profile, config.robot, title, mapped(made)), path)
 
 
 def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:

@@ -1,91 +1,54 @@
 """Evaluate a policy in the default engine and in another one, and explain its failures there.
 
 In: an evaluation's configuration in the other engine, and a policy. Out: the summaries of both, the
-differences at equal seeds, and the cause of each failure. A failed episode is replayed to observe
-it; its seed repeats it bit for bit.
+differences at equal seeds, and the cause of each failure. A sensor that is not that of the true
+ground, such as ``lidar``, adds a third step: both engines are then compared on the true ground, and
+the other engine with the sensor to itself without.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from typing import Any
 
-from flipperctl.api import Outcome, RobotState
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, with_overrides
-from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig
 from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import Differences, Summary
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress, play_scene
+from flipperctl.evaluation.sensing import SensingCause, causes, on_true_ground
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import Decision, play
 from flipperctl.studies.engines import in_default_engine
-
-_OFF_HEADING = math.radians(30)
-"""Heading beyond which a stopped robot is off course [rad]."""
-_OFF_SIDE = 1.0
-"""Lateral distance beyond which a stopped robot is off course [m]."""
-_MAX_FRICTION = 10.0
-"""Largest friction that is tried [-]."""
-_FRICTION_FACTOR = 2.0
-"""Factor on friction that distinguishes a lack of traction from an obstacle [-]."""
-
-
-class Cause(StrEnum):
-    """Why an episode failed."""
-
-    OVERTURNED = "overturned"
-    """The robot fell over forwards or backwards."""
-    ROLL = "roll"
-    """The robot fell over sideways."""
-    HEADING = "heading"
-    """The robot turned away or left the ground sideways."""
-    TRACTION = "traction"
-    """The robot stopped, but reaches the finish with twice the friction."""
-    STUCK = "stuck"
-    """The robot stopped, even with twice the friction."""
+from flipperctl.studies.failures import Failure, explain
 
 
 @dataclass(frozen=True)
-class Failure:
-    """An episode that fails in the other engine."""
+class SensedResult:
+    """The same episodes in the other engine with the sensor in place of the true ground."""
 
-    episode: int
-    seed: int
-    terrain: str
-    """Label of the sampled profile."""
-    outcome: Outcome
-    cause: Cause
-    default_outcome: Outcome
-    """Outcome of the same episode in the default engine."""
-    time: float
-    """Time at the end [s]."""
-    x: float
-    """World x of the chassis centre at the end [m]."""
-    pitch: float
-    roll: float
-    yaw: float
-    """Posture at the end [rad]."""
-    side: float
-    """Lateral distance from the middle of the ground at the end [m]."""
+    sensor: str
+    """Name of the sensor."""
+    summary: Summary
+    gap: Differences
+    """With the sensor minus on the true ground, both in the other engine."""
+    kept: float | None
+    """Fraction of the episodes crossed on the true ground that are crossed with the sensor."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        return asdict(self)
+        gap, summary = self.gap.to_dict(), self.summary.to_dict()
+        return {"sensor": self.sensor, "summary": summary, "gap": gap, "kept": self.kept}
 
 
 @dataclass(frozen=True)
 class TransferResult:
-    """A policy on one terrain in two engines."""
+    """A policy on one terrain in two engines, and with a sensor that maps the ground if asked."""
 
     controller: str
     """Label of the policy."""
@@ -94,15 +57,19 @@ class TransferResult:
     seed: int
     """Seed of the evaluation."""
     conditions: Conditions
-    """Conditions of the other engine."""
+    """Conditions of the other engine, with the sensor."""
     default: Summary
     other: Summary
+    """With ``sensed``: on the true ground, like ``default``."""
     kept: float | None
     """Fraction of the episodes crossed in the default engine that are crossed in the other one."""
     gap: Differences
     """The other engine minus the default one: success, and measures where both reached the
     finish."""
     failures: tuple[Failure, ...]
+    """In the other engine, with the sensor if there is one."""
+    sensed: SensedResult | None = None
+    """None: both engines perceived in the same way."""
 
     @property
     def success_gap(self) -> PairedSuccess:
@@ -128,6 +95,7 @@ class TransferResult:
             "success_gap": self.success_gap.to_dict(),
             "kept": self.kept,
             "gap": self.gap.to_dict(),
+            **({"sensed": self.sensed.to_dict()} if self.sensed else {}),
             "causes": self.causes,
             "failures": [failure.to_dict() for failure in self.failures],
         }
@@ -143,20 +111,34 @@ def transfer(
 ) -> TransferResult:
     """Play the evaluation's episodes in the default engine and in ``config``'s.
 
+    With a sensor such as ``lidar``, these two perceive the true ground, and ``config``'s engine
+    plays them once more with the sensor.
+
     ``workers`` play the episodes, those with the indices ``only``; None means all.
 
     Raises:
         ConfigError: ``config`` uses the default engine.
         FlipperctlError: the policy cannot be built or failed.
     """
-    plane = in_default_engine(config)
+    exact = on_true_ground(config)
+    truly = config if exact is None else exact
     terrain, engines = config.terrain.plugin_name, (DEFAULT_ENGINE, config.sim.plugin_name)
-    ours, theirs = (
-        play_scene(chosen, source, f"{terrain}, {engine}", workers, progress, only)
-        for chosen, engine in zip((plane, config), engines, strict=True)
-    )
-    pairs = list(zip(ours, theirs, strict=True))
-    crossed = [other.reached for first, other in pairs if first.reached]
+
+    def played(
+        chosen: EvalConfig, where: str, indices: Sequence[int] | None
+    ) -> list[EpisodeResult]:
+        return play_scene(chosen, source, f"{terrain}, {where}", workers, progress, indices)
+
+    ours = played(in_default_engine(truly), engines[0], only)
+    theirs = last = played(truly, engines[1], only)
+    sensed, blamed = None, dict[int, SensingCause]()
+    if exact is not None:
+        sensor = config.perception.plugin_name
+        last = played(config, sensor, only)
+        gap = differences(last, theirs)
+        sensed = SensedResult(sensor, summarise(terrain, last), gap, _kept(theirs, last))
+        failed = [e for e in last if not e.reached]
+        blamed = causes(config, failed, lambda c, i: played(c, f"{sensor}, again", i), theirs)
     return TransferResult(
         source.label(),
         terrain,
@@ -165,10 +147,21 @@ def transfer(
         Conditions.of(config),
         summarise(terrain, ours),
         summarise(terrain, theirs),
-        sum(crossed) / len(crossed) if crossed else None,
+        _kept(ours, theirs),
         differences(theirs, ours),
-        tuple(explain(config, source, *pair) for pair in pairs if not pair[1].reached),
+        tuple(
+            explain(config, source, first, end, blamed.get(end.episode, SensingCause.OTHER))
+            for first, end in zip(ours, last, strict=True)
+            if not end.reached
+        ),
+        sensed,
     )
+
+
+def _kept(first: Sequence[EpisodeResult], then: Sequence[EpisodeResult]) -> float | None:
+    """Return the fraction of the episodes reached at first that are reached then."""
+    crossed = [b.reached for a, b in zip(first, then, strict=True) if a.reached]
+    return sum(crossed) / len(crossed) if crossed else None
 
 
 def transfer_scenes(
@@ -186,71 +179,10 @@ def transfer_scenes(
 
 def correct_scenes(found: Sequence[TransferResult]) -> list[TransferResult]:
     """Return the results with the p-values of success corrected across scenes."""
-    gaps = correct_together([one.gap for one in found])
-    return [replace(one, gap=gap) for one, gap in zip(found, gaps, strict=True)]
-
-
-def explain(
-    config: EvalConfig, source: PolicySource, default: EpisodeResult, failed: EpisodeResult
-) -> Failure:
-    """Replay a failed episode and return its cause."""
-    end = _end(config, source, failed.seed)
-    cause = _cause(end, failed.outcome, config)
-    if cause is Cause.STUCK and _reached_with_friction(config, source, failed.seed):
-        cause = Cause.TRACTION
-    return Failure(
-        failed.episode,
-        failed.seed,
-        failed.terrain,
-        failed.outcome,
-        cause,
-        default.outcome,
-        time=end.time,
-        x=float(end.position[0]),
-        pitch=end.pitch,
-        roll=end.roll,
-        yaw=end.yaw,
-        side=end.side,
-    )
-
-
-def _end(config: EvalConfig, source: PolicySource, seed: int) -> RobotState:
-    """Play an episode; return the state at its end."""
-    states: list[RobotState] = []
-
-    def watch(decision: Decision) -> None:
-        states[:] = [decision.transition.after]
-
-    env = FlipperEnv(config=config)
-    play(env, source.build(config), seed, watch=watch)
-    return states[0]
-
-
-def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
-    overturn = config.episode.overturn
-    if outcome is Outcome.OVERTURNED:
-        if abs(end.pitch) >= overturn:
-            return Cause.OVERTURNED
-        limit = config.sim.shared_setting("roll_limit")
-        rolled = abs(end.roll) >= (overturn if limit is None else limit)
-        return Cause.ROLL if rolled else Cause.HEADING
-    astray = abs(end.yaw) > _OFF_HEADING or abs(end.side) > _OFF_SIDE
-    return Cause.HEADING if astray else Cause.STUCK
-
-
-def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
-    """Return whether the episode reaches the finish with more friction."""
-    own = config.sim.shared_setting("friction")
-    if own is None:
-        return False
-    sampled = config.randomise.find("sim", "friction")
-    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
-    if sampled is not None:
-        changed = {sampled.key: [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]}
-    try:
-        config = with_overrides(config, changed)
-    except ConfigError:  # beyond the engine's bounds
-        return False
-    env = FlipperEnv(config=config)
-    row = play(env, source.build(config), seed)
-    return Outcome(row["outcome"]) is Outcome.REACHED
+    sensed = [one.sensed for one in found if one.sensed is not None]
+    gaps = iter(correct_together([*(o.gap for o in found), *(o.gap for o in sensed)]))
+    corrected = [replace(one, gap=next(gaps)) for one in found]
+    return [
+        one if one.sensed is None else replace(one, sensed=replace(one.sensed, gap=next(gaps)))
+        for one in corrected
+    ]

@@ -6,10 +6,10 @@ baseline.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from flipperctl.api import Measure
-from flipperctl.env.metrics import heading, other_measures
+from flipperctl.env.metrics import heading, occurring
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
@@ -19,11 +19,13 @@ from flipperctl.evaluation.results import (
     SceneResult,
     Summary,
 )
-from flipperctl.evaluation.tables import interval_text
+from flipperctl.evaluation.sensing import counts
+from flipperctl.evaluation.tables import interval_text, measures_of
 from flipperctl.terminal.groups import BOUND, group_table
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
 
+_CAUSES = "failures by cause"
 _PASSABLE = ("passable", "of these", "beyond")
 _FAILED = f"{HEADING} where not reached"
 
@@ -36,22 +38,26 @@ def table(result: EvaluationResult, label: str) -> Table:
     title = label if result.interruption is None else f"{label} ({result.interruption.text})"
     passable = any(scene.summary.passable for scene in result.scenes)
     failed = any(scene.summary.not_reached for scene in result.scenes)
+    causes = any(counts(scene.episodes) for scene in result.scenes)
     bound = any(scene.summary.static_bound for scene in result.scenes)
+    further = measures_of(result)
     headings = [
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
+        *((_CAUSES,) if causes else ()),
         *(HEADING, *((BOUND,) if bound else ()), PAPERS_HEADING),
         *(*((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
-        *map(heading, other_measures()),
+        *map(heading, further),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
-    found = Table(headings, title, words=["outcomes"])
+    found = Table(headings, title, words=["outcomes", _CAUSES])
 
-    def cells(name: str, summary: Summary) -> list[str]:
+    def cells(name: str, summary: Summary, failed: Mapping[str, int] | None = None) -> list[str]:
         return [
             *(name, str(summary.episodes), interval_text(summary.success, 3)),
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
+            *((_numbers(failed or {}),) if causes else ()),
             interval_text(summary.pitch_variation_100hz),
             *((interval_text(summary.static_bound),) if bound else ()),
             interval_text(summary.pitch_variation),
@@ -59,12 +65,12 @@ def table(result: EvaluationResult, label: str) -> Table:
             interval_text(summary.t_cost, 1),
             interval_text(summary.max_pitch),
             interval_text(summary.flipper_travel),
-            *(interval_text(summary.further[m.plugin_name], m.digits) for m in other_measures()),
+            *(interval_text(summary.further.get(m.plugin_name), m.digits) for m in further),
         ]
 
     for name, scene in _named(result):
         shown = f"{name}, {scene.controller}" if several else name
-        found.add(*cells(shown, scene.summary))
+        found.add(*cells(shown, scene.summary, counts(scene.episodes)))
         for part, summary in scene.summary.parts.items():
             found.add(*cells(f"  {part}", summary), dim=True)
     return found
@@ -82,17 +88,18 @@ def comparisons(result: EvaluationResult) -> Iterator[Table]:
 
 def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     baseline = compared[0][1].controller
+    further = occurring(other.difference.further for _, other in compared)
     title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
         *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
-        *(_difference_heading(measure) for measure in other_measures()),
+        *(_difference_heading(measure) for measure in further),
     ]
     found = Table(headings, title)
     for name, other in compared:
-        found.add(*_difference_cells(name, other.summary, other.difference))
+        found.add(*_difference_cells(name, other.summary, other.difference, further))
         for label, part in other.difference.parts.items():
-            cells = _difference_cells(f"  {label}", other.summary.parts[label], part)
+            cells = _difference_cells(f"  {label}", other.summary.parts[label], part, further)
             found.add(*cells, dim=True)
     return found
 
@@ -139,8 +146,11 @@ def _passable_cells(summary: Summary) -> list[str]:
 
 
 def _outcomes(summary: Summary) -> str:
-    counts = summary.outcomes.to_dict()
-    return " ".join(f"{outcome} {count}" for outcome, count in counts.items() if count)
+    return _numbers(summary.outcomes.to_dict())
+
+
+def _numbers(counted: Mapping[str, int]) -> str:
+    return " ".join(f"{name} {count}" for name, count in counted.items() if count)
 
 
 def _failed_text(summary: Summary) -> str:
@@ -154,7 +164,9 @@ def _difference_heading(measure: type[Measure]) -> str:
     return f"Δ {heading(measure)}{whole}{better}"
 
 
-def _difference_cells(name: str, other: Summary, difference: Differences) -> list[str]:
+def _difference_cells(
+    name: str, other: Summary, difference: Differences, further: Sequence[type[Measure]]
+) -> list[str]:
     variation = difference.pitch_variation_100hz
     return [
         name,
@@ -165,5 +177,5 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
         interval_text(variation),
         interval_text(difference.pitch_variation),
         interval_text(difference.t_cost, 1),
-        *(interval_text(difference.further[m.plugin_name], m.digits) for m in other_measures()),
+        *(interval_text(difference.further.get(m.plugin_name), m.digits) for m in further),
     ]

@@ -8,6 +8,7 @@ from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.terminal.conditions import condition_lines
 from flipperctl.terminal.console import console, print_lines
 from flipperctl.terminal.evaluation import comparisons, group_tables, search_lines, table
+from flipperctl.terminal.published import published_table
 from flipperctl.terminal.streams import print_note
 
 
@@ -31,5 +32,7 @@ def _print_tables(result: EvaluationResult, label: str) -> None:
     out = console()
     for shown in (table(result, label), *comparisons(result), *group_tables(result)):
         shown.print(out)
+    if beside := published_table(result, label):
+        beside.print(out)
     conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in result.scenes)
     print_lines(out, (*search_lines(result), *conditions))

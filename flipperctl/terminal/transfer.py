@@ -8,7 +8,7 @@ from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.results import Summary
 from flipperctl.evaluation.tables import interval_text
 from flipperctl.runs.follow_up import command
-from flipperctl.studies.transfer import TransferResult
+from flipperctl.studies.transfer import SensedResult, TransferResult
 from flipperctl.terminal.conditions import condition_lines
 from flipperctl.terminal.console import console, print_lines
 from flipperctl.terminal.evaluation import gap_cells
@@ -35,9 +35,16 @@ def _table(named: list[tuple[str, TransferResult]]) -> Table:
     one = named[0][1]
     first, second = one.engines
     title = f"{one.controller} in {second} against {first}, the same episodes"
+    sensors = sorted({found.sensor for _, one in named if (found := one.sensed)})
+    sensing = (
+        *(f"success with {', '.join(sensors)}", "Δ success by sensing", "won, lost there"),
+        *("p there (Holm)", f"Δ {HEADING} by sensing"),
+    )
     headings = (
         *("terrain", "episodes", f"success in {first}", f"in {second}", "Δ success", "won, lost"),
-        *("p (Holm)", "kept", HEADING, f"Δ {HEADING}", "Δ t_cost [s]", "failures"),
+        *("p (Holm)", "kept", HEADING, f"Δ {HEADING}", "Δ t_cost [s]"),
+        *(sensing if sensors else ()),
+        "failures",
     )
     table = Table(headings, title, words=["failures"])
     for name, one in named:
@@ -48,12 +55,25 @@ def _table(named: list[tuple[str, TransferResult]]) -> Table:
             f"{one.other.success_rate:.3f}",
             *gap_cells(one.success_gap),
             "–" if one.kept is None else f"{one.kept:.1%}",
-            f"{_variation(one.default)} → {_variation(one.other)}",
+            " → ".join(_variation(summary) for summary in _steps(one)),
             interval_text(one.gap.pitch_variation_100hz, sign="+"),
             interval_text(one.gap.t_cost, 1, sign="+"),
+            *(_sensing_cells(one.sensed) if sensors else ()),
             ", ".join(f"{cause} {count}" for cause, count in one.causes.items()) or "none",
         )
     return table
+
+
+def _steps(one: TransferResult) -> list[Summary]:
+    return [one.default, one.other, *([one.sensed.summary] if one.sensed else [])]
+
+
+def _sensing_cells(found: SensedResult | None) -> list[str]:
+    if found is None:
+        return ["–"] * 5
+    gap = found.gap
+    variation = interval_text(gap.pitch_variation_100hz, sign="+")
+    return [f"{found.summary.success_rate:.3f}", *gap_cells(gap.success), variation]
 
 
 def _failures(

@@ -7,7 +7,7 @@ from itertools import pairwise
 from numbers import Real
 
 from flipperctl.api import Measure, Transition
-from flipperctl.env.metrics import heading, measures
+from flipperctl.env.metrics import applies, heading, measures
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import transitions
 
@@ -20,7 +20,7 @@ def named(measure: Measure) -> None:
 
 def finite(measure: Measure) -> None:
     """Check that the values of every episode and of its first decision alone are finite."""
-    for episode in _episodes():
+    for episode in _episodes(measure):
         for part in (episode, episode[:1]):
             value = measure(part)
             require(
@@ -32,7 +32,7 @@ def finite(measure: Measure) -> None:
 
 def pure(measure: Measure) -> None:
     """Check that the value depends only on the episode, and that the episode is unchanged."""
-    for episode in _episodes():
+    for episode in _episodes(measure):
         before = [t.path.tobytes() for t in episode]
         first, again = measure(tuple(episode)), measure(episode)
         require(first == again, f"it returns {first!r} and, called again, {again!r}")
@@ -40,8 +40,9 @@ def pure(measure: Measure) -> None:
         require(unchanged, "it changes the poses of the episode")
 
 
-def _episodes() -> list[list[Transition]]:
-    """Return the recorded transitions, episode by episode."""
+def _episodes(measure: Measure) -> list[list[Transition]]:
+    """Return the recorded transitions that have the measure, episode by episode."""
     recorded = transitions()
     ends = [0, *(at + 1 for at, t in enumerate(recorded) if t.outcome is not None)]
-    return [list(recorded[first:last]) for first, last in pairwise(ends)]
+    found = [list(recorded[first:last]) for first, last in pairwise(ends)]
+    return [episode for episode in found if applies(measure, episode)]

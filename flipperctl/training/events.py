@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flipperctl.env.metrics import measures
+from flipperctl.env.metrics import logged
 from flipperctl.errors import WriteError
 from flipperctl.files import failure, write_csv
 
 
 def columns() -> tuple[str, ...]:
     """Return the columns that every ``metrics.csv`` has."""
-    named = [name for name in measures() if name != "decisions"]
+    named = [name for name in logged() if name != "decisions"]
     return (
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
         *("success_rate", "decisions", "return", *named),

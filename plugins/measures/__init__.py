@@ -1,5 +1,5 @@
-"""Built-in measures of episodes: duration, pitch and the motion of the flippers."""
+"""Built-in measures of episodes: duration, pitch, the motion of the flippers, errors of a map."""
 
-from . import decisions, flipper_travel, max_pitch, pitch_variation, t_cost
+from . import decisions, flipper_travel, mapping, max_pitch, pitch_variation, t_cost
 
-__all__ = ["decisions", "flipper_travel", "max_pitch", "pitch_variation", "t_cost"]
+__all__ = ["decisions", "flipper_travel", "mapping", "max_pitch", "pitch_variation", "t_cost"]

@@ -1,10 +1,10 @@
 """The paper's stair scene."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from flipperctl.api import terrain
+from flipperctl.api import Published, terrain
 
 from .stair import Stair
 
@@ -15,6 +15,8 @@ class PaperStair(Stair):
 
     The paper (Tab. I) gives the total length and the steps, which leave 2 m for the platform.
     """
+
+    published: ClassVar[Published | None] = Published("paper", "paper", 41.21, 4.53, 2.60)
 
     fewest: int = Field(6, ge=1, le=50, description="smallest number of steps [-]")
     most: int = Field(6, ge=1, le=50, description="largest number of steps [-]")

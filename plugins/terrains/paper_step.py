@@ -1,8 +1,10 @@
 """The paper's step scene."""
 
+from typing import ClassVar
+
 from pydantic import Field
 
-from flipperctl.api import terrain
+from flipperctl.api import Published, terrain
 
 from .step import Step
 
@@ -10,6 +12,8 @@ from .step import Step
 @terrain("paper_step")
 class PaperStep(Step):
     """Step 0.4 m up, 3 m of platform, 0.4 m down; 5 m with the margins (paper Tab. I)."""
+
+    published: ClassVar[Published | None] = Published("paper", "paper", 28.07, 3.43, 1.11)
 
     low: float = Field(0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     platform: float = Field(

@@ -1,13 +1,20 @@
-"""The measures of ``examples/mapping.py`` against numbers worked by hand."""
+"""The measures of sensors that map the ground, against numbers worked by hand."""
 
-from pathlib import Path
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from flipperctl import plugins
+from flipperctl.api import Transition
+from flipperctl.cli.scenes import scenes
+from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.scenes import evaluate
+from flipperctl.evaluation.tables import scene_rows
+from flipperctl.training.events import columns
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "mapping.py"
+MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
 
 
 def measured(**perception: object) -> dict[str, float]:
@@ -20,15 +27,47 @@ def measured(**perception: object) -> dict[str, float]:
             return found
 
 
-@pytest.fixture(autouse=True)
-def _loaded(registry: dict) -> None:
-    plugins.load([EXAMPLE])
+def episode(bias: float) -> list[Transition]:
+    """Decisions of a sensor whose heights are wrong by ``bias`` [m], as if it mapped the ground."""
+    env = FlipperEnv("step", perception={"bias": bias})
+    env.reset(seed=1)
+    made = []
+    for _ in range(3):
+        env.step(4)
+        perceived = env.transition.perception
+        assert perceived is not None
+        seen = np.arange(15) >= 3
+        position = env.transition.before.position * 1.5
+        mapped = replace(perceived, seen=seen, position=position)
+        made.append(replace(env.transition, perception=mapped))
+    return made
+
+
+def value(name: str, transitions: list[Transition]) -> float:
+    measure: Any = resolver.create("measure", name, "test")
+    return float(measure(transitions))
 
 
 def test_a_constant_error_of_the_heights_is_the_map_error() -> None:
-    found = measured(name="planar", bias=0.03)
-    assert found["map_error"] == pytest.approx(0.03, abs=1e-3)
-    assert (found["drift"], found["unseen"]) == (0.0, 0.0)
+    made = episode(0.03)
+    assert value("map_error", made) == pytest.approx(0.03, abs=1e-3)
+    assert value("map_error_below", made) == pytest.approx(0.03, abs=1e-3)
+    assert value("unseen", made) == pytest.approx(3 / 15)
+    driven = made[-1].before.position - made[0].before.position
+    assert value("drift", made) == pytest.approx(0.5 * np.hypot(*driven))
+
+
+def test_only_evaluations_of_mapping_sensors_have_them() -> None:
+    words = ["terrain=flat", "terrain.length=0.5", "eval.episodes=1"]
+    chosen = scenes([*words, "perception=planar,lidar"], None, "level")
+    result = evaluate([(c, source) for c, source in chosen])
+    planar, lidar = result.scenes
+    assert not MAPPING & planar.to_dict().keys()
+    assert lidar.to_dict().keys() > MAPPING
+    rows = list(scene_rows(result))
+    assert [row["map_error"] is None for row in rows] == [True, False]
+    assert not MAPPING & {*columns()}
+    assert measured(name="planar").keys() & MAPPING == set()
 
 
 def test_belts_that_are_measured_too_fast_drift() -> None:

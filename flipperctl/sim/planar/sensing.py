@@ -8,6 +8,7 @@ a trench; with it, ``occlusion.SeenGround`` determines which points a sensor on 
 from __future__ import annotations
 
 from bisect import bisect_left
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from flipperctl.api import (
     sensor,
 )
 from flipperctl.core.bins import mean_heights
+from flipperctl.sim.planar.map_errors import LARGEST, MapErrors, MapErrorSize
 from flipperctl.sim.planar.occlusion import Mast, SeenGround
 
 
@@ -53,6 +55,28 @@ class PlanarSensor(Sensor):
         0.0, ge=-0.2, le=0.2, description="error of both measured flipper angles, constant [rad]"
     )
 
+    map_error: float = Field(
+        0.0,
+        ge=0,
+        le=0.1,
+        description="standard deviation of an error of the ground's heights that stays at its "
+        "place during the episode, as on a map; 0.005 is like perception=lidar [m]",
+    )
+    map_length: float = Field(
+        2.0,
+        gt=0.01,
+        le=10,
+        description="distance over which map_error loses its correlation, as fitted to "
+        "perception=lidar, whose bias of the distances reaches far [m]",
+    )
+    map_drift: float = Field(
+        0.0,
+        ge=0,
+        le=0.5,
+        description="standard deviation of the error of odometry over 1 m of the way, by which "
+        "ground that was seen earlier, below and behind the robot, is displaced; 0.065 is like "
+        "perception=lidar perception.pose=matched [m]",
+    )
     occlusion: bool = Field(
         False,
         description="points hidden from the mount are missing until they are seen; unseen ground "
@@ -80,6 +104,13 @@ class PlanarSensor(Sensor):
         "flippers beside it hide nothing [m]",
     )
 
+    @property
+    def without_effect(self) -> frozenset[str]:
+        """Settings that change nothing, so that hashes without a map's errors stay the same."""
+        if self.map_error or self.map_drift:
+            return frozenset()
+        return frozenset({"map_error", "map_length", "map_drift"})
+
     def over(self, profile: Profile, margin: float) -> TerrainSensor:
         """Return a sensor that samples the profile once for the whole episode."""
         return TerrainSensor(profile, self, margin)
@@ -97,6 +128,10 @@ class TerrainSensor:
         from flipperctl.sim.planar.bins import sum_heights  # numba takes a third of a second
 
         self._sum_heights = sum_heights
+        self._map_errors: MapErrors | None = None
+        if settings.map_error or settings.map_drift:
+            size = MapErrorSize(settings.map_error, settings.map_length, settings.map_drift)
+            self._map_errors = MapErrors(self._x, size)
         self._seen_ground: SeenGround | None = None
         if settings.occlusion:
             mount = settings.mount_x, settings.mount_z
@@ -110,6 +145,8 @@ class TerrainSensor:
         s = self.settings
         if self._seen_ground is not None:
             self._seen_ground.scan(state)
+        if self._map_errors is not None:
+            self._map_errors.advance(float(state.position[0]), rng)
         points, filled = self._sensed(state.position, rng)
         front, rear = state.front + s.flipper_bias, state.rear + s.flipper_bias
         pitch = state.pitch + s.pitch_bias
@@ -119,14 +156,19 @@ class TerrainSensor:
         ground = SensedGround(points, self.heights(points), filled)
         return ground, SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
 
-    def save(self) -> NDArray[np.bool_] | None:
-        """Return a snapshot of the seen points; None without occlusion."""
-        return None if self._seen_ground is None else self._seen_ground.save()
+    def save(self) -> tuple[Any, Any]:
+        """Return a snapshot of the seen points and of the map's errors."""
+        memories = self._seen_ground, self._map_errors
+        seen, errors = (None if memory is None else memory.save() for memory in memories)
+        return seen, errors
 
-    def load(self, saved: NDArray[np.bool_] | None) -> None:
+    def load(self, saved: tuple[Any, Any]) -> None:
         """Restore a snapshot."""
-        if self._seen_ground is not None and saved is not None:
-            self._seen_ground.load(saved)
+        seen, errors = saved
+        if self._seen_ground is not None:
+            self._seen_ground.load(seen)
+        if self._map_errors is not None:
+            self._map_errors.load(errors)
 
     def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
@@ -139,21 +181,36 @@ class TerrainSensor:
         s = self.settings
         x = float(position[0])
         near = min(self._reach, s.horizon)
-        low = bisect_left(self._x.data, x - self._reach)
-        high = bisect_left(self._x.data, x + near)
+        beyond = 0.0 if self._map_errors is None else LARGEST
+        low = bisect_left(self._x.data, x - self._reach - beyond)
+        high = bisect_left(self._x.data, x + near + beyond)
         if self._seen_ground is None:
-            points = self._disturbed(self._cloud[low:high] - position, rng)
+            points = self._disturbed(self._cloud[low:high] - position, slice(low, high), rng)
+            points = points[self._inside(points, near)] if beyond else points
             return (points[self._kept(points, rng)] if s.dropout > 0 else points), None
         index = self._seen_ground.known(low, high)
-        points = self._disturbed(self._cloud[index] - position, rng)
+        points = self._disturbed(self._cloud[index] - position, index, rng)
         offered = (index >= low) & (index < high)
+        if beyond:
+            offered &= self._inside(points, near)
         if s.dropout > 0:
             offered &= self._kept(points, rng)
         return self._seen_ground.fill(points, index, offered, (-self._reach, near))
 
-    def _disturbed(self, points: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Add bias and noise to the heights of ``points``, in place, and return them."""
+    def _inside(self, points: FloatArray, near: float) -> NDArray[np.bool_]:
+        """Return which points are within reach behind and ``near`` [m] ahead, (P,)."""
+        return np.asarray((points[:, 0] >= -self._reach) & (points[:, 0] < near))
+
+    def _disturbed(
+        self, points: FloatArray, index: slice | NDArray[np.int64], rng: np.random.Generator
+    ) -> FloatArray:
+        """Add bias, noise and the map's errors to ``points``, in place, and return them.
+
+        ``index``: which points of the sampled ground these are.
+        """
         s = self.settings
+        if self._map_errors is not None:
+            self._map_errors.apply(points, index)
         if s.bias:
             points[:, 1] += s.bias
         if s.noise > 0:

@@ -1,0 +1,103 @@
+"""Failures that are due to the sensing, in ``eval`` and ``transfer``."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
+from flipperctl.cli.scenes import scenes
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.scenes import evaluate
+from flipperctl.evaluation.sensing import SensingCause, at_true_pose, causes, on_true_ground
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
+from flipperctl.studies.transfer import transfer_scenes
+from flipperctl.terminal.evaluation import table
+from tests.evaluation.samples import sample
+
+HIGH = ["terrain=step", "terrain.low=0.35", "terrain.high=0.35", "eval.episodes=2"]
+
+
+class Level(TerrainSensor):
+    """Takes the ground for level, so that no rule lifts its flippers."""
+
+    def sense(self, state: RobotState, rng: np.random.Generator) -> Any:
+        found, angles = super().sense(state, rng)
+        found.points[:, 1] = -0.1
+        found.heights[:] = -0.1
+        return found, angles
+
+
+@pytest.fixture(autouse=True)
+def _mapper(registry: dict[Any, Any]) -> None:
+    @sensor("mapper")
+    class Mapper(Sensor):
+        """Sees nothing at a wrong pose, or at any."""
+
+        pose: Literal["true", "belts"] = "belts"
+        blind: bool = False
+
+        def over(self, profile: Profile, margin: float) -> GroundSensor:
+            exact = self.exact()
+            kind = Level if self.blind or self.pose == "belts" else TerrainSensor
+            return kind(profile, exact, margin)
+
+        def exact(self) -> PlanarSensor:
+            return PlanarSensor(**self.layout.model_dump())
+
+
+def asked(*words: str) -> list[Any]:
+    return scenes([*HIGH, *words], None, "okada")
+
+
+def test_a_failure_is_due_to_drift_or_perception_by_what_reaches_instead() -> None:
+    ((config, _),) = asked("perception=mapper")
+    posed, exact = at_true_pose(config), on_true_ground(config)
+    played: list[Any] = []
+
+    def play(chosen: EvalConfig, indices: Sequence[int]) -> list[Any]:
+        played.append((chosen, list(indices)))
+        reached = {0} if chosen == posed else {1}
+        return [sample(i, "reached" if i in reached else "stuck", 1.0) for i in indices]
+
+    failed = [sample(i, "stuck", 1.0) for i in (0, 1, 2)]
+    expected = {0: SensingCause.DRIFT, 1: SensingCause.PERCEPTION, 2: SensingCause.OTHER}
+    assert causes(config, failed, play) == expected
+    assert played == [(posed, [0, 1, 2]), (exact, [1, 2])]
+    known = [sample(i, "reached", 1.0) for i in (0, 1)]  # episode 2 was not played there
+    assert causes(config, failed, play, known) == {i: expected[i] for i in (0, 1)}
+    assert causes(config, [], play) == {}
+
+
+def test_sensors_of_the_true_ground_have_no_such_causes() -> None:
+    ((config, _),) = asked("perception.noise=0.02")
+    assert on_true_ground(config) is None
+    assert at_true_pose(config) is None
+    ((true_pose, _),) = asked("perception=mapper", 'perception.pose="true"')
+    assert at_true_pose(true_pose) is None
+    assert on_true_ground(true_pose) is not None
+
+
+@pytest.mark.parametrize(("blind", "cause"), [("false", "drift"), ("true", "perception")])
+def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
+    result = evaluate(asked("perception=mapper", f"perception.blind={blind}"))
+    (scene,) = result.scenes
+    assert not any(e.reached for e in scene.episodes)
+    assert [e.row()["failed_by"] for e in scene.episodes] == [cause, cause]
+    assert scene.to_dict()["failed_by"] == {cause: 2}
+    shown = table(result, "okada")
+    assert shown._rows[0][0][shown.headings.index("failures by cause")] == f"{cause} 2"
+
+
+def test_transfer_has_a_third_column_with_the_sensor() -> None:
+    with EpisodeWorkers() as workers:
+        (found,) = transfer_scenes(asked("perception=mapper", "sim=mujoco"), workers, 0)
+    assert found.default.success_rate == found.other.success_rate == 1.0
+    assert found.sensed is not None
+    assert (found.sensed.sensor, found.sensed.summary.success_rate) == ("mapper", 0.0)
+    assert (found.sensed.kept, found.sensed.gap.success.lost) == (0.0, 1)
+    assert found.causes == {"drift": 1}
+    assert found.to_dict()["sensed"]["sensor"] == "mapper"
+    assert found.failures[0].default_outcome == "reached"
