@@ -70,6 +70,8 @@ class Instrument(ABC):
     def measure(self, state: RobotState, rng: np.random.Generator) -> object:
         """Return a measurement of the true state: a frozen dataclass of numbers and arrays.
 
+        None: there is none now, as of a LiDAR in the middle of a turn.
+
         Noise is sampled from ``rng``, the instrument's own generator, which snapshots include.
         """
 

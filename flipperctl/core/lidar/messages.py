@@ -15,7 +15,11 @@ class Scan:
     """A turn of the LiDAR."""
 
     points: FloatArray
-    """(P, 3) points that returned, in frame S [m]; one that is not finite is ignored."""
+    """(P, 3) points that returned, in frame S at the time of each [m]; one that is not finite is
+    ignored."""
+    ages: FloatArray | None = None
+    """(P,) time from the measurement of each point to that of the message [s]; None: all points
+    were measured at the same instant."""
 
 
 @dataclass(frozen=True)
