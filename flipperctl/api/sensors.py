@@ -57,6 +57,8 @@ class Mounting:
     """Casts rays in the engine's world; raises ``ConfigError`` if the engine casts no rays."""
     rng: np.random.Generator
     """Generator of values that are constant within an episode, such as a bias."""
+    gravity: float = 9.81
+    """Downward acceleration in the engine's world [m/s²]."""
 
 
 class Instrument(ABC):

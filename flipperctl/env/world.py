@@ -32,8 +32,10 @@ from flipperctl.guard import naming, raise_named, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
-_SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side")
-_STATE = "a RobotState of numbers, with two in each array"
+_SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side", "side_velocity")
+_ARRAYS = (("orientation", (3, 3)), ("belts", (2,)))
+"""Names and shapes of the arrays that may be None."""
+_STATE = "a RobotState of numbers, with two in each vector and 3 × 3 in the orientation"
 
 
 def place(
@@ -113,6 +115,11 @@ class GuardedWorld:
             for name in _VECTORS:
                 x, z = getattr(state, name).tolist()
                 numbers += x, z
+            for name, shape in _ARRAYS:
+                if (array := getattr(state, name)) is not None:
+                    if array.shape != shape:
+                        raise self._refusal("state", short_repr(state), _STATE)
+                    numbers += array.ravel().tolist()
             finite = all(map(math.isfinite, numbers))
         except (AttributeError, TypeError, ValueError, OverflowError) as error:
             raise self._refusal("state", short_repr(state), _STATE) from error

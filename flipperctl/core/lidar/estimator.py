@@ -132,7 +132,7 @@ class LidarEstimator:
     def _levelled(self, scan: Scan, time: float) -> FloatArray:
         """Return the ground's points from the robot in the directions of frame M, (P, 3) [m]."""
         pose, ages = self._pose, scan.ages
-        kept = np.isfinite(scan.points).all(axis=1)
+        kept = np.asarray(np.isfinite(scan.points).all(axis=1))
         if ages is not None:
             kept &= np.isfinite(ages)
         points = self._of_ground(scan.points, kept)

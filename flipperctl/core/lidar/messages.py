@@ -68,3 +68,20 @@ class Belts:
 
     speed: float
     """Mean speed of the belts' surfaces on the left and the right, forward positive [m/s]."""
+    difference: float = 0.0
+    """By how much the right belts are faster than the left ones [m/s]."""
+
+
+@dataclass(frozen=True)
+class SpecificForce:
+    """What an accelerometer measures: acceleration less gravity, so that 9.81 m/s² is at rest.
+
+    It is that of the chassis centre, in frame R, as an average since the message before.
+    """
+
+    x: float
+    """Along the chassis, forward positive [m/s²]."""
+    y: float
+    """Across the chassis, to the left positive [m/s²]."""
+    z: float
+    """Perpendicular to both, upwards of the chassis positive [m/s²]."""

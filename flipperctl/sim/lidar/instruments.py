@@ -5,10 +5,13 @@ In: the true state. Out: messages of ``flipperctl.core.lidar``.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from flipperctl.api import Instrument, RobotState
 from flipperctl.core.lidar.messages import Joints, Pose
+from flipperctl.sim.lidar.frames import levelled, to_world
 
 
 class Encoders(Instrument):
@@ -29,6 +32,10 @@ class Tracking(Instrument):
         self.period = period
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Pose:
-        """Return the true pose; frame M is the world."""
+        """Return the true pose; frame M is the world, levelled if its z axis is not vertical."""
+        level = levelled(state)
         x, z = state.position.tolist()
-        return Pose(x=x, y=state.side, z=z, roll=state.roll, pitch=state.pitch, yaw=state.yaw)
+        x, y, z = (level @ [x, state.side, z]).tolist()
+        ahead = level @ to_world(state)[:, 0]
+        yaw = math.atan2(ahead[1], ahead[0])
+        return Pose(x=x, y=y, z=z, roll=state.roll, pitch=state.pitch, yaw=yaw)

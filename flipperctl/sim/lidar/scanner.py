@@ -6,6 +6,7 @@ their ages.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from flipperctl.api import FloatArray, Instrument, RayWorld, RobotState
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import Mount
 from flipperctl.core.lidar.messages import Scan
-from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.lidar.rotations import mounting
+from flipperctl.sim.lidar.frames import to_world
 from flipperctl.sim.lidar.pattern import RINGS, directions
 from flipperctl.sim.lidar.returns import RangeErrors, Returns
 
@@ -47,7 +49,7 @@ class Scanner(Instrument):
         self._in_robot = self._rays @ mounting(mount.axis).T
         self._returns = Returns(errors, azimuths)
         borders = [RINGS * (azimuths * part // parts) for part in range(parts + 1)]
-        self._parts = [slice(*ends) for ends in zip(borders[:-1], borders[1:], strict=True)]
+        self._parts = [slice(*ends) for ends in pairwise(borders)]
         self._cast: tuple[tuple[float, FloatArray], ...] | None = None
         """Time [s] and true distances [m] of each part of the turn so far; None: before the first
         one, which is that of a robot that stands still."""
@@ -69,7 +71,7 @@ class Scanner(Instrument):
     def _distances(self, state: RobotState, part: slice) -> FloatArray:
         """Return the true distances along the rays of a part, infinite without a hit, (R,) [m]."""
         rays = self._in_robot[part]
-        turn = attitude(state.roll, state.pitch, state.yaw)
+        turn = to_world(state)
         x, z = state.position
         origin = np.array([x, state.side, z]) + turn @ self._place
         ground = self._world.cast_rays(origin, rays @ turn.T, self._reach)

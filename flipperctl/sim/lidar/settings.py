@@ -26,7 +26,12 @@ from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError
-from flipperctl.sim.lidar.inertial import BeltEncoders, InertialErrors, InertialUnit
+from flipperctl.sim.lidar.inertial import (
+    Accelerometer,
+    BeltEncoders,
+    InertialErrors,
+    InertialUnit,
+)
 from flipperctl.sim.lidar.instruments import Encoders, Tracking
 from flipperctl.sim.lidar.returns import RangeErrors
 from flipperctl.sim.lidar.scanner import Scanner
@@ -102,12 +107,12 @@ class LidarSensor(Sensor):
         0.01, ge=0, le=0.9, description="fraction of the returns that are lost; a guess [-]"
     )
     mixed: float = Field(
-        0.2,
+        0.1,
         ge=0,
         le=1,
         description="fraction of the returns at depth discontinuities that lie between the two "
-        "surfaces, which the beam meets both; assumed: some mrad of divergence to 28 mrad between "
-        "two simulated azimuths [-]",
+        "surfaces; assumed: a beam of 5 mrad, 28 mrad between two azimuths by default, and returns "
+        "on both sides of the edge [-]",
     )
     mixed_gap: float = Field(
         1.0,
@@ -162,6 +167,20 @@ class LidarSensor(Sensor):
         ge=0,
         le=0.1,
         description="standard deviation of a yaw rate at 100 Hz (not for pose=true) [rad/s]",
+    )
+    accelerometer_noise: float = Field(
+        0.05,
+        ge=0,
+        le=5,
+        description="standard deviation of each axis of the specific force at 100 Hz; assumed for "
+        "a vehicle that vibrates, units at rest have a tenth (not for pose=true) [m/s²]",
+    )
+    accelerometer_bias: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="standard deviation of the constant error of each axis of the specific force "
+        "in an episode; 5 mg, usual for such units (not for pose=true) [m/s²]",
     )
     belt_error: float = Field(
         0.01,
@@ -266,8 +285,11 @@ class LidarSensor(Sensor):
             yaw_rate_noise=self.yaw_rate_noise,
             yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),
         )
-        speed = robot.track_speed * (1 + self.belt_error * rng.uniform(-1.0, 1.0))
-        return {"belts": BeltEncoders(speed), "inertial": InertialUnit(errors, rng)}
+        belts = BeltEncoders(robot.track_speed, self.belt_error * rng.uniform(-1.0, 1.0))
+        unit = InertialUnit(errors, rng)
+        bias = self.accelerometer_bias * rng.standard_normal(3)
+        force = Accelerometer(self.accelerometer_noise, bias, mounting.gravity)
+        return {"belts": belts, "inertial": unit, "accelerometer": force}
 
     def estimator(self, robot: RobotGeometry) -> Estimator:
         """Return a new estimator for the nominal ``robot``.

@@ -133,9 +133,13 @@ class MujocoWorld:
         errors = np.minimum(np.maximum(targets, -limit), limit) - angles
         self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
         if self.sim.heading_gain:
-            steer = self.sim.heading_gain * (self.yaw + self.data.qpos[1] / _STEER_AHEAD)
-            steer = min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
+            steer = self._steer()
             self.model.geom_surfacevel[:] = self._belts * (1.0 + steer * self._sides)[:, None]
+
+    def _steer(self) -> float:
+        """Return by which fraction the left belts run faster than the robot's speed."""
+        steer = self.sim.heading_gain * (self.yaw + self.data.qpos[1] / _STEER_AHEAD)
+        return float(min(_LARGEST_STEER, max(-_LARGEST_STEER, steer)))
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -188,6 +192,11 @@ class MujocoWorld:
             return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
 
+    def _orientation(self) -> FloatArray:
+        """Return the rotation from frame R to world, (3, 3)."""
+        x, y = self._axis(0), self._axis(1)
+        return np.column_stack([x, y, np.cross(x, y)])
+
     def _angles(self) -> tuple[float, float]:
         """Return the angles of the front and the rear pair, the means of both sides [rad]."""
         front_left, rear_left, front_right, rear_right = self.data.qpos[_HINGES].tolist()
@@ -208,6 +217,9 @@ class MujocoWorld:
             roll=self.roll,
             yaw=self.yaw,
             side=float(data.qpos[1]),
+            side_velocity=float(data.qvel[1]),
+            orientation=self._orientation(),
+            belts=self.robot.track_speed * (1.0 + self._steer() * np.array([1.0, -1.0])),
         )
 
     def penetration(self) -> float:
