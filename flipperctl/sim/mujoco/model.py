@@ -13,7 +13,7 @@ edges, where MuJoCo gives them a horizontal normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -61,8 +61,13 @@ class Model(NamedTuple):
     """(G,) 1 for parts on the left, -1 for those on the right, 0 for the ground."""
 
 
-def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
-    """Compile the scene; the robot's pose is set in its data."""
+def build(
+    ground: Sequence[Box],
+    robot: Robot,
+    sim: MujocoSettings,
+    scenery: Callable[[Any], None] = lambda spec: None,
+) -> Model:
+    """Compile the scene; the robot's pose is set in its data, ``scenery`` adds to the model."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
@@ -87,6 +92,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
             **_surface(sim),
         )
     _add_robot(spec, robot, sim)
+    scenery(spec)
     model = spec.compile()
     names = [model.geom(i).name for i in range(model.ngeom)]
     sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]

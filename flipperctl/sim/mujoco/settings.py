@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -92,6 +93,17 @@ class MujocoSettings(Settings):
         description="fraction by which the right side of the obstacle is lowered to the line "
         "between its ends; the line is at least 1 m long, so that a single step becomes an "
         "incline there [-]",
+    )
+    scenery: Literal["none", "walls", "posts"] = Field(
+        "none",
+        description="what stands beside the way on both sides, seen by sensors that cast rays and "
+        "in pictures; nothing touches it [-]",
+    )
+    scenery_distance: float = Field(
+        1.5,
+        ge=0.5,
+        le=20,
+        description="distance of the scenery from the middle of the ground [m]",
     )
     variation: int = Field(
         0,

@@ -8,6 +8,7 @@ in the ground's frame; both agree unless ``lateral_slope`` is set.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -28,6 +29,7 @@ from flipperctl.api import (
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
+from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
@@ -81,7 +83,9 @@ class MujocoWorld:
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = sim.ground_width / 2
-        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim)
+        (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
+        scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
+        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim, scenery)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
