@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api.engines import RayWorld
+from flipperctl.api.engines import CameraWorld, RayWorld
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import ObservationLayout, RobotGeometry, RobotState
@@ -59,6 +59,9 @@ class Mounting:
     """Generator of values that are constant within an episode, such as a bias."""
     gravity: float = 9.81
     """Downward acceleration in the engine's world [m/s²]."""
+    cameras: CameraWorld | None = None
+    """The robot's cameras; raises ``ConfigError`` if the engine has none. None: in checks that
+    have no engine."""
 
 
 class Instrument(ABC):

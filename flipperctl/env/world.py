@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     NO_LIMITS,
+    CameraImage,
+    CameraWorld,
     DrawingWorld,
     EndingWorld,
     Engine,
@@ -25,6 +27,7 @@ from flipperctl.api import (
     Robot,
     RobotState,
     Start,
+    View,
     World,
 )
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
@@ -168,6 +171,24 @@ class GuardedWorld:
             text = f"the distance {found[~(found >= 0)][0]:g}"
             raise self._refusal("cast_rays", text, allowed)
         return found
+
+    def look(self, view: View, width: int, height: int) -> CameraImage:
+        """Return what a camera of the robot shows; see ``flipperctl.api.CameraWorld``.
+
+        Raises:
+            ConfigError: the engine has no cameras.
+        """
+        if not isinstance(self.unguarded, CameraWorld):
+            raise ConfigError(
+                f"perception: the sensor has a camera, which sim={self._engine.plugin_name} "
+                "lacks; choose an engine whose world is a flipperctl.api.CameraWorld"
+            )
+        image = self._call("look", view, width, height)
+        shapes = (height, width, 3), (height, width)
+        if not isinstance(image, CameraImage) or shapes != (image.pixels.shape, image.depth.shape):
+            allowed = f"a CameraImage of {height} × {width} pixels"
+            raise self._refusal("look", short_repr(image), allowed)
+        return image
 
     def save(self) -> Any:
         """Return a snapshot of the changing state for ``load``."""

@@ -102,6 +102,7 @@ def build(
 def _set_looks(spec: Any) -> None:
     """Set sizes, light and sky of pictures."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
+    spec.visual.map.znear = 5e-4  # of the scene's extent of some 40 m, for the robot's cameras
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 1024, 0  # drawn in software
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
@@ -142,6 +143,7 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
             # One drum for the ends of main track and flipper, which turn about the same axle.
             y, half_width = sign * (inner + outer) / 2, (outer - inner) / 2
             _add_end(chassis, f"{end}_drum_{side}", (x, y), half_width, robot, sim)
+    _add_cameras(chassis, robot, sim)
     # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for end, ahead in (("front", 1.0), ("rear", -1.0)):
@@ -154,6 +156,17 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
             _add_board(flipper, f"{end}_board_{side}", (0.0, reach), 0.0, robot, sim)
             _add_end(flipper, f"{end}_tip_{side}", (reach, 0.0), width / 2, robot, sim)
             _add_hinge(spec, flipper, f"{end}_{side}", -ahead, robot, sim)
+
+
+def _add_cameras(chassis: Any, robot: Robot, sim: MujocoSettings) -> None:
+    """Add the cameras above the hinges; one looks along its negative z axis, its y axis is up."""
+    cos, sin = math.cos(sim.camera_tilt), math.sin(sim.camera_tilt)
+    for name, ahead in (("front", 1.0), ("rear", -1.0)):
+        axes = np.array([[0.0, -ahead, 0.0], [ahead * sin, 0.0, cos], [-ahead * cos, 0.0, sin]])
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, axes.T.ravel())
+        place = [ahead * robot.hinge_offset, 0.0, sim.camera_height]
+        chassis.add_camera(name=name, pos=place, quat=quat, fovy=math.degrees(sim.camera_angle))
 
 
 def _set_inertia(

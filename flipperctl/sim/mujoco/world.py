@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from flipperctl.api import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    CameraImage,
     FloatArray,
     Limits,
     Outcome,
@@ -25,6 +26,7 @@ from flipperctl.api import (
     Robot,
     RobotState,
     Start,
+    View,
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import boxes
@@ -90,7 +92,7 @@ class MujocoWorld:
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
-        self._camera: tuple[tuple[int, int], Camera] | None = None
+        self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
@@ -248,17 +250,26 @@ class MujocoWorld:
         return np.where((shapes >= 0) & (found <= reach), found, np.inf)
 
     def draw(self, width: int, height: int) -> NDArray[np.uint8]:
-        """Return a picture of the current state from behind the robot, (H, W, 3).
+        """Return a picture of the current state from ``sim.view``, (H, W, 3).
 
         Raises:
             RequestError: the picture is too large, or the machine has neither EGL nor OSMesa.
             FlipperctlError: the installed library cannot draw.
         """
+        if self.sim.view != "outside":
+            return self.look(self.sim.view, width, height).pixels
+        return self._camera(width, height).draw(self.data)
+
+    def look(self, view: View, width: int, height: int) -> CameraImage:
+        """Return what a camera on the robot shows; it raises what ``draw`` raises."""
+        return self._camera(width, height).look(self.data, view)
+
+    def _camera(self, width: int, height: int) -> Camera:
         from flipperctl.sim.mujoco.camera import Camera
 
-        if self._camera is None or self._camera[0] != (width, height):
-            self._camera = (width, height), Camera(self.model, width, height)
-        return self._camera[1].draw(self.data)
+        if (width, height) not in self._cameras:
+            self._cameras[width, height] = Camera(self.model, width, height)
+        return self._cameras[width, height]
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""
