@@ -9,6 +9,7 @@ from flipperctl.api import Profile, Robot, RobotState, Start
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import Mount
 from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.lidar.frames import levelled, to_world
 from flipperctl.sim.lidar.inertial import Accelerometer, BeltEncoders
 from flipperctl.sim.lidar.instruments import Tracking
@@ -87,3 +88,14 @@ def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
     assert levelled(now) @ to_world(now) == pytest.approx(
         attitude(pose.roll, pose.pitch, pose.yaw), abs=1e-9
     )
+
+
+def test_on_a_sideways_slope_the_map_is_the_true_ground() -> None:
+    exact = {"noise": 0.0, "range_bias": 0.0, "resolution": 0.0, "dropout": 0.0, "mixed": 0.0}
+    sim = {"name": "mujoco", "lateral_slope": SLOPE}
+    env = FlipperEnv("flat", sim=sim, perception={"name": "lidar", "grazing": 2.0, **exact})
+    env.reset(seed=3)
+    for _ in range(2):
+        env.step(4)
+    below = -0.1 / math.cos(SLOPE)  # from the chassis centre straight down
+    assert env.perception.observation[: env.layout.bins] == pytest.approx(below, abs=0.004)
