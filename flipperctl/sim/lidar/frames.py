@@ -6,6 +6,8 @@ place of the ground: world's z axis is then not vertical, and roll and pitch are
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from flipperctl.api import FloatArray, RobotState
@@ -21,7 +23,9 @@ def to_world(state: RobotState) -> FloatArray:
 
 def upwards(state: RobotState) -> FloatArray:
     """Return the direction against gravity in frame R, (3,)."""
-    return np.asarray(attitude(state.roll, state.pitch, 0.0)[2])
+    x, y = math.sin(state.pitch), math.sin(state.roll)
+    z = math.sqrt(max(0.0, 1.0 - x * x - y * y))
+    return np.array([x, y, math.copysign(z, math.cos(state.pitch))])
 
 
 def levelled(state: RobotState) -> FloatArray:

@@ -200,8 +200,8 @@ class MujocoWorld:
 
     def _orientation(self) -> FloatArray:
         """Return the rotation from frame R to world, (3, 3)."""
-        x, y = self._axis(0), self._axis(1)
-        return np.column_stack([x, y, np.cross(x, y)])
+        (a, b, c), (d, e, f) = self._axis(0), self._axis(1)
+        return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
 
     def _angles(self) -> tuple[float, float]:
         """Return the angles of the front and the rear pair, the means of both sides [rad]."""
