@@ -139,13 +139,13 @@ class MujocoWorld:
         errors = np.minimum(np.maximum(targets, -limit), limit) - angles
         self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
         if self.sim.heading_gain:
-            steer = self._steer()
+            steer = self._steer(self.yaw, float(self.data.qpos[1]))
             self.model.geom_surfacevel[:] = self._belts * (1.0 + steer * self._sides)[:, None]
 
-    def _steer(self) -> float:
+    def _steer(self, yaw: float, side: float) -> float:
         """Return by which fraction the left belts run faster than the robot's speed."""
-        steer = self.sim.heading_gain * (self.yaw + self.data.qpos[1] / _STEER_AHEAD)
-        return float(min(_LARGEST_STEER, max(-_LARGEST_STEER, steer)))
+        steer = self.sim.heading_gain * (yaw + side / _STEER_AHEAD)
+        return min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -173,7 +173,10 @@ class MujocoWorld:
     @property
     def pitch(self) -> float:
         """Angle of the chassis' x axis above the horizontal, past ±π/2 if it points back [rad]."""
-        x, y, z = self._axis(0)
+        return self._pitch(self._axis(0))
+
+    def _pitch(self, ahead: tuple[float, float, float]) -> float:
+        x, y, z = ahead
         _, up_y, up_z = self._up.tolist()
         rise = y * up_y + z * up_z
         return math.atan2(rise, math.copysign(math.sqrt(max(0.0, 1.0 - rise * rise)), x))
@@ -181,7 +184,10 @@ class MujocoWorld:
     @property
     def roll(self) -> float:
         """Angle of the chassis' y axis, to the left, above the horizontal [rad]."""
-        _, y, z = self._axis(1)
+        return self._roll(self._axis(1))
+
+    def _roll(self, left: tuple[float, float, float]) -> float:
+        _, y, z = left
         _, up_y, up_z = self._up.tolist()
         return math.asin(min(1.0, max(-1.0, y * up_y + z * up_z)))
 
@@ -198,9 +204,12 @@ class MujocoWorld:
             return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
 
-    def _orientation(self) -> FloatArray:
-        """Return the rotation from frame R to world, (3, 3)."""
-        (a, b, c), (d, e, f) = self._axis(0), self._axis(1)
+    @staticmethod
+    def _orientation(
+        ahead: tuple[float, float, float], left: tuple[float, float, float]
+    ) -> FloatArray:
+        """Return the rotation from frame R to world by the chassis' x and y axes, (3, 3)."""
+        (a, b, c), (d, e, f) = ahead, left
         return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
 
     def _angles(self) -> tuple[float, float]:
@@ -210,22 +219,24 @@ class MujocoWorld:
 
     def state(self) -> RobotState:
         """Return the current state."""
-        data = self.data
+        data, ahead, left = self.data, self._axis(0), self._axis(1)
         front, rear = self._angles()
+        yaw, side = math.atan2(ahead[1], ahead[0]), float(data.qpos[1])
+        faster = self.robot.track_speed * self._steer(yaw, side)  # the left belts
         return RobotState(
             position=np.array(self.position),
-            pitch=self.pitch,
+            pitch=self._pitch(ahead),
             front=front,
             rear=rear,
             velocity=data.qvel[[0, 2]],
             pitch_rate=-float(data.qvel[4]),
             time=self.time,
-            roll=self.roll,
-            yaw=self.yaw,
-            side=float(data.qpos[1]),
+            roll=self._roll(left),
+            yaw=yaw,
+            side=side,
             side_velocity=float(data.qvel[1]),
-            orientation=self._orientation(),
-            belts=self.robot.track_speed * (1.0 + self._steer() * np.array([1.0, -1.0])),
+            orientation=self._orientation(ahead, left),
+            belts=np.array([self.robot.track_speed + faster, self.robot.track_speed - faster]),
         )
 
     def penetration(self) -> float:
