@@ -145,9 +145,10 @@ class LidarEstimator:
 
         ``kept`` (P,) is changed to which of ``points`` these are.
         """
-        far = np.einsum("ij,ij->i", points[kept], points[kept]) >= self._mount.near**2
+        points = points[kept]
+        far = np.einsum("ij,ij->i", points, points) >= self._mount.near**2
         kept[kept] = far
-        points = self._position_of_lidar + points[kept] @ self._turn.T
+        points = self._position_of_lidar + points[far] @ self._turn.T
         joints, margin = self._joints, self._mount.margin
         others = ~self._body.contains(points, joints.front, joints.rear, margin)
         kept[kept] = others

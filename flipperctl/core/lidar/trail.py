@@ -53,9 +53,11 @@ class Trail:
         steps = np.round(np.clip(ages, 0.0, _LONGEST) / _STEP).astype(np.int64)
         distinct, which = np.unique(steps, return_inverse=True)
         poses = self._at(np.asarray(time - _STEP * distinct, np.float64))
-        turns = np.array([attitude(*pose[3:]) for pose in poses.tolist()]).reshape(-1, 3, 3)
-        moved: FloatArray = np.einsum("pij,pj->pi", turns[which], points)
-        moved += (poses[:, :3] - (origin.x, origin.y, origin.z))[which]
+        poses[:, :3] -= origin.x, origin.y, origin.z
+        moved = np.empty_like(points)
+        for step, pose in enumerate(poses.tolist()):
+            then = which == step
+            moved[then] = points[then] @ attitude(*pose[3:]).T + pose[:3]
         return moved
 
     def _at(self, times: FloatArray) -> FloatArray:
