@@ -21,6 +21,8 @@ from flipperctl.api.controllers import (
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    CameraImage,
+    CameraWorld,
     DrawingWorld,
     EndingWorld,
     Engine,
@@ -28,6 +30,7 @@ from flipperctl.api.engines import (
     RayWorld,
     SharedSetting,
     Start,
+    View,
     World,
     engine,
 )
@@ -73,6 +76,8 @@ __all__ = [
     "SAMPLE_PERIOD",
     "ActionTable",
     "AnyTerrain",
+    "CameraImage",
+    "CameraWorld",
     "Controller",
     "CostPolicy",
     "DrawingWorld",
@@ -118,6 +123,7 @@ __all__ = [
     "Terrain",
     "Transition",
     "Transitions",
+    "View",
     "World",
     "action_index",
     "candidate_angle",

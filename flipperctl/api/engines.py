@@ -11,6 +11,7 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -125,6 +126,32 @@ class DrawingWorld(Protocol):
         """Return a picture of the current state, (H, W, 3)."""
 
 
+View = Literal["front", "rear"]
+"""A camera of the robot: at its front, looking ahead, or at its rear, looking back."""
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """What a camera shows; the first row is at the top."""
+
+    pixels: NDArray[np.uint8]
+    """Colours, (H, W, 3)."""
+    depth: NDArray[np.float32]
+    """Distance along the camera's axis, infinite where nothing is, (H, W) [m]."""
+
+
+@runtime_checkable
+class CameraWorld(Protocol):
+    """A ``World`` with cameras on the robot."""
+
+    def look(self, view: View, width: int, height: int) -> CameraImage:
+        """Return what a camera of the robot shows now, ``height`` × ``width`` pixels.
+
+        Raises:
+            RequestError: the machine lacks a library that the engine needs for drawing.
+        """
+
+
 @runtime_checkable
 class RayWorld(Protocol):
     """A ``World`` in which sensors cast rays."""
@@ -178,6 +205,11 @@ class Engine(Plugin, ABC):
         if name == "substep" and value > 0:
             return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
         return value
+
+    @property
+    def films_itself(self) -> bool:
+        """Whether films of evaluations show the engine's own pictures, not the side view."""
+        return False
 
     def versions(self) -> dict[str, str]:
         """Return the versions of the libraries that affect the results, for checkpoints."""

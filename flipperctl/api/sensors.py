@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api.engines import RayWorld
+from flipperctl.api.engines import CameraWorld, RayWorld
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import ObservationLayout, RobotGeometry, RobotState
@@ -57,6 +57,11 @@ class Mounting:
     """Casts rays in the engine's world; raises ``ConfigError`` if the engine casts no rays."""
     rng: np.random.Generator
     """Generator of values that are constant within an episode, such as a bias."""
+    gravity: float = 9.81
+    """Downward acceleration in the engine's world [m/s²]."""
+    cameras: CameraWorld | None = None
+    """The robot's cameras; raises ``ConfigError`` if the engine has none. None: in checks that
+    have no engine."""
 
 
 class Instrument(ABC):
@@ -69,6 +74,8 @@ class Instrument(ABC):
     @abstractmethod
     def measure(self, state: RobotState, rng: np.random.Generator) -> object:
         """Return a measurement of the true state: a frozen dataclass of numbers and arrays.
+
+        None: there is none now, as of a LiDAR in the middle of a turn.
 
         Noise is sampled from ``rng``, the instrument's own generator, which snapshots include.
         """

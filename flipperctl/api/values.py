@@ -126,6 +126,13 @@ class RobotState:
     """Heading of the chassis from the x axis, to the left positive [rad]."""
     side: float = 0.0
     """World y of the chassis centre, to the left positive [m]."""
+    side_velocity: float = 0.0
+    """Velocity of the chassis centre along world y [m/s]."""
+    orientation: FloatArray | None = None
+    """(3, 3) rotation from frame R to world, where world's z axis need not be vertical; None: by
+    roll, pitch and yaw."""
+    belts: FloatArray | None = None
+    """Speeds of the left and the right belts, (2,) [m/s]; None: both are ``robot.track_speed``."""
 
 
 class ObservationLayout(Settings):

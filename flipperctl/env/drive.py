@@ -14,6 +14,7 @@ import numpy as np
 
 from flipperctl.api import (
     SAMPLE_PERIOD,
+    CameraWorld,
     EndingWorld,
     Engine,
     FloatArray,
@@ -34,8 +35,8 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
 
 
-class DrivenWorld(World, EndingWorld, RayWorld, Protocol):
-    """A world that may terminate by itself and that casts rays."""
+class DrivenWorld(World, EndingWorld, RayWorld, CameraWorld, Protocol):
+    """A world that may terminate by itself, casts rays and has cameras."""
 
 
 class Drive:

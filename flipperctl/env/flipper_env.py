@@ -169,7 +169,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         episode, (engine, robot, sensor) = self.config.episode, self._sections
         margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
         (mounted,) = rngs[0].spawn(1)
-        mounting = Mounting(robot, self.profile, margin + 2.0, drive.world, mounted)
+        gravity, world = engine.shared_setting("gravity") or Mounting.gravity, drive.world
+        mounting = Mounting(robot, self.profile, margin + 2.0, world, mounted, gravity, world)
         if exact:  # includes the sampled physics
             friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)

@@ -92,6 +92,8 @@ class Perceiver:
         for part in self._parts:
             if part.instrument.every == every:
                 value = part.instrument.measure(state, part.rng)
+                if value is None:
+                    continue
                 self._pending.append(Measured(part.name, state.time, value))
                 for report in self._reports:
                     report(self._pending[-1])

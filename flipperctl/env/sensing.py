@@ -54,7 +54,7 @@ class MountedInstrument(Protocol):
     """Samples between two measurements; None: one for each decision [-]."""
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> object:
-        """Return a measurement of the true state."""
+        """Return a measurement of the true state, or None."""
 
     def save(self) -> Any:
         """Return a snapshot of the memory."""
@@ -97,7 +97,7 @@ class GuardedInstrument:
         self.every = _samples(sensor, instrument)
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> object:
-        """Return a measurement of the true state; noise is drawn from ``rng``."""
+        """Return a measurement of the true state, or None; noise is drawn from ``rng``."""
         return _call(self._sensor, "measure", self._instrument.measure, state, rng)
 
     def save(self) -> Any:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     NO_LIMITS,
+    CameraImage,
+    CameraWorld,
     DrawingWorld,
     EndingWorld,
     Engine,
@@ -25,6 +27,7 @@ from flipperctl.api import (
     Robot,
     RobotState,
     Start,
+    View,
     World,
 )
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
@@ -32,8 +35,10 @@ from flipperctl.guard import naming, raise_named, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
-_SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side")
-_STATE = "a RobotState of numbers, with two in each array"
+_SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side", "side_velocity")
+_ARRAYS = (("orientation", (3, 3)), ("belts", (2,)))
+"""Names and shapes of the arrays that may be None."""
+_STATE = "a RobotState of numbers, with two in each vector and 3 × 3 in the orientation"
 
 
 def place(
@@ -113,6 +118,11 @@ class GuardedWorld:
             for name in _VECTORS:
                 x, z = getattr(state, name).tolist()
                 numbers += x, z
+            for name, shape in _ARRAYS:
+                if (array := getattr(state, name)) is not None:
+                    if array.shape != shape:
+                        raise self._refusal("state", short_repr(state), _STATE)
+                    numbers += array.ravel().tolist()
             finite = all(map(math.isfinite, numbers))
         except (AttributeError, TypeError, ValueError, OverflowError) as error:
             raise self._refusal("state", short_repr(state), _STATE) from error
@@ -161,6 +171,24 @@ class GuardedWorld:
             text = f"the distance {found[~(found >= 0)][0]:g}"
             raise self._refusal("cast_rays", text, allowed)
         return found
+
+    def look(self, view: View, width: int, height: int) -> CameraImage:
+        """Return what a camera of the robot shows; see ``flipperctl.api.CameraWorld``.
+
+        Raises:
+            ConfigError: the engine has no cameras.
+        """
+        if not isinstance(self.unguarded, CameraWorld):
+            raise ConfigError(
+                f"perception: the sensor has a camera, which sim={self._engine.plugin_name} "
+                "lacks; choose an engine whose world is a flipperctl.api.CameraWorld"
+            )
+        image = self._call("look", view, width, height)
+        shapes = (height, width, 3), (height, width)
+        if not isinstance(image, CameraImage) or shapes != (image.pixels.shape, image.depth.shape):
+            allowed = f"a CameraImage of {height} × {width} pixels"
+            raise self._refusal("look", short_repr(image), allowed)
+        return image
 
     def save(self) -> Any:
         """Return a snapshot of the changing state for ``load``."""

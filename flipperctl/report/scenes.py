@@ -10,6 +10,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.files import picture_names
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.report.drawn_film import film_episode
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save
 from flipperctl.report.film import save_film
@@ -66,6 +67,9 @@ def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> No
         WriteError: writing failed half way.
     """
     config, source = scene
+    if config.sim.films_itself:
+        film_episode(config, source, 0, path)
+        return
     terrain = config.terrain.plugin_name
     with progress(f"{terrain}, film", 2) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)

@@ -76,6 +76,8 @@ class Body:
         It is infinite for rays that miss it; ``directions`` are (R, 3) unit vectors in frame R.
         """
         nearest = np.full(len(directions), np.inf)
+        middle = origin[1] == 0.0  # both sides of the robot are then equal
+        beside = np.abs(directions[:, 1]) if middle else directions[:, 1]
         for box in self._boxes(front, rear):
             begin = _turned(origin[None, [0, 2]] - (box.x, box.z), box.tilt)
             along, above = _turned(directions[:, [0, 2]], box.tilt)
@@ -84,8 +86,9 @@ class Body:
                 _span(begin[1][0], above, -self.track_radius, self.track_radius),
             ]
             sides = ((box.inner, box.outer), (-box.outer, -box.inner))
-            for low, high in sides if box.inner > 0 else ((-box.outer, box.outer),):
-                both = [*spans, _span(float(origin[1]), directions[:, 1], low, high)]
+            whole = ((-box.outer, box.outer),)
+            for low, high in whole if box.inner <= 0 else sides[:1] if middle else sides:
+                both = [*spans, _span(float(origin[1]), beside, low, high)]
                 enter = np.maximum.reduce([s for s, _ in both])
                 leave = np.minimum.reduce([s for _, s in both])
                 hit = (enter <= leave) & (enter > 0)

@@ -10,6 +10,7 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
@@ -18,6 +19,7 @@ from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
 from flipperctl.core.lidar.odometry import advanced, moved_to
 from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.lidar.trail import Trail
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 
@@ -46,14 +48,19 @@ class LidarEstimator:
         mount: Mount,
         settings: MapSettings,
         matcher: ScanMatcher | None = None,
+        deskew: bool = True,
     ) -> None:
-        """``matcher`` corrects the pose by ``Belts`` and ``Inertial``; None: nothing does."""
+        """``matcher`` corrects the pose by ``Belts`` and ``Inertial``; None: nothing does.
+
+        ``deskew``: correct the points for the robot's motion within a scan.
+        """
         self._body, self._mount = body, mount
         self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
         self._turn = mounting(mount.axis)
         self._ground = GroundSeen(settings)
-        self._matcher = matcher
+        self._matcher, self._deskew = matcher, deskew
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._trail = Trail(self._pose)
         self._joints = Joints(0.0, 0.0)
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
@@ -68,13 +75,14 @@ class LidarEstimator:
         value = measured.value
         if isinstance(value, Scan):
             self._start()
-            self._add(value)
+            self._add(value, measured.time)
         elif isinstance(value, Pose | Joints | Inertial | Belts) and _is_finite(value):
             self._receive(value, measured.time)
 
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
             self._pose, self._reckoned = value, None
+            self._trail.record(time, value)
         elif isinstance(value, Joints):
             self._joints = value
         elif isinstance(value, Belts):
@@ -83,6 +91,7 @@ class LidarEstimator:
             elapsed = 0.0 if self._reckoned is None else time - self._reckoned
             self._pose = advanced(self._pose, value, self._speed, elapsed)
             self._reckoned = time
+            self._trail.record(time, self._pose)
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
         """Return the ground and the posture by the latest messages."""
@@ -105,9 +114,9 @@ class LidarEstimator:
         below = body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
         self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
 
-    def _add(self, scan: Scan) -> None:
+    def _add(self, scan: Scan, time: float) -> None:
         pose = self._pose
-        points = self._of_ground(scan.points) @ attitude(pose.roll, pose.pitch, pose.yaw).T
+        points = self._levelled(scan, time)
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
             pose = moved_to(pose, self._matcher.corrected(points, guess))
@@ -117,25 +126,44 @@ class LidarEstimator:
             pose = moved_to(pose, np.array([pose.x, pose.y, pose.z - error]))
             points[:, 2] -= error
         self._pose = pose
+        self._trail.begin(time, pose)
         self._ground.add(points, pose.x, pose.y)
 
-    def _of_ground(self, points: FloatArray) -> FloatArray:
-        """Return the points of a scan that are not the robot's own, (P, 3) in frame R [m]."""
-        points = points[np.isfinite(points).all(axis=1)]
+    def _levelled(self, scan: Scan, time: float) -> FloatArray:
+        """Return the ground's points from the robot in the directions of frame M, (P, 3) [m]."""
+        pose, ages = self._pose, scan.ages
+        kept = np.asarray(np.isfinite(scan.points).all(axis=1))
+        if ages is not None:
+            kept &= np.isfinite(ages)
+        points = self._of_ground(scan.points, kept)
+        if ages is None or not self._deskew:
+            return points @ attitude(pose.roll, pose.pitch, pose.yaw).T
+        return self._trail.levelled(points, ages[kept], time, pose)
+
+    def _of_ground(self, points: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
+        """Return those of the ``kept`` points that are not the robot's own, (P, 3) in frame R [m].
+
+        ``kept`` (P,) is changed to which of ``points`` these are.
+        """
+        points = points[kept]
         far = np.einsum("ij,ij->i", points, points) >= self._mount.near**2
+        kept[kept] = far
         points = self._position_of_lidar + points[far] @ self._turn.T
         joints, margin = self._joints, self._mount.margin
-        return points[~self._body.contains(points, joints.front, joints.rear, margin)]
+        others = ~self._body.contains(points, joints.front, joints.rear, margin)
+        kept[kept] = others
+        return points[others]
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
         latest = self._pose, self._joints, self._speed, self._reckoned
         matched = None if self._matcher is None else self._matcher.save()
-        return self._ground.save(), latest, self._started, matched
+        return self._ground.save(), latest, self._started, matched, self._trail.save()
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, latest, self._started, matched = saved
+        ground, latest, self._started, matched, trail = saved
+        self._trail.load(trail)
         if self._matcher is not None:
             self._matcher.load(matched)
         self._pose, self._joints, self._speed, self._reckoned = latest

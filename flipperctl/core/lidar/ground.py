@@ -16,6 +16,7 @@ from flipperctl.core import bins, observation
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Cells, Grid
 from flipperctl.core.lidar.contact import clearances
+from flipperctl.core.lidar.lateral import lateral_slope, straightened
 from flipperctl.core.lidar.outline import (
     Columns,
     columns,
@@ -104,15 +105,16 @@ class GroundSeen:
         Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
         """
         s, reach = self._settings, (_NEAREST, _FARTHEST)
-        known = columns(
-            self._cells.around(x, y, yaw, reach, s.half_width), s.grid.cell, _REGISTERED
-        )
+        around = self._cells.around(x, y, yaw, reach, s.half_width)
+        slope = lateral_slope(around, s.grid.cell)
+        known = columns(straightened(around, slope), s.grid.cell, _REGISTERED)
         level = known.high - known.low < 3 * s.noise + s.grid.cell
         cos, sin = math.cos(yaw), math.sin(yaw)
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
         strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
-        new = columns(np.column_stack([along, beside, points[:, 2]])[strip], s.grid.cell, s.fewest)
+        scanned = np.column_stack([along, beside, points[:, 2]])[strip]
+        new = columns(straightened(scanned, slope), s.grid.cell, s.fewest)
         _, i, j = np.intersect1d(
             np.round(known.x[level] / s.grid.cell, 1),
             np.round(new.x / s.grid.cell, 1),
@@ -132,7 +134,8 @@ class GroundSeen:
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
         near[:, 2] -= z
-        found = columns(near, s.grid.cell, s.fewest)
+        level = straightened(near, lateral_slope(near, s.grid.cell))
+        found = columns(level, s.grid.cell, s.fewest)
         line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(found, assumed, stance)

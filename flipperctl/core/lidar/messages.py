@@ -15,7 +15,11 @@ class Scan:
     """A turn of the LiDAR."""
 
     points: FloatArray
-    """(P, 3) points that returned, in frame S [m]; one that is not finite is ignored."""
+    """(P, 3) points that returned, in frame S at the time of each [m]; one that is not finite is
+    ignored."""
+    ages: FloatArray | None = None
+    """(P,) time from the measurement of each point to that of the message [s]; None: all points
+    were measured at the same instant."""
 
 
 @dataclass(frozen=True)
@@ -64,3 +68,20 @@ class Belts:
 
     speed: float
     """Mean speed of the belts' surfaces on the left and the right, forward positive [m/s]."""
+    difference: float = 0.0
+    """By how much the right belts are faster than the left ones [m/s]."""
+
+
+@dataclass(frozen=True)
+class SpecificForce:
+    """What an accelerometer measures: acceleration less gravity, so that 9.81 m/s² is at rest.
+
+    It is that of the chassis centre, in frame R, as an average since the message before.
+    """
+
+    x: float
+    """Along the chassis, forward positive [m/s²]."""
+    y: float
+    """Across the chassis, to the left positive [m/s²]."""
+    z: float
+    """Perpendicular to both, upwards of the chassis positive [m/s²]."""

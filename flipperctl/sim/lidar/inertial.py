@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import FloatArray, Instrument, RobotState
-from flipperctl.core.lidar.messages import Belts, Inertial
+from flipperctl.core.lidar.messages import Belts, Inertial, SpecificForce
+from flipperctl.sim.lidar.frames import to_world, upwards
 
 PERIOD = 0.01
 """Time between two measurements [s]."""
@@ -66,15 +67,46 @@ class InertialUnit(Instrument):
         self._tilt, self._yaw = saved
 
 
-class BeltEncoders(Instrument):
-    """Measures the speed at which the belts run; the engines keep it constant."""
+class Accelerometer(Instrument):
+    """Measures the specific force with a constant and a white error."""
 
     period = PERIOD
 
-    def __init__(self, speed: float) -> None:
-        """``speed``: what the encoders show, with their constant error [m/s]."""
-        self._speed = speed
+    def __init__(self, noise: float, bias: FloatArray, gravity: float) -> None:
+        """``noise``: standard deviation; ``bias``: constant error in frame R, (3,); all [m/s²]."""
+        self._noise, self._bias, self._gravity = noise, bias, gravity
+        self._last: tuple[float, FloatArray] | None = None  # time [s] and velocity [m/s] in world
+
+    def measure(self, state: RobotState, rng: np.random.Generator) -> SpecificForce:
+        """Return the mean specific force since the measurement before; at rest at the first one."""
+        vx, vz = state.velocity.tolist()
+        velocity, last = np.array([vx, state.side_velocity, vz]), self._last
+        self._last = state.time, velocity
+        force = self._gravity * upwards(state)
+        if last is not None and state.time > last[0]:
+            force = force + (velocity - last[1]) / (state.time - last[0]) @ to_world(state)
+        return SpecificForce(*(force + self._bias + self._noise * rng.standard_normal(3)).tolist())
+
+    def save(self) -> Any:
+        """Return a snapshot of the latest velocity."""
+        return self._last
+
+    def load(self, saved: Any) -> None:
+        """Restore a snapshot."""
+        self._last = saved
+
+
+class BeltEncoders(Instrument):
+    """Measures the speeds at which the belts run."""
+
+    period = PERIOD
+
+    def __init__(self, speed: float, error: float) -> None:
+        """``speed``: of belts that the engine does not steer [m/s]; ``error``: relative [-]."""
+        self._speed, self._scale = speed, 1.0 + error
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Belts:
-        """Return the speed."""
-        return Belts(self._speed)
+        """Return mean and difference of the speeds, with their constant relative error."""
+        belts = np.full(2, self._speed) if state.belts is None else state.belts
+        left, right = (self._scale * belts).tolist()
+        return Belts(speed=(left + right) / 2, difference=right - left)

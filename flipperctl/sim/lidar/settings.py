@@ -26,14 +26,15 @@ from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError
-from flipperctl.sim.lidar.inertial import BeltEncoders, InertialErrors, InertialUnit
-from flipperctl.sim.lidar.instruments import (
-    SCAN_PERIOD,
-    Encoders,
-    RangeErrors,
-    Scanner,
-    Tracking,
+from flipperctl.sim.lidar.inertial import (
+    Accelerometer,
+    BeltEncoders,
+    InertialErrors,
+    InertialUnit,
 )
+from flipperctl.sim.lidar.instruments import Encoders, Tracking
+from flipperctl.sim.lidar.returns import RangeErrors
+from flipperctl.sim.lidar.scanner import Scanner
 from flipperctl.sim.planar.sensing import PlanarSensor
 
 _LEAST_NOISE = 0.01
@@ -47,7 +48,7 @@ class LidarSensor(Sensor):
     It needs an engine that casts rays. Errors and angles are those of a RoboSense RS-Bpearl.
     """
 
-    not_sampled = Sensor.not_sampled | {"azimuths", "pose"}
+    not_sampled = Sensor.not_sampled | {"azimuths", "deskew", "pose", "scan_parts"}
     pose: Literal["true", "belts", "matched"] = Field(
         "true",
         description="pose at which scans enter the map: the true one; belts is odometry by belt "
@@ -60,6 +61,14 @@ class LidarSensor(Sensor):
         le=1800,
         description="rays of each of the 32 rings in a turn; the RS-Bpearl has 1800 at 10 Hz, of "
         "which the default simulates every eighth, for speed [-]",
+    )
+    scan_parts: Literal[1, 2, 5, 10] = Field(
+        5,
+        description="parts in which a turn of 0.1 s is simulated, each from the pose of its "
+        "instant; 1 casts all rays at the turn's end [-]",
+    )
+    deskew: bool = Field(
+        True, description="correct the points for the robot's motion during the turn [-]"
     )
     near: float = Field(
         0.1,
@@ -97,6 +106,35 @@ class LidarSensor(Sensor):
     dropout: float = Field(
         0.01, ge=0, le=0.9, description="fraction of the returns that are lost; a guess [-]"
     )
+    mixed: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="fraction of the returns at depth discontinuities that lie between the two "
+        "surfaces; assumed: a beam of 5 mrad, 28 mrad between two azimuths by default, and returns "
+        "on both sides of the edge [-]",
+    )
+    mixed_gap: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="largest distance of two surfaces whose returns mix; by its manual, the "
+        "RS-Bpearl tells returns apart that are over 1 m apart [m]",
+    )
+    grazing: float = Field(
+        1.4,
+        ge=0.8,
+        le=2,
+        description="angle of incidence at which half of the returns are lost; assumed, since the "
+        "literature has errors that grow from 1.05 on and no figure for losses; 2 loses none [rad]",
+    )
+    grazing_width: float = Field(
+        0.2,
+        ge=0.01,
+        le=0.5,
+        description="range of angles of incidence around grazing within which the lost fraction "
+        "rises from 0 to 1; assumed [rad]",
+    )
     tilt_wander: float = Field(
         0.003,
         ge=0,
@@ -129,6 +167,20 @@ class LidarSensor(Sensor):
         ge=0,
         le=0.1,
         description="standard deviation of a yaw rate at 100 Hz (not for pose=true) [rad/s]",
+    )
+    accelerometer_noise: float = Field(
+        0.05,
+        ge=0,
+        le=5,
+        description="standard deviation of each axis of the specific force at 100 Hz; assumed for "
+        "a vehicle that vibrates, units at rest have a tenth (not for pose=true) [m/s²]",
+    )
+    accelerometer_bias: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="standard deviation of the constant error of each axis of the specific force "
+        "in an episode; 5 mg, usual for such units (not for pose=true) [m/s²]",
     )
     belt_error: float = Field(
         0.01,
@@ -203,16 +255,25 @@ class LidarSensor(Sensor):
         """Return the instruments of one episode, those of one time in the order of use."""
         rng = mounting.rng
         errors = RangeErrors(
-            self.noise, self.range_bias * rng.uniform(-1.0, 1.0), self.resolution, self.dropout
+            noise=self.noise,
+            bias=self.range_bias * rng.uniform(-1.0, 1.0),
+            resolution=self.resolution,
+            dropout=self.dropout,
+            mixed=self.mixed,
+            mixed_gap=self.mixed_gap,
+            grazing=self.grazing,
+            grazing_width=self.grazing_width,
         )
         body = self._body(mounting.robot)
-        scanner = Scanner(self.azimuths, self.far, errors, self._mount, body, mounting.rays)
-        scanning = {"encoders": Encoders(SCAN_PERIOD), "lidar": scanner}
+        scanner = Scanner(
+            self.azimuths, self.far, errors, self._mount, body, mounting.rays, self.scan_parts
+        )
+        scanning = {"encoders": Encoders(scanner.period), "lidar": scanner}
         at_decision: dict[str, Instrument] = {"encoders_at_decision": Encoders(None)}
         if self.pose != "true":
             return {**self._odometry(mounting), **scanning, **at_decision}
         at_decision["tracking_at_decision"] = Tracking(None)
-        return {"tracking": Tracking(SCAN_PERIOD), **scanning, **at_decision}
+        return {"tracking": Tracking(scanner.period), **scanning, **at_decision}
 
     def _odometry(self, mounting: Mounting) -> dict[str, Instrument]:
         rng, robot = mounting.rng, mounting.robot
@@ -224,8 +285,11 @@ class LidarSensor(Sensor):
             yaw_rate_noise=self.yaw_rate_noise,
             yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),
         )
-        speed = robot.track_speed * (1 + self.belt_error * rng.uniform(-1.0, 1.0))
-        return {"belts": BeltEncoders(speed), "inertial": InertialUnit(errors, rng)}
+        belts = BeltEncoders(robot.track_speed, self.belt_error * rng.uniform(-1.0, 1.0))
+        unit = InertialUnit(errors, rng)
+        bias = self.accelerometer_bias * rng.standard_normal(3)
+        force = Accelerometer(self.accelerometer_noise, bias, mounting.gravity)
+        return {"belts": belts, "inertial": unit, "accelerometer": force}
 
     def estimator(self, robot: RobotGeometry) -> Estimator:
         """Return a new estimator for the nominal ``robot``.
@@ -243,7 +307,7 @@ class LidarSensor(Sensor):
             noise=max(_LEAST_NOISE, self.noise),
         )
         matcher = self._matcher() if self.pose == "matched" else None
-        return LidarEstimator(self._body(robot), self._mount, settings, matcher)
+        return LidarEstimator(self._body(robot), self._mount, settings, matcher, self.deskew)
 
     def _matcher(self) -> ScanMatcher:
         try:

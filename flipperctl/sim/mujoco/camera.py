@@ -15,17 +15,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.api import CameraImage, View
 from flipperctl.errors import FlipperctlError, RequestError
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 """Name in ``MUJOCO_GL`` → system library, in the order in which they are tried."""
 _INSTALL = "on Debian, apt install libegl1 libegl-mesa0, or libosmesa6"
 _MOST_GEOMS = 20_100
+_SKY = 0.6
+"""MuJoCo draws the sky at 0.7 of the distance of its farthest plane, which is kilometres away."""
 _DISTANCE, _AZIMUTH, _ELEVATION = 2.6, 125.0, -18.0  # of the camera from the robot [m], [°], [°]
 
 
 class Camera:
-    """A camera that follows the robot from behind, at one side."""
+    """A camera that follows the robot from behind, at one side, and those on the robot."""
 
     def __init__(self, model: Any, width: int, height: int) -> None:
         """Prepare pictures of ``width`` × ``height`` pixels.
@@ -46,29 +49,51 @@ class Camera:
         self._gl.make_current()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value  # more precise
         self._scene = mujoco.MjvScene(model, maxgeom=_MOST_GEOMS)
         self._camera, self._options = mujoco.MjvCamera(), mujoco.MjvOption()
         self._camera.distance = _DISTANCE
         self._camera.azimuth, self._camera.elevation = _AZIMUTH, _ELEVATION
 
     def draw(self, data: Any) -> NDArray[np.uint8]:
-        """Return a picture of the current state, (H, W, 3)."""
-        mujoco.mj_kinematics(self._model, data)  # ``mj_step`` does not update the bodies' poses
+        """Return a picture of the current state from outside, (H, W, 3)."""
         self._camera.lookat[:] = data.qpos[:3]
+        return self._rendered(data, self._camera).pixels
+
+    def look(self, data: Any, view: View) -> CameraImage:
+        """Return what a camera on the robot shows."""
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
+        camera.fixedcamid = self._model.camera(view).id
+        return self._rendered(data, camera)
+
+    def _rendered(self, data: Any, camera: Any) -> CameraImage:
+        mujoco.mj_kinematics(self._model, data)  # ``mj_step`` does not update the bodies' poses
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_camlight(self._model, data)
         mujoco.mjv_updateScene(
             self._model,
             data,
             self._options,
             None,
-            self._camera,
+            camera,
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._scene,
         )
         self._gl.make_current()
         pixels = np.empty((self._view.height, self._view.width, 3), np.uint8)
+        buffer = np.empty((self._view.height, self._view.width), np.float32)
         mujoco.mjr_render(self._view, self._scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, self._view, self._context)
-        return pixels[::-1].copy()  # OpenGL begins at the bottom
+        mujoco.mjr_readPixels(pixels, buffer, self._view, self._context)
+        # OpenGL begins at the bottom
+        return CameraImage(pixels[::-1].copy(), self._depth(buffer[::-1].astype(np.float64)))
+
+    def _depth(self, buffer: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return the distances of a depth buffer, 1 at the nearest plane and 0 at the farthest."""
+        extent, planes = self._model.stat.extent, self._model.vis.map
+        near, far = planes.znear * extent, planes.zfar * extent
+        depth = near * far / (buffer * (far - near) + near)
+        return np.where(depth < _SKY * far, depth, np.inf).astype(np.float32)
 
 
 def _context(width: int, height: int) -> Any:

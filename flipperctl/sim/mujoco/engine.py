@@ -21,6 +21,8 @@ class Mujoco(MujocoSettings, Engine):
     If the profile has a surface, the robot drives over the surface instead.
     """
 
+    without_effect = frozenset({"view"})
+
     def place(
         self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
     ) -> World:
@@ -48,6 +50,11 @@ class Mujoco(MujocoSettings, Engine):
         from flipperctl.sim.mujoco.world import MujocoWorld
 
         return MujocoWorld(profile, robot, self, start, rng)
+
+    @property
+    def films_itself(self) -> bool:
+        """Whether a camera on the robot is chosen as the view."""
+        return self.view != "outside"
 
     def versions(self) -> dict[str, str]:
         """Return the version of MuJoCo, which affects the results."""

@@ -13,7 +13,7 @@ edges, where MuJoCo gives them a horizontal normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -61,8 +61,13 @@ class Model(NamedTuple):
     """(G,) 1 for parts on the left, -1 for those on the right, 0 for the ground."""
 
 
-def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
-    """Compile the scene; the robot's pose is set in its data."""
+def build(
+    ground: Sequence[Box],
+    robot: Robot,
+    sim: MujocoSettings,
+    scenery: Callable[[Any], None] = lambda spec: None,
+) -> Model:
+    """Compile the scene; the robot's pose is set in its data, ``scenery`` adds to the model."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
@@ -87,6 +92,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
             **_surface(sim),
         )
     _add_robot(spec, robot, sim)
+    scenery(spec)
     model = spec.compile()
     names = [model.geom(i).name for i in range(model.ngeom)]
     sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]
@@ -96,6 +102,7 @@ def build(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Model:
 def _set_looks(spec: Any) -> None:
     """Set sizes, light and sky of pictures."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
+    spec.visual.map.znear = 5e-4  # of the scene's extent of some 40 m, for the robot's cameras
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 1024, 0  # drawn in software
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
@@ -136,6 +143,7 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
             # One drum for the ends of main track and flipper, which turn about the same axle.
             y, half_width = sign * (inner + outer) / 2, (outer - inner) / 2
             _add_end(chassis, f"{end}_drum_{side}", (x, y), half_width, robot, sim)
+    _add_cameras(chassis, robot, sim)
     # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for end, ahead in (("front", 1.0), ("rear", -1.0)):
@@ -148,6 +156,17 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
             _add_board(flipper, f"{end}_board_{side}", (0.0, reach), 0.0, robot, sim)
             _add_end(flipper, f"{end}_tip_{side}", (reach, 0.0), width / 2, robot, sim)
             _add_hinge(spec, flipper, f"{end}_{side}", -ahead, robot, sim)
+
+
+def _add_cameras(chassis: Any, robot: Robot, sim: MujocoSettings) -> None:
+    """Add the cameras above the hinges; one looks along its negative z axis, its y axis is up."""
+    cos, sin = math.cos(sim.camera_tilt), math.sin(sim.camera_tilt)
+    for name, ahead in (("front", 1.0), ("rear", -1.0)):
+        axes = np.array([[0.0, -ahead, 0.0], [ahead * sin, 0.0, cos], [-ahead * cos, 0.0, sin]])
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, axes.T.ravel())
+        place = [ahead * robot.hinge_offset, 0.0, sim.camera_height]
+        chassis.add_camera(name=name, pos=place, quat=quat, fovy=math.degrees(sim.camera_angle))
 
 
 def _set_inertia(

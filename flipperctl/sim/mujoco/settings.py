@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -92,6 +93,35 @@ class MujocoSettings(Settings):
         description="fraction by which the right side of the obstacle is lowered to the line "
         "between its ends; the line is at least 1 m long, so that a single step becomes an "
         "incline there [-]",
+    )
+    scenery: Literal["none", "walls", "posts"] = Field(
+        "none",
+        description="what stands beside the way on both sides, seen by sensors that cast rays and "
+        "in pictures; nothing touches it [-]",
+    )
+    scenery_distance: float = Field(
+        1.5,
+        ge=0.5,
+        le=20,
+        description="distance of the scenery from the middle of the ground [m]",
+    )
+    camera_height: float = Field(
+        0.3,
+        ge=0.1,
+        le=2,
+        description="height of the front and the rear camera above the chassis centre; they are "
+        "above the hinges [m]",
+    )
+    camera_tilt: float = Field(
+        0.35, ge=-1, le=1.5, description="angle of the cameras' axes below the chassis' [rad]"
+    )
+    camera_angle: float = Field(
+        1.05, ge=0.2, le=2.5, description="vertical angle of view of the cameras [rad]"
+    )
+    view: Literal["outside", "front", "rear"] = Field(
+        "outside",
+        description="what pictures and films show: the robot from outside, or what its front or "
+        "rear camera sees [-]",
     )
     variation: int = Field(
         0,

@@ -8,6 +8,7 @@ in the ground's frame; both agree unless ``lateral_slope`` is set.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from flipperctl.api import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    CameraImage,
     FloatArray,
     Limits,
     Outcome,
@@ -24,10 +26,12 @@ from flipperctl.api import (
     Robot,
     RobotState,
     Start,
+    View,
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
+from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
@@ -81,12 +85,14 @@ class MujocoWorld:
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = sim.ground_width / 2
-        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim)
+        (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
+        scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
+        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim, scenery)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
-        self._camera: tuple[tuple[int, int], Camera] | None = None
+        self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
@@ -133,9 +139,13 @@ class MujocoWorld:
         errors = np.minimum(np.maximum(targets, -limit), limit) - angles
         self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
         if self.sim.heading_gain:
-            steer = self.sim.heading_gain * (self.yaw + self.data.qpos[1] / _STEER_AHEAD)
-            steer = min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
+            steer = self._steer(self.yaw, float(self.data.qpos[1]))
             self.model.geom_surfacevel[:] = self._belts * (1.0 + steer * self._sides)[:, None]
+
+    def _steer(self, yaw: float, side: float) -> float:
+        """Return by which fraction the left belts run faster than the robot's speed."""
+        steer = self.sim.heading_gain * (yaw + side / _STEER_AHEAD)
+        return min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -163,7 +173,10 @@ class MujocoWorld:
     @property
     def pitch(self) -> float:
         """Angle of the chassis' x axis above the horizontal, past ±π/2 if it points back [rad]."""
-        x, y, z = self._axis(0)
+        return self._pitch(self._axis(0))
+
+    def _pitch(self, ahead: tuple[float, float, float]) -> float:
+        x, y, z = ahead
         _, up_y, up_z = self._up.tolist()
         rise = y * up_y + z * up_z
         return math.atan2(rise, math.copysign(math.sqrt(max(0.0, 1.0 - rise * rise)), x))
@@ -171,7 +184,10 @@ class MujocoWorld:
     @property
     def roll(self) -> float:
         """Angle of the chassis' y axis, to the left, above the horizontal [rad]."""
-        _, y, z = self._axis(1)
+        return self._roll(self._axis(1))
+
+    def _roll(self, left: tuple[float, float, float]) -> float:
+        _, y, z = left
         _, up_y, up_z = self._up.tolist()
         return math.asin(min(1.0, max(-1.0, y * up_y + z * up_z)))
 
@@ -188,6 +204,14 @@ class MujocoWorld:
             return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
 
+    @staticmethod
+    def _orientation(
+        ahead: tuple[float, float, float], left: tuple[float, float, float]
+    ) -> FloatArray:
+        """Return the rotation from frame R to world by the chassis' x and y axes, (3, 3)."""
+        (a, b, c), (d, e, f) = ahead, left
+        return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+
     def _angles(self) -> tuple[float, float]:
         """Return the angles of the front and the rear pair, the means of both sides [rad]."""
         front_left, rear_left, front_right, rear_right = self.data.qpos[_HINGES].tolist()
@@ -195,19 +219,24 @@ class MujocoWorld:
 
     def state(self) -> RobotState:
         """Return the current state."""
-        data = self.data
+        data, ahead, left = self.data, self._axis(0), self._axis(1)
         front, rear = self._angles()
+        yaw, side = math.atan2(ahead[1], ahead[0]), float(data.qpos[1])
+        faster = self.robot.track_speed * self._steer(yaw, side)  # the left belts
         return RobotState(
             position=np.array(self.position),
-            pitch=self.pitch,
+            pitch=self._pitch(ahead),
             front=front,
             rear=rear,
             velocity=data.qvel[[0, 2]],
             pitch_rate=-float(data.qvel[4]),
             time=self.time,
-            roll=self.roll,
-            yaw=self.yaw,
-            side=float(data.qpos[1]),
+            roll=self._roll(left),
+            yaw=yaw,
+            side=side,
+            side_velocity=float(data.qvel[1]),
+            orientation=self._orientation(ahead, left),
+            belts=np.array([self.robot.track_speed + faster, self.robot.track_speed - faster]),
         )
 
     def penetration(self) -> float:
@@ -232,17 +261,26 @@ class MujocoWorld:
         return np.where((shapes >= 0) & (found <= reach), found, np.inf)
 
     def draw(self, width: int, height: int) -> NDArray[np.uint8]:
-        """Return a picture of the current state from behind the robot, (H, W, 3).
+        """Return a picture of the current state from ``sim.view``, (H, W, 3).
 
         Raises:
             RequestError: the picture is too large, or the machine has neither EGL nor OSMesa.
             FlipperctlError: the installed library cannot draw.
         """
+        if self.sim.view != "outside":
+            return self.look(self.sim.view, width, height).pixels
+        return self._camera(width, height).draw(self.data)
+
+    def look(self, view: View, width: int, height: int) -> CameraImage:
+        """Return what a camera on the robot shows; it raises what ``draw`` raises."""
+        return self._camera(width, height).look(self.data, view)
+
+    def _camera(self, width: int, height: int) -> Camera:
         from flipperctl.sim.mujoco.camera import Camera
 
-        if self._camera is None or self._camera[0] != (width, height):
-            self._camera = (width, height), Camera(self.model, width, height)
-        return self._camera[1].draw(self.data)
+        if (width, height) not in self._cameras:
+            self._cameras[width, height] = Camera(self.model, width, height)
+        return self._cameras[width, height]
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""

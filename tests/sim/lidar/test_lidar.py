@@ -13,13 +13,21 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar import LidarSensor
 from flipperctl.sim.lidar.inertial import InertialErrors, InertialUnit
-from flipperctl.sim.lidar.instruments import RangeErrors, Scanner
 from flipperctl.sim.lidar.pattern import RINGS, directions
+from flipperctl.sim.lidar.returns import RangeErrors
+from flipperctl.sim.lidar.scanner import Scanner
 from flipperctl.sim.planar import PlanarSensor
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
 HOLD = ACTIONS.index((0, 0))
-EXACT = {"noise": 0.0, "range_bias": 0.0, "resolution": 0.0, "dropout": 0.0}
+EXACT = {
+    "noise": 0.0,
+    "range_bias": 0.0,
+    "resolution": 0.0,
+    "dropout": 0.0,
+    "mixed": 0.0,
+    "grazing": 2.0,
+}
 
 
 class Plane:

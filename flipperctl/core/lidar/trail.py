@@ -1,0 +1,79 @@
+"""The robot's motion within a scan, by which its points are corrected ("de-skewed").
+
+In: poses with their times, points with their ages. Out: the points as one scan from one pose. A
+LiDAR that turns measures the points of a scan at different times, from a robot that moves.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from flipperctl.core.arrays import FloatArray
+from flipperctl.core.lidar.messages import Pose
+from flipperctl.core.lidar.rotations import attitude
+
+_STEP = 1e-3
+"""Ages are rounded to multiples of this, so that few attitudes are computed [s]."""
+_LONGEST = 0.5
+"""Older points are taken for as old as this [s]."""
+_MOST = 256
+"""Poses that are remembered [-]."""
+
+
+class Trail:
+    """The latest poses of the robot."""
+
+    def __init__(self, pose: Pose) -> None:
+        """``pose``: the first one, before any is recorded."""
+        self._times: tuple[float, ...] = (0.0,)
+        self._poses: tuple[tuple[float, ...], ...] = (_numbers(pose),)
+
+    def record(self, time: float, pose: Pose) -> None:
+        """Remember the ``pose`` at a ``time`` [s]; poses that are not older are forgotten."""
+        while self._times and self._times[-1] >= time:
+            self._times, self._poses = self._times[:-1], self._poses[:-1]
+        self._times = (*self._times, time)[-_MOST:]
+        self._poses = (*self._poses, _numbers(pose))[-_MOST:]
+
+    def begin(self, time: float, pose: Pose) -> None:
+        """Forget all poses but this one, since the earlier motion was corrected."""
+        self._times, self._poses = (time,), (_numbers(pose),)
+
+    def levelled(
+        self, points: FloatArray, ages: FloatArray, time: float, origin: Pose
+    ) -> FloatArray:
+        """Return where the points of a scan are from ``origin``, (P, 3) [m].
+
+        ``points`` (P, 3) are in frame R at the instant of each, which was its age, (P,) [s], before
+        ``time`` [s]. Those returned have the directions of frame M. Poses between two remembered
+        ones are interpolated.
+        """
+        steps = np.round(np.clip(ages, 0.0, _LONGEST) / _STEP).astype(np.int64)
+        distinct, which = np.unique(steps, return_inverse=True)
+        poses = self._at(np.asarray(time - _STEP * distinct, np.float64))
+        poses[:, :3] -= origin.x, origin.y, origin.z
+        moved = np.empty_like(points)
+        for step, pose in enumerate(poses.tolist()):
+            then = which == step
+            moved[then] = points[then] @ attitude(*pose[3:]).T + pose[:3]
+        return moved
+
+    def _at(self, times: FloatArray) -> FloatArray:
+        """Return the poses at these times, (T, 6) in the order of ``Pose``."""
+        known = np.array(self._poses)
+        known[:, 5] = np.unwrap(known[:, 5])
+        return np.column_stack([np.interp(times, self._times, column) for column in known.T])
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot."""
+        return self._times, self._poses
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Restore a snapshot."""
+        self._times, self._poses = saved
+
+
+def _numbers(pose: Pose) -> tuple[float, ...]:
+    return pose.x, pose.y, pose.z, pose.roll, pose.pitch, pose.yaw

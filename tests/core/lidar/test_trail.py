@@ -1,0 +1,47 @@
+"""The correction of a scan for the robot's motion during the turn."""
+
+import math
+
+import numpy as np
+import pytest
+
+from flipperctl.core.lidar.messages import Pose
+from flipperctl.core.lidar.trail import Trail
+
+START = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_points_measured_earlier_are_moved_by_the_motion_since() -> None:
+    trail = Trail(START)
+    trail.record(5.0, START)
+    trail.record(5.1, end := Pose(0.02, 0.0, 0.01, 0.0, 0.2, 0.0))
+    ahead = np.array([[1.0, 0.0, 0.0]] * 3)
+    found = trail.levelled(ahead, np.array([0.1, 0.05, 0.0]), 5.1, end)
+    half = [math.cos(0.1) - 0.01, 0.0, math.sin(0.1) - 0.005]  # half the way at half the pitch
+    assert found == pytest.approx(
+        np.array([[0.98, 0.0, -0.01], half, [math.cos(0.2), 0.0, math.sin(0.2)]])
+    )
+
+
+def test_headings_are_interpolated_over_their_jump_at_pi() -> None:
+    trail = Trail(START)
+    trail.record(1.0, Pose(0.0, 0.0, 0.0, 0.0, 0.0, math.pi - 0.1))
+    trail.record(1.1, end := Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.1 - math.pi))
+    found = trail.levelled(np.array([[1.0, 0.0, 0.0]]), np.array([0.05]), 1.1, end)
+    assert found == pytest.approx(np.array([[-1.0, 0.0, 0.0]]))
+
+
+def test_a_corrected_pose_replaces_the_earlier_ones() -> None:
+    trail = Trail(START)
+    trail.record(1.0, START)
+    trail.begin(1.1, end := Pose(0.0, 0.0, 0.5, 0.0, 0.0, 0.0))
+    found = trail.levelled(np.zeros((1, 3)), np.array([0.1]), 1.1, end)
+    assert found == pytest.approx(np.zeros((1, 3)))
+
+
+def test_a_clock_that_jumps_back_and_absurd_ages_give_finite_points() -> None:
+    trail = Trail(START)
+    for time in (1e9, 1e9 + 0.01, 3.0):
+        trail.record(time, Pose(time, 0.0, 0.0, 0.0, 0.0, 0.0))
+    found = trail.levelled(np.zeros((3, 3)), np.array([-1.0, 0.1, 1e12]), 3.0, START)
+    assert np.isfinite(found).all()

@@ -1,0 +1,101 @@
+"""Accelerometer, belt encoders, and scans of a robot on a sideways slope."""
+
+import math
+
+import numpy as np
+import pytest
+
+from flipperctl.api import Profile, Robot, RobotState, Start
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.estimator import Mount
+from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.sim.lidar.frames import levelled, to_world
+from flipperctl.sim.lidar.inertial import Accelerometer, BeltEncoders
+from flipperctl.sim.lidar.instruments import Tracking
+from flipperctl.sim.lidar.returns import RangeErrors
+from flipperctl.sim.lidar.scanner import Scanner
+from flipperctl.sim.mujoco import Mujoco
+
+RNG = np.random.default_rng(0)
+SLOPE = 0.2
+
+
+def state(speed: float, time: float, pitch: float = 0.0) -> RobotState:
+    velocity = np.array([speed, 0.0])
+    return RobotState(np.array([0.0, 0.1]), pitch, 0.0, 0.0, velocity, 0.0, time)
+
+
+@pytest.fixture(scope="module")
+def leaning() -> object:
+    """Return the world of a robot that stands on a slope, left side up."""
+    sim = Mujoco(lateral_slope=SLOPE, friction=2.0)
+    robot = Robot(track_speed=1e-9)
+    world = sim.place(Profile([(0.0, 0.0)]), robot, Start(0.0), np.random.default_rng(0))
+    world.advance(30)
+    return world
+
+
+def test_an_accelerometer_measures_gravity_along_its_axes_and_the_change_of_speed() -> None:
+    unit = Accelerometer(0.0, np.zeros(3), 9.81)
+    rest = unit.measure(state(0.0, 0.0, pitch=0.3), RNG)
+    found = rest.x, rest.y, rest.z
+    assert found == pytest.approx((9.81 * math.sin(0.3), 0.0, 9.81 * math.cos(0.3)))
+    saved = unit.save()
+    faster = unit.measure(state(0.02, 0.01), RNG)
+    assert (faster.x, faster.z) == pytest.approx((2.0, 9.81))
+    unit.load(saved)
+    assert unit.measure(state(0.02, 0.01), RNG) == faster
+
+
+def test_its_bias_stays_and_its_noise_is_white() -> None:
+    unit, rng = Accelerometer(0.1, np.array([0.5, 0.0, 0.0]), 9.81), np.random.default_rng(1)
+    found = np.array([unit.measure(state(0.0, 0.01 * k), rng).x for k in range(2000)])
+    assert (found.mean(), found.std()) == (pytest.approx(0.5, abs=0.01), pytest.approx(0.1, 0.1))
+
+
+def test_belts_that_steer_are_measured_with_one_relative_error(leaning: object) -> None:
+    assert BeltEncoders(0.2, 0.1).measure(state(0.0, 0.0), RNG).speed == pytest.approx(0.22)
+    turned = Mujoco(yaw=0.3, heading_gain=1.0)
+    world = turned.place(Profile([(0.0, 0.0)]), Robot(), Start(0.0), np.random.default_rng(0))
+    now = world.state()
+    found = BeltEncoders(0.2, 0.0).measure(now, RNG)
+    assert found.speed == pytest.approx(0.2)
+    assert found.difference == pytest.approx(-2 * 0.2 * now.yaw)  # the left belts are the faster
+
+
+def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
+    leaning: object,
+) -> None:
+    now = leaning.state()  # type: ignore[attr-defined]
+    assert now.roll == pytest.approx(SLOPE, abs=0.01)
+    force = Accelerometer(0.0, np.zeros(3), 9.81).measure(now, RNG)
+    assert force.y == pytest.approx(9.81 * math.sin(SLOPE), rel=0.05)
+    body = Body(0.76, 0.536, 0.1, 0.352, 0.712)
+    mount = Mount(x=0.25, z=0.4, axis=-math.pi / 2, near=0.1, margin=0.05)
+    errors = RangeErrors(noise=0.0, bias=0.0, resolution=0.0, dropout=0.0)
+    scan = Scanner(60, 30.0, errors, mount, body, leaning).measure(now, RNG)  # type: ignore[arg-type]
+    assert scan is not None
+    points = np.array([0.25, 0.0, 0.4]) + scan.points @ mounting(mount.axis).T  # in frame R
+    ground = points[np.abs(points[:, 1]) > 0.4]
+    # The robot lies flat on the slope, which is parallel to its chassis on both sides.
+    assert ground[:, 2] == pytest.approx(-0.1, abs=0.005)
+    # By the true pose, the same ground leans in the map.
+    pose = Tracking(None).measure(now, RNG)
+    level = ground @ attitude(pose.roll, pose.pitch, pose.yaw).T
+    leans = np.polyfit(level[:, 1], level[:, 2], 1)[0]
+    assert leans == pytest.approx(math.tan(SLOPE), abs=0.01)
+    assert levelled(now) @ to_world(now) == pytest.approx(
+        attitude(pose.roll, pose.pitch, pose.yaw), abs=1e-9
+    )
+
+
+def test_on_a_sideways_slope_the_map_is_the_true_ground() -> None:
+    exact = {"noise": 0.0, "range_bias": 0.0, "resolution": 0.0, "dropout": 0.0, "mixed": 0.0}
+    sim = {"name": "mujoco", "lateral_slope": SLOPE}
+    env = FlipperEnv("flat", sim=sim, perception={"name": "lidar", "grazing": 2.0, **exact})
+    env.reset(seed=3)
+    for _ in range(2):
+        env.step(4)
+    below = -0.1 / math.cos(SLOPE)  # from the chassis centre straight down
+    assert env.perception.observation[: env.layout.bins] == pytest.approx(below, abs=0.004)
