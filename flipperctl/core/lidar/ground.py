@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from flipperctl.core import bins, observation
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Cells, Grid
+from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.outline import (
     Columns,
@@ -73,6 +74,8 @@ class MapSettings:
     """Points without which a column is unseen [-]."""
     noise: float = 0.01
     """Standard deviation of the height of a point [m]."""
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    """What makes heights err."""
 
 
 class GroundSeen:
@@ -86,6 +89,8 @@ class GroundSeen:
         )
         self._start: tuple[float, float] | None = None
         self._lift: float | None = None  # added to the map's heights; None before the first [m]
+        self._at: tuple[float, float] | None = None  # the robot's latest place [m]
+        self._way = 0.0  # that the robot has moved [m]
 
     def assume_level(self, x: float, z: float) -> None:
         """Take ground that was never seen for level at the height ``z``, up to ``x`` ahead [m].
@@ -96,7 +101,13 @@ class GroundSeen:
 
     def add(self, points: FloatArray, x: float, y: float) -> None:
         """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
-        self._cells.add(points, x, y)
+        self._move_to(x, y)
+        self._cells.add(points, x, y, self._way)
+
+    def _move_to(self, x: float, y: float) -> None:
+        if self._at is not None:
+            self._way += math.hypot(x - self._at[0], y - self._at[1])
+        self._at = x, y
 
     def height_error(self, points: FloatArray, x: float, y: float, yaw: float) -> float:
         """Return by how much ``points`` (P, 3) in frame M lie above the map on the whole [m].
@@ -129,6 +140,7 @@ class GroundSeen:
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
         s, (x, y, z) = self._settings, position.tolist()
+        self._move_to(x, y)
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
         near[:, 2] -= z
@@ -146,7 +158,40 @@ class GroundSeen:
         self._correct(points, np.where(above, 0.0, gaps), filled)
         heights = bins.mean_heights(points, s.bins, s.bin_width)
         seen = bins.occupied(points[~filled], s.bins, s.bin_width)
-        return SensedGround(points, heights, filled, seen)
+        since = self._since(x, y, yaw)
+        deviation = deviations(points, filled, since, s.bin_width, s.accuracy)
+        return SensedGround(
+            points,
+            heights,
+            filled,
+            seen,
+            deviation=np.where(seen, deviation, np.inf),
+            sides=np.stack([self._side(near[near[:, 1] > 0]), self._side(near[near[:, 1] < 0])]),
+        )
+
+    def _since(self, x: float, y: float, yaw: float) -> FloatArray:
+        """Return the way that the robot has gone since it saw each bin, (N,) [m]."""
+        s, half = self._settings, self._reach
+        along, way = self._cells.seen_at(x, y, yaw, (-half, half), s.half_width)
+        index = np.floor((along + half) / s.bin_width).astype(np.int64)
+        inside = (index >= 0) & (index < s.bins)
+        latest = np.zeros(s.bins)
+        np.maximum.at(latest, index[inside], way[inside])
+        return self._way - latest
+
+    def _side(self, near: FloatArray) -> FloatArray:
+        """Return the heights of the bins by the points ``near`` one track alone, (N,) [m].
+
+        They are NaN where nothing was seen.
+        """
+        s = self._settings
+        line = polyline(columns(near, s.grid.cell, s.fewest), s.noise)
+        line[:, 1] += self._lift or 0.0
+        assumed = np.zeros(len(line), np.bool_)
+        limits = (-self._reach, self._reach)
+        points, filled = points_along(line, assumed, _SPACING, _GAP, limits)
+        heights = bins.mean_heights(points[~filled], s.bins, s.bin_width)
+        return np.where(bins.occupied(points[~filled], s.bins, s.bin_width), heights, np.nan)
 
     def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
@@ -188,9 +233,9 @@ class GroundSeen:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""
-        return self._cells.save(), self._start, self._lift
+        return self._cells.save(), self._start, self._lift, self._at, self._way
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        cells, self._start, self._lift = saved
+        cells, self._start, self._lift, self._at, self._way = saved
         self._cells.load(cells)
