@@ -45,12 +45,13 @@ def deviations(
     since: FloatArray,
     bin_width: float,
     accuracy: Accuracy,
+    unknown: float = 0.0,
 ) -> FloatArray:
     """Return the standard deviation of the mean height of each bin, (N,) [m].
 
     It is infinite for bins without a point that was seen. ``points`` (P, 2) of the ground in
     frame L, x never decreasing, some of them ``filled`` (P,). ``since``: (N,) way that the robot
-    has gone since a point of the bin was seen [m].
+    has gone since a point of the bin was seen; ``unknown``: motion that was not measured [m].
     """
     count = len(since)
     half = observation.reach(count, bin_width)
@@ -65,11 +66,11 @@ def deviations(
     steep = _steepness(points, count, bin_width)
     distance = np.abs(np.arange(count) - (count - 1) / 2) * bin_width
     drifted = accuracy.drift * np.where(seen, since, 0.0)
-    along = np.hypot(accuracy.along, drifted)
+    along = np.sqrt(accuracy.along**2 + drifted**2 + unknown**2)
     parts = (
         accuracy.height,
         accuracy.tilt * distance,
-        accuracy.climb * drifted,
+        accuracy.climb * np.hypot(drifted, unknown),
         along * steep,
         share * (accuracy.filled * bin_width + 0.5 * steep * bin_width),
     )

@@ -6,19 +6,23 @@ In: messages of the devices with their times. Out: the sensed ground and posture
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.checks import PerceptionError, checked, number
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
 from flipperctl.core.lidar.odometry import advanced, moved_to
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+
+_OLDEST = 5.0
+"""Largest age of the newest message with which an estimate is made [s]."""
 
 
 @dataclass(frozen=True)
@@ -58,19 +62,27 @@ class LidarEstimator:
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
         self._started = False
+        self._newest: float | None = None  # time of the newest message [s]
 
     def update(self, measured: Measured) -> None:
         """Receive a message; of those of one time, the scan comes last.
 
         The pose is that of the latest ``Pose``, moved on by ``Belts`` and ``Inertial``. A message
-        with numbers that are not finite is dropped, and the previous one stays in force.
+        with numbers that cannot be is dropped, and the previous one stays in force.
+
+        Raises:
+            PerceptionError: the message is malformed.
         """
-        value = measured.value
+        message = checked(measured.time, measured.value)
+        if message is None:
+            return
+        time, value = message.time, message.value
+        self._newest = time
         if isinstance(value, Scan):
             self._start()
             self._add(value)
-        elif isinstance(value, Pose | Joints | Inertial | Belts) and _is_finite(value):
-            self._receive(value, measured.time)
+        else:
+            self._receive(value, time)
 
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
@@ -85,14 +97,33 @@ class LidarEstimator:
             self._reckoned = time
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
-        """Return the ground and the posture by the latest messages."""
+        """Return the ground and the posture by the latest messages.
+
+        The older these are, the less certain are the heights.
+
+        Raises:
+            PerceptionError: nothing was measured, or not for ``_OLDEST``.
+        """
+        unknown = abs(self._speed) * self._age(time)
         self._start()
         pose, joints = self._pose, self._joints
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
         stance = Stance(circles, self._body.track_radius)
-        ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw, stance)
+        position = np.array([pose.x, pose.y, pose.z])
+        ground = self._ground.sensed(position, pose.yaw, stance, unknown)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
+
+    def _age(self, time: float) -> float:
+        """Return the time since the newest message, 0 or more [s]."""
+        now = number(time, "the time of an estimate")
+        if not math.isfinite(now):
+            raise PerceptionError(f"the time of an estimate is {now}; a finite one is needed")
+        if self._newest is None:
+            raise PerceptionError("nothing was measured yet")
+        if (age := now - self._newest) > _OLDEST:
+            raise PerceptionError(f"the newest message is {age:.3g} s old; {_OLDEST:g} s at most")
+        return max(0.0, age)
 
     def _start(self) -> None:
         """Assume level ground below and behind the robot, which stands on it, at the start."""
@@ -129,7 +160,7 @@ class LidarEstimator:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
-        latest = self._pose, self._joints, self._speed, self._reckoned
+        latest = self._pose, self._joints, self._speed, self._reckoned, self._newest
         matched = None if self._matcher is None else self._matcher.save()
         return self._ground.save(), latest, self._started, matched
 
@@ -138,9 +169,5 @@ class LidarEstimator:
         ground, latest, self._started, matched = saved
         if self._matcher is not None:
             self._matcher.load(matched)
-        self._pose, self._joints, self._speed, self._reckoned = latest
+        self._pose, self._joints, self._speed, self._reckoned, self._newest = latest
         self._ground.load(ground)
-
-
-def _is_finite(message: Pose | Joints | Inertial | Belts) -> bool:
-    return all(map(math.isfinite, astuple(message)))

@@ -134,9 +134,12 @@ class GroundSeen:
         error = float(np.median(new.median[j] - known.median[level][i]))
         return error if abs(error) <= _LARGEST else 0.0
 
-    def sensed(self, position: FloatArray, yaw: float, stance: Stance) -> SensedGround:
+    def sensed(
+        self, position: FloatArray, yaw: float, stance: Stance, unknown: float = 0.0
+    ) -> SensedGround:
         """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
 
+        ``unknown``: how far the robot may have moved since its position was estimated [m].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
         s, (x, y, z) = self._settings, position.tolist()
@@ -159,7 +162,7 @@ class GroundSeen:
         heights = bins.mean_heights(points, s.bins, s.bin_width)
         seen = bins.occupied(points[~filled], s.bins, s.bin_width)
         since = self._since(x, y, yaw)
-        deviation = deviations(points, filled, since, s.bin_width, s.accuracy)
+        deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
         return SensedGround(
             points,
             heights,
