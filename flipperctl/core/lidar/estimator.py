@@ -13,6 +13,7 @@ import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.calibration import range_bias, without_bias
 from flipperctl.core.lidar.checks import PerceptionError, checked, number
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
@@ -62,6 +63,7 @@ class LidarEstimator:
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
         self._started = False
+        self._range_bias: float | None = None  # of the LiDAR; None before its first scan [m]
         self._newest: float | None = None  # time of the newest message [s]
 
     def update(self, measured: Measured) -> None:
@@ -80,9 +82,22 @@ class LidarEstimator:
         self._newest = time
         if isinstance(value, Scan):
             self._start()
-            self._add(value)
+            self._calibrate(value)
+            self._add(without_bias(value, self._range_bias or 0.0))
         else:
             self._receive(value, time)
+
+    def _calibrate(self, scan: Scan) -> None:
+        """Estimate the constant error of the distances from the first scan.
+
+        The robot then stands on level ground, so it knows how far its LiDAR is above that.
+        """
+        if self._range_bias is not None:
+            return
+        pose = self._pose
+        turn = attitude(pose.roll, pose.pitch, pose.yaw)
+        height = float((turn @ self._position_of_lidar)[2]) + self._below()
+        self._range_bias = range_bias(scan.points @ (turn @ self._turn).T, height)
 
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
@@ -130,18 +145,23 @@ class LidarEstimator:
         if self._started:
             return
         self._started = True
+        hinge = self._body.chassis_length / 2 - self._body.track_radius
+        self._ground.assume_level(self._pose.x + hinge, self._pose.z - self._below())
+
+    def _below(self) -> float:
+        """Return the height of the chassis centre above level ground on which it stands [m]."""
         body, joints = self._body, self._joints
-        hinge = body.chassis_length / 2 - body.track_radius
         lowered = max(0.0, -math.sin(joints.front), -math.sin(joints.rear))
-        below = body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
-        self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
+        return body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
 
     def _add(self, scan: Scan) -> None:
         pose = self._pose
         points = self._of_ground(scan.points) @ attitude(pose.roll, pose.pitch, pose.yaw).T
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
-            pose = moved_to(pose, self._matcher.corrected(points, guess))
+            facing = attitude(pose.roll, pose.pitch, pose.yaw)[:, 0]
+            position, turn = self._matcher.corrected(points, guess, facing)
+            pose = moved_to(replace(pose, yaw=pose.yaw + turn), position)
         points += (pose.x, pose.y, pose.z)
         if self._reckoned is not None:  # slipping belts lift the pose off the map or sink it
             error = self._ground.height_error(points, pose.x, pose.y, pose.yaw)
@@ -162,11 +182,11 @@ class LidarEstimator:
         """Return a snapshot, which later messages do not change."""
         latest = self._pose, self._joints, self._speed, self._reckoned, self._newest
         matched = None if self._matcher is None else self._matcher.save()
-        return self._ground.save(), latest, self._started, matched
+        return self._ground.save(), latest, (self._started, self._range_bias), matched
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, latest, self._started, matched = saved
+        ground, latest, (self._started, self._range_bias), matched = saved
         if self._matcher is not None:
             self._matcher.load(matched)
         self._pose, self._joints, self._speed, self._reckoned, self._newest = latest
