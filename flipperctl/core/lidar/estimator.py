@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.calibration import range_bias, without_bias
+from flipperctl.core.lidar.calibration import StartErrors, start_errors, without_bias
 from flipperctl.core.lidar.checks import PerceptionError, checked, number
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
@@ -24,6 +24,9 @@ from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 _OLDEST = 5.0
 """Largest age of the newest message with which an estimate is made [s]."""
+
+_FADING = 30.0
+"""Time in which an inertial unit's error of the pitch changes [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class LidarEstimator:
         self._body, self._mount = body, mount
         self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
         self._turn = mounting(mount.axis)
+        self._settings = settings
         self._ground = GroundSeen(settings)
         self._matcher = matcher
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -63,7 +67,8 @@ class LidarEstimator:
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
         self._started = False
-        self._range_bias: float | None = None  # of the LiDAR; None before its first scan [m]
+        self._errors = StartErrors()
+        self._calibrated: float | None = None  # when these were estimated [s]
         self._newest: float | None = None  # time of the newest message [s]
 
     def update(self, measured: Measured) -> None:
@@ -82,22 +87,31 @@ class LidarEstimator:
         self._newest = time
         if isinstance(value, Scan):
             self._start()
-            self._calibrate(value)
-            self._add(without_bias(value, self._range_bias or 0.0))
+            self._calibrate(value, time)
+            self._add(without_bias(value, self._errors.distance))
         else:
             self._receive(value, time)
 
-    def _calibrate(self, scan: Scan) -> None:
-        """Estimate the constant error of the distances from the first scan.
+    def _calibrate(self, scan: Scan, time: float) -> None:
+        """Estimate the constant errors of the devices from the first scan.
 
-        The robot then stands on level ground, so it knows how far its LiDAR is above that.
+        The robot then stands on level ground, so it knows how far that is below.
         """
-        if self._range_bias is not None:
+        if self._calibrated is not None:
             return
-        pose = self._pose
-        turn = attitude(pose.roll, pose.pitch, pose.yaw)
-        height = float((turn @ self._position_of_lidar)[2]) + self._below()
-        self._range_bias = range_bias(scan.points @ (turn @ self._turn).T, height)
+        self._calibrated, pose = time, self._pose
+        turn = attitude(pose.roll, pose.pitch, 0.0)
+        lidar = turn @ self._position_of_lidar
+        points = lidar + scan.points @ (turn @ self._turn).T
+        tilt = 0.0 if self._reckoned is None else self._settings.accuracy.tilt
+        self._errors = start_errors(points, lidar, self._below(), tilt)
+
+    def _corrected(self, value: Inertial, time: float) -> Inertial:
+        """Return the attitude without the error of the start, which fades."""
+        if self._calibrated is None:
+            return value
+        fading = math.exp(-max(0.0, time - self._calibrated) / _FADING)
+        return replace(value, pitch=value.pitch - fading * self._errors.pitch)
 
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
@@ -108,7 +122,8 @@ class LidarEstimator:
             self._speed = value.speed
         else:
             elapsed = 0.0 if self._reckoned is None else time - self._reckoned
-            self._pose = advanced(self._pose, value, self._speed, elapsed)
+            corrected = self._corrected(value, time)
+            self._pose = advanced(self._pose, corrected, self._speed, elapsed)
             self._reckoned = time
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
@@ -182,11 +197,11 @@ class LidarEstimator:
         """Return a snapshot, which later messages do not change."""
         latest = self._pose, self._joints, self._speed, self._reckoned, self._newest
         matched = None if self._matcher is None else self._matcher.save()
-        return self._ground.save(), latest, (self._started, self._range_bias), matched
+        return self._ground.save(), latest, (self._started, self._errors, self._calibrated), matched
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, latest, (self._started, self._range_bias), matched = saved
+        ground, latest, (self._started, self._errors, self._calibrated), matched = saved
         if self._matcher is not None:
             self._matcher.load(matched)
         self._pose, self._joints, self._speed, self._reckoned, self._newest = latest

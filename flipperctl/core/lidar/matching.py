@@ -30,7 +30,7 @@ _KEYFRAMES = 12
 """Keyframes that are remembered [-]."""
 _NEXT = 0.25, 0.15
 """Motion [m] and change of the view [rad] after which a scan becomes a keyframe."""
-_GATE = 0.02
+_GATE = 0.01
 """Share of the information below which a direction is not corrected, and twice which it is wholly:
 on level ground no point tells how far the robot has moved [-]."""
 _PAIRED = 0.2
@@ -43,6 +43,9 @@ _ERROR, _SHARED = 0.02, 10.0
 """Deviation of a point from its plane [m], and points that err alike [-]."""
 _SLIP, _JITTER, _TURN = 0.2, 0.002, 2e-4
 """Deviation of the guess: per way [-], of any scan [m], and of the turn between two scans [rad]."""
+_SINKING = 2.0
+"""Deviation of the guess along the ground, per error of its height: belts slip where the robot
+tips over an edge or sinks with its flippers, and both show in its height [-]."""
 _STEPS = 5
 """Largest number of Gauss-Newton steps [-]."""
 _ENOUGH = 2e-4
@@ -126,6 +129,7 @@ class ScanMatcher:
             pairs = np.asarray(pairs)[close]
             step = _step(level[close], placed[close], target, pairs, off, likely)
             off = off + step
+            likely[:2] = _JITTER + _SLIP * way + _SINKING * abs(off[2])
             if np.linalg.norm(step[:3]) < _ENOUGH:
                 break
         if not np.linalg.norm(off[:3]) <= _LARGEST:
