@@ -71,7 +71,7 @@ def start_errors(
     found = prior * np.linalg.solve(scaled.T @ scaled + np.eye(3), scaled.T @ target)
     if abs(found[0]) > _LARGEST:
         return StartErrors()
-    return StartErrors(float(found[0]), float(found[1]))
+    return StartErrors(float(found[0]), float(found[1]) if tilt else 0.0)
 
 
 def without_bias(scan: Scan, bias: float) -> Scan:

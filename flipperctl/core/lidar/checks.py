@@ -84,9 +84,9 @@ def _scan(scan: Scan) -> Scan:
     points = _array(scan.points, "points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
-    kept = np.isfinite(points).all(axis=1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        kept &= np.abs(points).max(axis=1, initial=0.0) <= _FARTHEST
+    with np.errstate(invalid="ignore"):
+        possible = np.abs(points) <= _FARTHEST  # False for NaN
+    kept = np.ones(len(points), np.bool_) if possible.all() else possible.all(axis=1)
     arrays: dict[str, Any] = {"points": points}
     for field in fields(scan):  # such as the times of the points
         value = getattr(scan, field.name)
@@ -101,6 +101,16 @@ def _scan(scan: Scan) -> Scan:
     if kept.all():
         return replace(scan, **arrays)
     return replace(scan, **{name: each[kept] for name, each in arrays.items()})
+
+
+def thinned(scan: Scan, most: int) -> Scan:
+    """Return the scan with at most so many points, which are evenly distributed over it."""
+    count = len(scan.points)
+    if count <= most:
+        return scan
+    kept = np.arange(most) * count // most  # no fixed stride, which would leave out whole rings
+    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
+    return replace(scan, **{k: each[kept] for k, each in found.items() if each is not None})
 
 
 def _array(value: object, name: str) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.calibration import StartErrors, start_errors, without_bias
-from flipperctl.core.lidar.checks import PerceptionError, checked, number
+from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
@@ -25,6 +25,8 @@ from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 _OLDEST = 5.0
 """Largest age of the newest message with which an estimate is made [s]."""
 
+_MOST_POINTS = 10_000
+"""Points of a scan that are used; more are thinned, since the map keeps no more of them [-]."""
 _FADING = 30.0
 """Time in which an inertial unit's error of the pitch changes [s]."""
 
@@ -86,6 +88,7 @@ class LidarEstimator:
         time, value = message.time, message.value
         self._newest = time
         if isinstance(value, Scan):
+            value = thinned(value, _MOST_POINTS)
             self._start()
             self._calibrate(value, time)
             self._add(without_bias(value, self._errors.distance))
@@ -187,7 +190,6 @@ class LidarEstimator:
 
     def _of_ground(self, points: FloatArray) -> FloatArray:
         """Return the points of a scan that are not the robot's own, (P, 3) in frame R [m]."""
-        points = points[np.isfinite(points).all(axis=1)]
         far = np.einsum("ij,ij->i", points, points) >= self._mount.near**2
         points = self._position_of_lidar + points[far] @ self._turn.T
         joints, margin = self._joints, self._mount.margin

@@ -19,9 +19,11 @@ from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.outline import (
     Columns,
+    Sorted,
     columns,
     points_along,
     polyline,
+    sorted_points,
     with_assumed,
 )
 from flipperctl.core.sensing import SensedGround
@@ -115,15 +117,14 @@ class GroundSeen:
         Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
         """
         s, reach = self._settings, (_NEAREST, _FARTHEST)
-        known = columns(
-            self._cells.around(x, y, yaw, reach, s.half_width), s.grid.cell, _REGISTERED
-        )
+        known = self._columns(self._cells.around(x, y, yaw, reach, s.half_width), _REGISTERED)
         level = known.high - known.low < 3 * s.noise + s.grid.cell
         cos, sin = math.cos(yaw), math.sin(yaw)
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
         strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
-        new = columns(np.column_stack([along, beside, points[:, 2]])[strip], s.grid.cell, s.fewest)
+        level_points = np.column_stack([along[strip], beside[strip], points[strip, 2]])
+        new = self._columns(level_points, s.fewest)
         _, i, j = np.intersect1d(
             np.round(known.x[level] / s.grid.cell, 1),
             np.round(new.x / s.grid.cell, 1),
@@ -147,7 +148,8 @@ class GroundSeen:
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
         near[:, 2] -= z
-        found = columns(near, s.grid.cell, s.fewest)
+        ordered = sorted_points(near, s.grid.cell)
+        found = columns(ordered, s.grid.cell, s.fewest)
         line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(found, assumed, stance)
@@ -169,7 +171,12 @@ class GroundSeen:
             filled,
             seen,
             deviation=np.where(seen, deviation, np.inf),
-            sides=np.stack([self._side(near[near[:, 1] > 0]), self._side(near[near[:, 1] < 0])]),
+            sides=np.stack(
+                [
+                    self._side(ordered.where(lambda points: points[:, 1] > 0)),
+                    self._side(ordered.where(lambda points: points[:, 1] < 0)),
+                ]
+            ),
         )
 
     def _since(self, x: float, y: float, yaw: float) -> FloatArray:
@@ -182,7 +189,12 @@ class GroundSeen:
         np.maximum.at(latest, index[inside], way[inside])
         return self._way - latest
 
-    def _side(self, near: FloatArray) -> FloatArray:
+    def _columns(self, points: FloatArray, fewest: int) -> Columns:
+        """Return the columns of ``points`` (P, 3) with at least ``fewest`` of them."""
+        cell = self._settings.grid.cell
+        return columns(sorted_points(points, cell), cell, fewest)
+
+    def _side(self, near: Sorted) -> FloatArray:
         """Return the heights of the bins by the points ``near`` one track alone, (N,) [m].
 
         They are NaN where nothing was seen.

@@ -37,6 +37,8 @@ _PAIRED = 0.2
 """Largest distance of a point from the one to whose plane it is matched [m]."""
 _LARGEST = 0.3
 """Largest correction [m]."""
+_MOST = 8000
+"""From so many points on, some are left out [-]."""
 _FEWEST = 100
 """Points without which a scan is not matched [-]."""
 _ERROR, _SHARED = 0.02, 10.0
@@ -84,6 +86,7 @@ class ScanMatcher:
         ``guess`` is the position by odometry, and ``facing`` (3,) the direction of the chassis.
         """
         near = points[np.einsum("ij,ij->i", points, points) < _FAR**2]
+        near = near[:: 1 + len(near) // _MOST]
         if len(near) < _FEWEST:
             self._latest = guess
             return guess, 0.0
