@@ -31,7 +31,12 @@ SEQUENCE = 50
 """Messages that one estimator receives [-]."""
 ODD = (math.nan, math.inf, -math.inf, 1e300, -1e18, 10**400, 0, -0.0, True, None, "1", b"", 1j)
 """Values that a broken driver may deliver."""
-KINDS: dict[type[Pose | Joints | Inertial | Belts], int] = {Pose: 6, Joints: 2, Inertial: 3, Belts: 1}
+KINDS: dict[type[Pose | Joints | Inertial | Belts], int] = {
+    Pose: 6,
+    Joints: 2,
+    Inertial: 3,
+    Belts: 1,
+}
 """Kinds of messages with their count of numbers."""
 
 
@@ -69,7 +74,9 @@ def _sequence(seed: int, count: int) -> Iterator[str]:
     odd = float(rng.choice([0.0, 0.02, 0.3]))  # fraction of odd values in the sequence
     clock = 0.0
     for _ in range(count):
-        clock += float(rng.choice([0.01, 0.1, 0.6, 0.0, -3.0, 1e6], p=[0.5, 0.3, 0.1, 0.05, 0.03, 0.02]))
+        clock += float(
+            rng.choice([0.01, 0.1, 0.6, 0.0, -3.0, 1e6], p=[0.5, 0.3, 0.1, 0.05, 0.03, 0.02])
+        )
         time = _value(rng, odd / 4, lambda: clock)
         saved = estimator.save() if rng.random() < 0.05 else None
         try:
@@ -94,7 +101,8 @@ def _message(rng: np.random.Generator, odd: float) -> object:
         made: Any = list(KINDS)[kind]
         scale = float(rng.choice([0.1, 1.0, 1.0, 100.0]))
         count = KINDS[made]
-        return made(*(_value(rng, odd, lambda: scale * rng.standard_normal()) for _ in range(count)))
+        numbers = [_value(rng, odd, lambda: scale * rng.standard_normal()) for _ in range(count)]
+        return made(*numbers)
     if rng.random() < odd / 2:
         return Scan(ODD[rng.integers(len(ODD))])  # type: ignore[arg-type]
     points = _cloud(rng)
@@ -103,8 +111,9 @@ def _message(rng: np.random.Generator, odd: float) -> object:
         points[bad] = rng.choice([math.nan, math.inf, 1e30, 1e18, -1e5], bad.sum())
     if rng.random() < odd:
         shapes = (points.T, points[:, :2], points.ravel(), points[None], points.astype(object))
-        more = (points.astype(complex), np.zeros(points.shape, np.int32), points.astype(str), points > 0)
-        return Scan([*shapes, *more][rng.integers(9)])
+        whole = np.zeros(points.shape, np.int32)
+        types = (points.astype(complex), whole, points.astype(str), points > 0)
+        return Scan([*shapes, *types][rng.integers(9)])
     return Scan(points)
 
 

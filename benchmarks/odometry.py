@@ -129,7 +129,7 @@ def recorded(folder: Path | None, family: str, seed: int, **how: Any) -> Recorde
     words = [f"{k}{v}" for part in how.values() for k, v in part.items()]
     path = folder / ("-".join([family, str(seed), *words]) + ".pickle")
     if path.is_file():
-        return cast("Recorded", pickle.loads(path.read_bytes()))
+        return cast("Recorded", pickle.loads(path.read_bytes()))  # noqa: S301  # written below
     made = record(family, seed, **how)
     folder.mkdir(parents=True, exist_ok=True)
     path.write_bytes(pickle.dumps(made))
@@ -144,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--families", default=",".join(FAMILIES), help="kinds of ground [all]")
     parser.add_argument("--episodes", type=int, default=1, help="drives on each kind [1]")
-    parser.add_argument("--seed", type=int, default=910_000, help="seed of the first drive [910000]")
+    parser.add_argument("--seed", type=int, default=910_000, help="of the first drive [910000]")
     parser.add_argument("--pose", default=",".join(POSES), help="belts, matched or both [both]")
     parser.add_argument("--azimuths", type=int, default=225, help="rays of each ring [225]")
     parser.add_argument("--noise", type=float, default=0.01, help="of a distance, in m [0.01]")

@@ -46,9 +46,7 @@ class StartErrors(NamedTuple):
     """By how much the pitch is too large [rad]."""
 
 
-def start_errors(
-    points: FloatArray, lidar: FloatArray, below: float, tilt: float
-) -> StartErrors:
+def start_errors(points: FloatArray, lidar: FloatArray, below: float, tilt: float) -> StartErrors:
     """Return the likely errors; 0 if too few points show the ground.
 
     ``points`` (P, 3) and the place of the ``lidar`` (3,) are relative to the chassis centre in

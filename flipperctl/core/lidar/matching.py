@@ -22,7 +22,7 @@ from flipperctl.core.arrays import FloatArray
 
 _FAR = 6.0
 """Farthest points that are matched [m]."""
-_THIN, _THINNER = 0.05, 0.12
+_THIN, _THINNER = 0.06, 0.12
 """Size of the cells of which a keyframe and a scan that is matched keep one point [m]."""
 _NEIGHBOURS = 12
 """Points by which the plane through a point of a keyframe is found [-]."""
@@ -37,7 +37,7 @@ _PAIRED = 0.2
 """Largest distance of a point from the one to whose plane it is matched [m]."""
 _LARGEST = 0.3
 """Largest correction [m]."""
-_MOST = 8000
+_MOST = 5000
 """From so many points on, some are left out [-]."""
 _FEWEST = 100
 """Points without which a scan is not matched [-]."""

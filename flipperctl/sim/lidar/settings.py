@@ -37,7 +37,7 @@ from flipperctl.sim.lidar.instruments import (
 )
 from flipperctl.sim.planar.sensing import PlanarSensor
 
-_DRIFT = {"belts": 0.06, "matched": 0.02}
+_DRIFT = {"belts": 0.15, "matched": 0.02}
 """Standard deviation of the motion by odometry, per way, over the kinds of ground that
 ``python -m benchmarks.odometry`` drives on [-]."""
 _LEAST_NOISE = 0.01
