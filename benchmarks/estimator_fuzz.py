@@ -16,6 +16,7 @@ import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -77,11 +78,11 @@ def _sequence(seed: int, count: int) -> Iterator[str]:
         clock += float(
             rng.choice([0.01, 0.1, 0.6, 0.0, -3.0, 1e6], p=[0.5, 0.3, 0.1, 0.05, 0.03, 0.02])
         )
-        time = _value(rng, odd / 4, lambda: clock)
+        time = _value(rng, odd / 4, partial(float, clock))
         saved = estimator.save() if rng.random() < 0.05 else None
         try:
             estimator.update(Measured("device", time, _message(rng, odd)))
-            ground, angles = estimator.estimate(_value(rng, odd / 4, lambda: clock))
+            ground, angles = estimator.estimate(_value(rng, odd / 4, partial(float, clock)))
             _check(ground, angles, bins)
             yield "estimate" if ground.seen.any() else "estimate of unseen ground"
         except PerceptionError as error:
