@@ -111,7 +111,7 @@ class Cells:
         wanted = np.arange(low, high + 1)[: self._shape[0]]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
-        return slots[held]
+        return np.asarray(slots[held])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:
         """Return the numbers of the points' cells along x and y, (P, 2)."""

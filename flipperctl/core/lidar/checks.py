@@ -59,7 +59,7 @@ def checked(time: object, value: object) -> Moment | None:
         return Moment(at, _scan(value))
     numbers = {f.name: number(getattr(value, f.name), f.name) for f in fields(value)}
     if all(abs(n) <= _LARGEST.get(name, _LARGEST_ANGLE) for name, n in numbers.items()):
-        return Moment(at, replace(value, **numbers))
+        return Moment(at, type(value)(**numbers))
     return None
 
 

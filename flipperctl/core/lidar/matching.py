@@ -200,4 +200,4 @@ def _turned(points: FloatArray, turn: float) -> FloatArray:
     if not turn:
         return points
     cos, sin = math.cos(turn), math.sin(turn)
-    return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]))

@@ -19,7 +19,8 @@ def ground(step: float = 0.0) -> np.ndarray:
 def judged(accuracy: Accuracy, step: float = 0.0, since: float = 0.0, **more: float) -> list[float]:
     points = ground(step)
     filled = points[:, 0] > 0.3
-    return deviations(points, filled, np.full(5, since), 0.2, accuracy, **more).tolist()
+    found = deviations(points, filled, np.full(5, since), 0.2, accuracy, **more)
+    return [float(value) for value in found]
 
 
 def test_unseen_bins_have_no_bound_and_others_at_least_that_of_all_heights() -> None:

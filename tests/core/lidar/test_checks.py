@@ -14,7 +14,7 @@ def test_numbers_that_cannot_be_are_dropped_with_their_message() -> None:
     assert checked(0.0, Belts(1e6)) is None
     assert checked(math.inf, Belts(0.1)) is None
     assert checked(0.0, "a message of another device") is None
-    assert checked(1, Belts(np.float32(0.5))) is not None
+    assert checked(1, Belts(np.float32(0.5))) is not None  # type: ignore[arg-type]
 
 
 def test_points_that_cannot_be_are_dropped_alone() -> None:

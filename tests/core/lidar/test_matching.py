@@ -26,7 +26,8 @@ def corner(shift: float, turn: float = 0.0) -> np.ndarray:
     beside = rng.uniform([-2, 2, 0], [2, 2, 1], (1500, 3))
     cos, sin = math.cos(turn), math.sin(turn)
     points = np.concatenate([ground, ahead, beside]) - [shift, 0.0, 0.0]
-    return points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]).T
+    turned = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(points @ turned.T)
 
 
 def test_a_scan_of_walls_corrects_a_wrong_guess() -> None:
