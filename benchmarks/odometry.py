@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.episodes < 1:
         parser.error(f"--episodes: {chosen.episodes}; 1 or more is allowed")
     sensor = {"azimuths": chosen.azimuths, "noise": chosen.noise}
-    sim = {"yaw": chosen.yaw} if chosen.yaw else {}
+    sim = {"yaw": math.radians(chosen.yaw)} if chosen.yaw else {}
     print(HEADER)
     total: dict[str, list[Errors]] = {pose: [] for pose in poses}
     for family in families:
