@@ -226,6 +226,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
         "python -m benchmarks.coverage evaluated/episodes.csv",  # tests/benchmarks/test_coverage.py
+        "python -m benchmarks.odometry",  # tests/benchmarks/test_odometry.py
+        "python -m benchmarks.estimator_fuzz",  # tests/benchmarks/test_estimator_fuzz.py
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

@@ -26,6 +26,12 @@ class SensedGround:
     position: FloatArray | None = None
     """(2,) x and z of the chassis centre by the sensor's odometry, from an origin of its own [m];
     None: it has none."""
+    deviation: FloatArray | None = None
+    """(N,) standard deviation of each height's error, as the estimator judges it, infinite where
+    nothing was seen [m]; None: it is not judged."""
+    sides: FloatArray | None = None
+    """(2, N) ``heights`` of the ground below the left and the right tracks alone, NaN where
+    nothing was seen [m]; None: they are not told apart."""
 
 
 @dataclass(frozen=True)

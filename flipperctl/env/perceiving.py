@@ -134,6 +134,8 @@ class Perceiver:
             friction=self._friction,
             seen=ground.seen,
             position=ground.position,
+            deviation=ground.deviation,
+            sides=ground.sides,
         )
 
     def save(self) -> tuple[Any, ...]:

@@ -40,11 +40,12 @@ class Cells:
         self._points = np.zeros((rows * lanes, grid.keep, 3), np.float32)
         self._count = np.zeros(rows * lanes, np.int64)  # points that the cell has received
         self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
+        self._seen_at = np.zeros(rows * lanes)  # way of the robot at the newest point [m]
 
-    def add(self, points: FloatArray, x: float, y: float) -> None:
+    def add(self, points: FloatArray, x: float, y: float, way: float = 0.0) -> None:
         """Add ``points`` (P, 3) in frame M, oldest first; the robot is at (x, y) [m].
 
-        Points outside the window are dropped.
+        Points outside the window are dropped. ``way``: what the robot has moved so far [m].
         """
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
         points = points[near]
@@ -64,6 +65,7 @@ class Cells:
         at = (self._count[slot] + rank) % self._grid.keep
         self._points[slot[newest], at[newest]] = points[newest]
         self._count[used] += counts
+        self._seen_at[used] = way
 
     def around(
         self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
@@ -73,6 +75,33 @@ class Cells:
         They are level, with x along the heading from the robot, y to its left and z as in frame M.
         Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned.
         """
+        slots = self._near(x, y, yaw, reach, side)
+        filled = np.arange(self._grid.keep) < self._count[slots, None]
+        found = self._points[slots][filled].astype(np.float64)
+        level = np.column_stack([*_turned(found[:, 0] - x, found[:, 1] - y, yaw), found[:, 2]])
+        inside = (
+            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
+        )
+        return np.asarray(level[inside])
+
+    def seen_at(
+        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return where the cells with points are along the heading, and ``way`` when last seen.
+
+        Both are (C,) [m]; the parameters are those of ``around``.
+        """
+        slots = self._near(x, y, yaw, reach, side)
+        grid = self._grid
+        middle = (self._place[slots] + 0.5) * (grid.cell, grid.lane) - (x, y)
+        along, beside = _turned(middle[:, 0], middle[:, 1], yaw)
+        inside = np.abs(beside) <= side
+        return along[inside], self._seen_at[slots[inside]]
+
+    def _near(
+        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
+    ) -> NDArray[np.int64]:
+        """Return the slots with points of the rows that a strip at this heading crosses."""
         grid = self._grid
         rows, lanes = self._shape
         cos, sin = math.cos(yaw), math.sin(yaw)
@@ -82,15 +111,7 @@ class Cells:
         wanted = np.arange(low, high + 1)[: self._shape[0]]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
-        slots = slots[held]
-        filled = np.arange(grid.keep) < self._count[slots, None]
-        found = self._points[slots][filled].astype(np.float64)
-        dx, dy = found[:, 0] - x, found[:, 1] - y
-        level = np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, found[:, 2]])
-        inside = (
-            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
-        )
-        return np.asarray(level[inside])
+        return np.asarray(slots[held])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:
         """Return the numbers of the points' cells along x and y, (P, 2)."""
@@ -103,8 +124,15 @@ class Cells:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""
-        return self._points.copy(), self._count.copy(), self._place.copy()
+        return self._points.copy(), self._count.copy(), self._place.copy(), self._seen_at.copy()
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        self._points, self._count, self._place = (array.copy() for array in saved)
+        arrays = (array.copy() for array in saved)
+        self._points, self._count, self._place, self._seen_at = arrays
+
+
+def _turned(dx: FloatArray, dy: FloatArray, yaw: float) -> tuple[FloatArray, FloatArray]:
+    """Return the components of (``dx``, ``dy``) along a heading and to its left [m]."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return cos * dx + sin * dy, cos * dy - sin * dx

@@ -6,7 +6,7 @@ In: messages of the devices with their times. Out: the sensed ground and posture
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.calibration import StartErrors, start_errors, without_bias
+from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
@@ -21,6 +23,14 @@ from flipperctl.core.lidar.odometry import advanced, moved_to
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.lidar.trail import Trail
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+
+_OLDEST = 5.0
+"""Largest age of the newest message with which an estimate is made [s]."""
+
+_MOST_POINTS = 10_000
+"""Points of a scan that are used; more are thinned, since the map keeps no more of them [-]."""
+_FADING = 30.0
+"""Time in which an inertial unit's error of the pitch changes [s]."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,7 @@ class LidarEstimator:
         self._body, self._mount = body, mount
         self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
         self._turn = mounting(mount.axis)
+        self._settings = settings
         self._ground = GroundSeen(settings)
         self._matcher, self._deskew = matcher, deskew
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -65,19 +76,52 @@ class LidarEstimator:
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
         self._started = False
+        self._errors = StartErrors()
+        self._calibrated: float | None = None  # when these were estimated [s]
+        self._newest: float | None = None  # time of the newest message [s]
 
     def update(self, measured: Measured) -> None:
         """Receive a message; of those of one time, the scan comes last.
 
         The pose is that of the latest ``Pose``, moved on by ``Belts`` and ``Inertial``. A message
-        with numbers that are not finite is dropped, and the previous one stays in force.
+        with numbers that cannot be is dropped, and the previous one stays in force.
+
+        Raises:
+            PerceptionError: the message is malformed.
         """
-        value = measured.value
+        message = checked(measured.time, measured.value)
+        if message is None:
+            return
+        time, value = message.time, message.value
+        self._newest = time
         if isinstance(value, Scan):
+            value = thinned(value, _MOST_POINTS)
             self._start()
-            self._add(value, measured.time)
-        elif isinstance(value, Pose | Joints | Inertial | Belts) and _is_finite(value):
-            self._receive(value, measured.time)
+            self._calibrate(value, time)
+            self._add(without_bias(value, self._errors.distance), time)
+        else:
+            self._receive(value, time)
+
+    def _calibrate(self, scan: Scan, time: float) -> None:
+        """Estimate the constant errors of the devices from the first scan.
+
+        The robot then stands on level ground, so it knows how far that is below.
+        """
+        if self._calibrated is not None:
+            return
+        self._calibrated, pose = time, self._pose
+        turn = attitude(pose.roll, pose.pitch, 0.0)
+        lidar = turn @ self._position_of_lidar
+        points = lidar + scan.points @ (turn @ self._turn).T
+        tilt = 0.0 if self._reckoned is None else self._settings.accuracy.tilt
+        self._errors = start_errors(points, lidar, self._below(), tilt)
+
+    def _corrected(self, value: Inertial, time: float) -> Inertial:
+        """Return the attitude without the error of the start, which fades."""
+        if self._calibrated is None:
+            return value
+        fading = math.exp(-max(0.0, time - self._calibrated) / _FADING)
+        return replace(value, pitch=value.pitch - fading * self._errors.pitch)
 
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
@@ -89,37 +133,62 @@ class LidarEstimator:
             self._speed = value.speed
         else:
             elapsed = 0.0 if self._reckoned is None else time - self._reckoned
-            self._pose = advanced(self._pose, value, self._speed, elapsed)
+            corrected = self._corrected(value, time)
+            self._pose = advanced(self._pose, corrected, self._speed, elapsed)
             self._reckoned = time
             self._trail.record(time, self._pose)
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
-        """Return the ground and the posture by the latest messages."""
+        """Return the ground and the posture by the latest messages.
+
+        The older these are, the less certain are the heights.
+
+        Raises:
+            PerceptionError: nothing was measured, or not for ``_OLDEST``.
+        """
+        unknown = abs(self._speed) * self._age(time)
         self._start()
         pose, joints = self._pose, self._joints
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
         stance = Stance(circles, self._body.track_radius)
-        ground = self._ground.sensed(np.array([pose.x, pose.y, pose.z]), pose.yaw, stance)
+        position = np.array([pose.x, pose.y, pose.z])
+        ground = self._ground.sensed(position, pose.yaw, stance, unknown)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
+
+    def _age(self, time: float) -> float:
+        """Return the time since the newest message, 0 or more [s]."""
+        now = number(time, "the time of an estimate")
+        if not math.isfinite(now):
+            raise PerceptionError(f"the time of an estimate is {now}; a finite one is needed")
+        if self._newest is None:
+            raise PerceptionError("nothing was measured yet")
+        if (age := now - self._newest) > _OLDEST:
+            raise PerceptionError(f"the newest message is {age:.3g} s old; {_OLDEST:g} s at most")
+        return max(0.0, age)
 
     def _start(self) -> None:
         """Assume level ground below and behind the robot, which stands on it, at the start."""
         if self._started:
             return
         self._started = True
+        hinge = self._body.chassis_length / 2 - self._body.track_radius
+        self._ground.assume_level(self._pose.x + hinge, self._pose.z - self._below())
+
+    def _below(self) -> float:
+        """Return the height of the chassis centre above level ground on which it stands [m]."""
         body, joints = self._body, self._joints
-        hinge = body.chassis_length / 2 - body.track_radius
         lowered = max(0.0, -math.sin(joints.front), -math.sin(joints.rear))
-        below = body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
-        self._ground.assume_level(self._pose.x + hinge, self._pose.z - below)
+        return body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
 
     def _add(self, scan: Scan, time: float) -> None:
         pose = self._pose
         points = self._levelled(scan, time)
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
-            pose = moved_to(pose, self._matcher.corrected(points, guess))
+            facing = attitude(pose.roll, pose.pitch, pose.yaw)[:, 0]
+            position, turn = self._matcher.corrected(points, guess, facing)
+            pose = moved_to(replace(pose, yaw=pose.yaw + turn), position)
         points += (pose.x, pose.y, pose.z)
         if self._reckoned is not None:  # slipping belts lift the pose off the map or sink it
             error = self._ground.height_error(points, pose.x, pose.y, pose.yaw)
@@ -156,19 +225,16 @@ class LidarEstimator:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
-        latest = self._pose, self._joints, self._speed, self._reckoned
+        latest = self._pose, self._joints, self._speed, self._reckoned, self._newest
         matched = None if self._matcher is None else self._matcher.save()
-        return self._ground.save(), latest, self._started, matched, self._trail.save()
+        started = self._started, self._errors, self._calibrated
+        return self._ground.save(), latest, started, matched, self._trail.save()
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        ground, latest, self._started, matched, trail = saved
+        ground, latest, (self._started, self._errors, self._calibrated), matched, trail = saved
         self._trail.load(trail)
         if self._matcher is not None:
             self._matcher.load(matched)
-        self._pose, self._joints, self._speed, self._reckoned = latest
+        self._pose, self._joints, self._speed, self._reckoned, self._newest = latest
         self._ground.load(ground)
-
-
-def _is_finite(message: Pose | Joints | Inertial | Belts) -> bool:
-    return all(map(math.isfinite, astuple(message)))

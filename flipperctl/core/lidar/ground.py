@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 from flipperctl.core import bins, observation
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Cells, Grid
+from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.lateral import lateral_slope, straightened
 from flipperctl.core.lidar.outline import (
     Columns,
+    Sorted,
     columns,
     points_along,
     polyline,
+    sorted_points,
     with_assumed,
 )
 from flipperctl.core.sensing import SensedGround
@@ -74,6 +77,8 @@ class MapSettings:
     """Points without which a column is unseen [-]."""
     noise: float = 0.01
     """Standard deviation of the height of a point [m]."""
+    accuracy: Accuracy = field(default_factory=Accuracy)
+    """What makes heights err."""
 
 
 class GroundSeen:
@@ -87,6 +92,8 @@ class GroundSeen:
         )
         self._start: tuple[float, float] | None = None
         self._lift: float | None = None  # added to the map's heights; None before the first [m]
+        self._at: tuple[float, float] | None = None  # the robot's latest place [m]
+        self._way = 0.0  # that the robot has moved [m]
 
     def assume_level(self, x: float, z: float) -> None:
         """Take ground that was never seen for level at the height ``z``, up to ``x`` ahead [m].
@@ -97,7 +104,13 @@ class GroundSeen:
 
     def add(self, points: FloatArray, x: float, y: float) -> None:
         """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
-        self._cells.add(points, x, y)
+        self._move_to(x, y)
+        self._cells.add(points, x, y, self._way)
+
+    def _move_to(self, x: float, y: float) -> None:
+        if self._at is not None:
+            self._way += math.hypot(x - self._at[0], y - self._at[1])
+        self._at = x, y
 
     def height_error(self, points: FloatArray, x: float, y: float, yaw: float) -> float:
         """Return by how much ``points`` (P, 3) in frame M lie above the map on the whole [m].
@@ -107,14 +120,14 @@ class GroundSeen:
         s, reach = self._settings, (_NEAREST, _FARTHEST)
         around = self._cells.around(x, y, yaw, reach, s.half_width)
         slope = lateral_slope(around, s.grid.cell)
-        known = columns(straightened(around, slope), s.grid.cell, _REGISTERED)
+        known = self._columns(straightened(around, slope), _REGISTERED)
         level = known.high - known.low < 3 * s.noise + s.grid.cell
         cos, sin = math.cos(yaw), math.sin(yaw)
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
         strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
-        scanned = np.column_stack([along, beside, points[:, 2]])[strip]
-        new = columns(straightened(scanned, slope), s.grid.cell, s.fewest)
+        scanned = np.column_stack([along[strip], beside[strip], points[strip, 2]])
+        new = self._columns(straightened(scanned, slope), s.fewest)
         _, i, j = np.intersect1d(
             np.round(known.x[level] / s.grid.cell, 1),
             np.round(new.x / s.grid.cell, 1),
@@ -125,17 +138,22 @@ class GroundSeen:
         error = float(np.median(new.median[j] - known.median[level][i]))
         return error if abs(error) <= _LARGEST else 0.0
 
-    def sensed(self, position: FloatArray, yaw: float, stance: Stance) -> SensedGround:
+    def sensed(
+        self, position: FloatArray, yaw: float, stance: Stance, unknown: float = 0.0
+    ) -> SensedGround:
         """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
 
+        ``unknown``: how far the robot may have moved since its position was estimated [m].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
         s, (x, y, z) = self._settings, position.tolist()
+        self._move_to(x, y)
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
         near[:, 2] -= z
-        level = straightened(near, lateral_slope(near, s.grid.cell))
-        found = columns(level, s.grid.cell, s.fewest)
+        slope = lateral_slope(near, s.grid.cell)
+        ordered = sorted_points(straightened(near, slope), s.grid.cell)
+        found = columns(ordered, s.grid.cell, s.fewest)
         line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(found, assumed, stance)
@@ -149,7 +167,51 @@ class GroundSeen:
         self._correct(points, np.where(above, 0.0, gaps), filled)
         heights = bins.mean_heights(points, s.bins, s.bin_width)
         seen = bins.occupied(points[~filled], s.bins, s.bin_width)
-        return SensedGround(points, heights, filled, seen)
+        since = self._since(x, y, yaw)
+        deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
+        return SensedGround(
+            points,
+            heights,
+            filled,
+            seen,
+            deviation=np.where(seen, deviation, np.inf),
+            sides=np.stack(
+                [
+                    self._side(ordered.where(lambda points: points[:, 1] > 0), slope),
+                    self._side(ordered.where(lambda points: points[:, 1] < 0), -slope),
+                ]
+            ),
+        )
+
+    def _since(self, x: float, y: float, yaw: float) -> FloatArray:
+        """Return the way that the robot has gone since it saw each bin, (N,) [m]."""
+        s, half = self._settings, self._reach
+        along, way = self._cells.seen_at(x, y, yaw, (-half, half), s.half_width)
+        index = np.floor((along + half) / s.bin_width).astype(np.int64)
+        inside = (index >= 0) & (index < s.bins)
+        latest = np.zeros(s.bins)
+        np.maximum.at(latest, index[inside], way[inside])
+        return self._way - latest
+
+    def _columns(self, points: FloatArray, fewest: int) -> Columns:
+        """Return the columns of ``points`` (P, 3) with at least ``fewest`` of them."""
+        cell = self._settings.grid.cell
+        return columns(sorted_points(points, cell), cell, fewest)
+
+    def _side(self, near: Sorted, slope: float) -> FloatArray:
+        """Return the heights of the bins by the points ``near`` one track alone, (N,) [m].
+
+        ``slope``: how much the ground rises from the middle to that side, which the points no
+        longer show [-]. The heights are NaN where nothing was seen.
+        """
+        s = self._settings
+        line = polyline(columns(near, s.grid.cell, s.fewest), s.noise)
+        line[:, 1] += (self._lift or 0.0) + slope * s.half_width / 2
+        assumed = np.zeros(len(line), np.bool_)
+        limits = (-self._reach, self._reach)
+        points, filled = points_along(line, assumed, _SPACING, _GAP, limits)
+        heights = bins.mean_heights(points[~filled], s.bins, s.bin_width)
+        return np.where(bins.occupied(points[~filled], s.bins, s.bin_width), heights, np.nan)
 
     def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
@@ -191,9 +253,9 @@ class GroundSeen:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""
-        return self._cells.save(), self._start, self._lift
+        return self._cells.save(), self._start, self._lift, self._at, self._way
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        cells, self._start, self._lift = saved
+        cells, self._start, self._lift, self._at, self._way = saved
         self._cells.load(cells)

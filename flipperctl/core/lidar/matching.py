@@ -1,100 +1,203 @@
-"""Scan matching: the translation between a scan and the scans before it, by small_gicp.
+"""Scan matching: the motion between a scan and earlier ones, with small_gicp's search trees.
 
-In: level points around the robot and a guess of its position. Out: the corrected position.
+In: level points around the robot and a guess of its position. Out: the corrected position and turn.
 
-Points of a scan are matched to planes through the points of earlier scans (small_gicp's PLANE_ICP),
-from the guess by odometry; rotations are left to the inertial unit. Matching point to point would
-align the rings of the scans with each other, which move with the robot.
+Points of a scan are matched to planes through the points of earlier scans, the keyframes, by
+Gauss-Newton steps for translation and heading; roll and pitch are left to the inertial unit. The
+guess by odometry counts too, as far as belts may have slipped since the last scan, and directions
+that the points do not determine keep it. Matching point to point would align the rings of the scans
+with each other, which move with the robot. A keyframe is added only after some motion, since each
+one that is matched adds its error.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 
-_EVERY = 5
-"""Scans from one matched scan to the next; each one earlier matched would add its error [-]."""
-_WINDOW = 12
-"""Matched scans that later ones are matched to [-]."""
 _FAR = 6.0
 """Farthest points that are matched [m]."""
-_VOXEL = 0.05
-"""Distance of the points of earlier scans after thinning; a new one is twice as thin [m]."""
-_GATE = 0.05
+_THIN, _THINNER = 0.06, 0.12
+"""Size of the cells of which a keyframe and a scan that is matched keep one point [m]."""
+_NEIGHBOURS = 12
+"""Points by which the plane through a point of a keyframe is found [-]."""
+_KEYFRAMES = 12
+"""Keyframes that are remembered [-]."""
+_NEXT = 0.25, 0.15
+"""Motion [m] and change of the view [rad] after which a scan becomes a keyframe."""
+_GATE = 0.01
 """Share of the information below which a direction is not corrected, and twice which it is wholly:
 on level ground no point tells how far the robot has moved [-]."""
-_LARGEST = 0.2
-"""Largest distance of matched points, and largest correction [m]."""
+_PAIRED = 0.2
+"""Largest distance of a point from the one to whose plane it is matched [m]."""
+_LARGEST = 0.3
+"""Largest correction [m]."""
+_MOST = 5000
+"""From so many points on, some are left out [-]."""
 _FEWEST = 100
 """Points without which a scan is not matched [-]."""
+_ERROR, _SHARED = 0.02, 10.0
+"""Deviation of a point from its plane [m], and points that err alike [-]."""
+_SLIP, _JITTER, _TURN = 0.2, 0.002, 2e-4
+"""Deviation of the guess: per way [-], of any scan [m], and of the turn between two scans [rad]."""
+_SINKING = 2.0
+"""Deviation of the guess along the ground, per error of its height: belts slip where the robot
+tips over an edge or sinks with its flippers, and both show in its height [-]."""
+_STEPS = 5
+"""Largest number of Gauss-Newton steps [-]."""
+_ENOUGH = 2e-4
+"""Steps shorter than this are the last [m]."""
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """Points of an earlier scan with the planes through them."""
+
+    points: FloatArray
+    """(P, 3) in frame M [m]."""
+    normals: FloatArray
+    """(P, 3) unit normals; 0 where there is no plane."""
 
 
 class ScanMatcher:
-    """Corrects positions by the matched scans that it remembers."""
+    """Corrects positions by the keyframes that it remembers."""
 
     def __init__(self) -> None:
         """Raise ``ImportError`` if small_gicp is not installed."""
         import small_gicp
 
         self._library = small_gicp
-        self._scans: tuple[FloatArray, ...] = ()
-        self._count = 0
+        self._keyframes: tuple[Keyframe, ...] = ()
+        self._latest: FloatArray | None = None  # position after the last scan [m]
+        self._entered: FloatArray | None = None  # position and direction of the newest keyframe
+        self._target: tuple[Keyframe, Any] | None = None  # all keyframes, and their search tree
 
-    def corrected(self, points: FloatArray, guess: FloatArray) -> FloatArray:
-        """Return the position, (3,) in frame M [m], from the ``guess`` by odometry.
+    def corrected(
+        self, points: FloatArray, guess: FloatArray, facing: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return the position, (3,) in frame M [m], and by how much the heading turns [rad].
 
         ``points`` (P, 3) of the scan are relative to the robot, in the directions of frame M [m].
+        ``guess`` is the position by odometry, and ``facing`` (3,) the direction of the chassis.
         """
-        self._count += 1
-        if (self._count - 1) % _EVERY:
-            return guess
         near = points[np.einsum("ij,ij->i", points, points) < _FAR**2]
+        near = near[:: 1 + len(near) // _MOST]
         if len(near) < _FEWEST:
-            return guess
-        found = guess + self._correction(near, guess) if self._scans else guess
-        thin, _ = self._library.preprocess_points(near, downsampling_resolution=_VOXEL)
-        self._scans = (*self._scans, np.asarray(thin.points())[:, :3] + found)[-_WINDOW:]
-        return found
+            self._latest = guess
+            return guess, 0.0
+        found, turn = self._matched(near, guess) if self._keyframes else (guess, 0.0)
+        self._latest = found
+        view = np.concatenate([found, facing])
+        if self._is_new(view):
+            self._entered = view
+            self._remember(_turned(near, turn), found)
+        return found, turn
 
-    def _correction(self, points: FloatArray, guess: FloatArray) -> FloatArray:
-        prepare = self._library.preprocess_points
-        source, _ = prepare(points, downsampling_resolution=2 * _VOXEL, num_neighbors=12)
-        known = np.concatenate(self._scans)
-        target, tree = prepare(known, downsampling_resolution=_VOXEL, num_neighbors=20)
-        start = np.eye(4)
-        start[:3, 3] = guess
-        found = self._library.align(
-            target,
-            source,
-            tree,
-            start,
-            registration_type="PLANE_ICP",
-            max_correspondence_distance=_LARGEST,
-            max_iterations=20,
+    def _is_new(self, view: FloatArray) -> bool:
+        if self._entered is None:
+            return True
+        moved, turned = view[:3] - self._entered[:3], view[3:] - self._entered[3:]
+        return bool(np.linalg.norm(moved) > _NEXT[0] or np.linalg.norm(turned) > _NEXT[1])
+
+    def _remember(self, points: FloatArray, position: FloatArray) -> None:
+        cloud, _ = self._library.preprocess_points(
+            points, downsampling_resolution=_THIN, num_neighbors=_NEIGHBOURS
         )
-        off = np.asarray(found.T_target_source)[:3, 3] - guess
-        if not found.converged or not np.linalg.norm(off) <= _LARGEST:
-            return np.zeros(3)
-        return gated(off, np.asarray(found.H)[3:, 3:])
+        at = np.asarray(cloud.points())[:, :3] + position
+        frame = Keyframe(at, np.array(cloud.normals())[:, :3])
+        self._keyframes = (*self._keyframes, frame)[-_KEYFRAMES:]
+        self._target = None
+
+    def _matched(self, points: FloatArray, guess: FloatArray) -> tuple[FloatArray, float]:
+        """Return position and turn of a scan by the keyframes; the guess if they do not tell."""
+        if self._target is None:
+            self._target = self._searchable()
+        target, tree = self._target
+        thin = np.asarray(self._library.voxelgrid_sampling(points, _THINNER).points())[:, :3]
+        way = 0.0 if self._latest is None else float(np.linalg.norm(guess - self._latest))
+        likely = np.array([_JITTER + _SLIP * way] * 3 + [_TURN])
+        off = np.zeros(4)  # correction of the position, turn
+        for _ in range(_STEPS):
+            level = _turned(thin, off[3])
+            placed = level + (guess + off[:3])
+            pairs, squares = tree.batch_nearest_neighbor_search(placed)
+            close = np.asarray(squares) < _PAIRED**2
+            if close.sum() < _FEWEST:
+                return guess, 0.0
+            pairs = np.asarray(pairs)[close]
+            step = _step(level[close], placed[close], target, pairs, off, likely)
+            off = off + step
+            likely[:2] = _JITTER + _SLIP * way + _SINKING * abs(off[2])
+            if np.linalg.norm(step[:3]) < _ENOUGH:
+                break
+        if not np.linalg.norm(off[:3]) <= _LARGEST:
+            return guess, 0.0
+        return guess + off[:3], float(off[3])
+
+    def _searchable(self) -> tuple[Keyframe, Any]:
+        frames = self._keyframes
+        points = np.concatenate([frame.points for frame in frames])
+        normals = np.concatenate([frame.normals for frame in frames])
+        return Keyframe(points, normals), self._library.KdTree(points)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later scans do not change."""
-        return self._scans, self._count
+        return self._keyframes, self._latest, self._entered
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        self._scans, self._count = saved
+        keyframes, self._latest, self._entered = saved
+        if keyframes is not self._keyframes:
+            self._keyframes, self._target = keyframes, None
 
 
-def gated(correction: FloatArray, information: FloatArray) -> FloatArray:
-    """Return the part of a correction (3,) [m] along directions that the points determine.
+def _step(
+    level: FloatArray,
+    placed: FloatArray,
+    target: Keyframe,
+    pairs: Any,
+    off: FloatArray,
+    likely: FloatArray,
+) -> FloatArray:
+    """Return a Gauss-Newton step, (4,): translation [m] and turn [rad].
+
+    ``level`` (P, 3): points relative to the robot; ``placed``: the same in frame M; ``pairs`` (P,):
+    indices of the points whose planes they are matched to; ``off`` (4,): the correction so far;
+    ``likely`` (4,): its standard deviations by odometry.
+    """
+    normals = target.normals[pairs]
+    away = np.einsum("ij,ij->i", normals, placed - target.points[pairs])
+    turning = normals[:, 1] * level[:, 0] - normals[:, 0] * level[:, 1]
+    slopes = np.column_stack([normals, turning])  # (P, 4) of the distances to the planes
+    weights = 1.0 / np.maximum(1.0, np.abs(away) / _ERROR) / (_ERROR**2 * _SHARED)  # Huber's
+    information = slopes.T @ (slopes * weights[:, None])
+    pull = -slopes.T @ (weights * away)
+    keep = np.eye(4)
+    keep[:3, :3] = determined(information[:3, :3])
+    prior = np.diag(1.0 / likely**2)
+    total = keep @ information @ keep + prior
+    return np.asarray(np.linalg.solve(total, keep @ pull - prior @ off))
+
+
+def determined(information: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) that keeps the parts of a vector that the points determine.
 
     ``information``: (3, 3) information matrix of the translation, in any unit.
     """
     held, axes = np.linalg.eigh(information)
     share = held / max(1e-9, float(held.sum()))
     weight = np.clip((share - _GATE) / _GATE, 0.0, 1.0)
-    return np.asarray(axes @ (weight * (axes.T @ correction)))
+    return np.asarray((axes * weight) @ axes.T)
+
+
+def _turned(points: FloatArray, turn: float) -> FloatArray:
+    """Return ``points`` (P, 3) turned about the vertical axis by ``turn`` [rad]."""
+    if not turn:
+        return points
+    cos, sin = math.cos(turn), math.sin(turn)
+    return np.asarray(points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]))

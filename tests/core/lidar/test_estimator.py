@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.certainty import Accuracy
+from flipperctl.core.lidar.checks import PerceptionError
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
@@ -81,7 +83,64 @@ def test_points_of_the_robot_itself_and_numbers_that_are_not_finite_are_dropped(
 @pytest.mark.parametrize("error", [0.02, -0.02])
 def test_ground_seen_too_high_or_low_is_moved_to_where_the_robot_starts(error: float) -> None:
     ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), ahead(error)).estimate(0.0)
-    assert ground.heights == pytest.approx(np.full(15, -0.1), abs=1e-6)
+    # Mostly: the robot takes it for an error of the distances, which counts less further ahead.
+    assert ground.heights[:12] == pytest.approx(np.full(12, -0.1), abs=0.003)
+    assert ground.heights[12:] == pytest.approx(np.full(3, -0.1), abs=abs(error) / 2)
+
+
+@pytest.mark.parametrize("error", [0.02, -0.02])
+def test_distances_that_are_all_too_long_or_short_are_corrected(error: float) -> None:
+    true = ahead().points
+    distance = np.linalg.norm(true, axis=1, keepdims=True)
+    scan = Scan(true * (1 + error / distance))
+    ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), scan).estimate(0.0)
+    assert ground.heights == pytest.approx(np.full(15, -0.1), abs=5e-4)
+
+
+def test_a_pitch_that_errs_at_the_start_is_corrected_there_and_less_later() -> None:
+    settings = MapSettings(bins=15, bin_width=0.15, accuracy=Accuracy(tilt=0.02))
+    robot = LidarEstimator(BODY, UP, settings)
+    level = Inertial(0.0, 0.01, 0.0)  # of a robot that is level in truth
+    for time in (0.0, 0.01, 30.0):
+        told_at = [Measured("unit", time, level), Measured("joints", time, Joints(0.0, 0.0))]
+        for message in [*told_at, Measured("lidar", time, ahead())][: 3 if time < 0.01 else 2]:
+            robot.update(message)
+        pitch = robot.estimate(time)[1].pitch
+        if time == 0.01:
+            assert abs(pitch) < 0.001
+    assert pitch == pytest.approx(0.01 * (1 - math.exp(-1)), abs=0.001)
+
+
+def test_an_estimate_needs_messages_that_are_not_too_old() -> None:
+    with pytest.raises(PerceptionError, match="nothing was measured yet"):
+        estimator().estimate(0.0)
+    robot = reckoned((0.0, Belts(0.2)), (0.0, Joints(0.0, 0.0)), (0.0, ahead()))
+    now, later = (robot.estimate(time)[0].deviation for time in (0.0, 2.0))
+    assert now is not None
+    assert later is not None
+    assert (later[10:] > now[10:] + 0.05).all()  # it may have moved by 0.4 m
+    with pytest.raises(PerceptionError, match=r"the newest message is 12 s old"):
+        robot.estimate(12.0)
+    with pytest.raises(PerceptionError, match="the time of an estimate is nan"):
+        robot.estimate(math.nan)
+
+
+def test_ground_on_one_side_is_told_apart() -> None:
+    points = ahead().points
+    points[points[:, 1] > 0, 2] += 0.1  # a kerb below the left track
+    ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), Scan(points)).estimate(0.0)
+    assert ground.sides is not None
+    left, right = ground.sides
+    assert np.isnan(left[:9]).all()  # never seen
+    assert (left - right)[11:14] == pytest.approx(0.1, abs=1e-3)
+    assert right[11:14] == pytest.approx(-0.1, abs=0.005)
+
+
+def test_a_full_scan_is_thinned_and_gives_the_same_ground() -> None:
+    points = np.repeat(ahead().points, 30, axis=0)
+    ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), Scan(points)).estimate(0.0)
+    assert len(points) > 28_800
+    assert ground.heights == pytest.approx(np.full(15, -0.1), abs=1e-4)
 
 
 def test_the_clearance_is_measured_below_the_tracks_alone() -> None:

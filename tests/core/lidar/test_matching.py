@@ -1,50 +1,64 @@
 """Scan matching: corrections where the points tell the motion, none where they do not."""
 
+import math
+
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.matching import ScanMatcher, gated
+from flipperctl.core.lidar.matching import ScanMatcher, determined
+
+AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def test_a_direction_without_information_is_not_corrected() -> None:
     correction = np.array([0.1, 0.2, 0.3])
     ground = np.diag([0.0, 1.0, 9.0])  # shares 0, 0.1, 0.9
-    assert gated(correction, ground) == pytest.approx([0.0, 0.2, 0.3])
-    half = np.diag([0.075, 0.425, 0.5])  # in the middle of the gate
-    assert gated(correction, half) == pytest.approx([0.05, 0.2, 0.3])
+    assert determined(ground) @ correction == pytest.approx([0.0, 0.2, 0.3])
+    half = np.diag([0.015, 0.485, 0.5])  # in the middle of the gate
+    assert determined(half) @ correction == pytest.approx([0.05, 0.2, 0.3])
 
 
-def corner(shift: float) -> np.ndarray:
+def corner(shift: float, turn: float = 0.0) -> np.ndarray:
     """Return points (P, 3) of level ground and of two walls, seen from ``shift`` further on."""
     rng = np.random.default_rng(2)
     ground = rng.uniform([-2, -2, 0], [2, 2, 0], (3000, 3))
     ahead = rng.uniform([2, -2, 0], [2, 2, 1], (1500, 3))
     beside = rng.uniform([-2, 2, 0], [2, 2, 1], (1500, 3))
-    return np.concatenate([ground, ahead, beside]) - [shift, 0.0, 0.0]
+    cos, sin = math.cos(turn), math.sin(turn)
+    points = np.concatenate([ground, ahead, beside]) - [shift, 0.0, 0.0]
+    turned = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(points @ turned.T)
 
 
-def test_a_scan_of_walls_corrects_a_wrong_guess_at_every_fifth_scan() -> None:
+def test_a_scan_of_walls_corrects_a_wrong_guess() -> None:
     pytest.importorskip("small_gicp")
     matcher = ScanMatcher()
     start, wrong = np.zeros(3), np.array([0.15, 0.0, 0.0])
-    assert matcher.corrected(corner(0.0), start) == pytest.approx(start)
+    assert matcher.corrected(corner(0.0), start, AHEAD)[0] == pytest.approx(start)
     saved = matcher.save()
-    for _ in range(4):
-        assert matcher.corrected(corner(0.1), wrong) is wrong
-    found = matcher.corrected(corner(0.1), wrong)
+    found, turn = matcher.corrected(corner(0.1), wrong, AHEAD)
     assert found == pytest.approx([0.1, 0.0, 0.0], abs=0.005)
+    assert turn == pytest.approx(0.0, abs=1e-4)
     matcher.load(saved)
-    again = [matcher.corrected(corner(0.1), wrong) for _ in range(5)][-1]
-    assert np.array_equal(again, found)
+    assert np.array_equal(matcher.corrected(corner(0.1), wrong, AHEAD)[0], found)
+
+
+def test_scans_of_walls_correct_a_heading_slowly_since_a_gyro_errs_slowly() -> None:
+    pytest.importorskip("small_gicp")
+    matcher = ScanMatcher()
+    matcher.corrected(corner(0.0), np.zeros(3), AHEAD)
+    turned = corner(0.0, turn=0.02)  # as levelled with a heading that is 0.02 too small
+    found, turn = matcher.corrected(turned, np.zeros(3), AHEAD)
+    assert 5e-5 < turn < 0.02
+    assert found == pytest.approx(np.zeros(3), abs=0.01)
 
 
 def test_level_ground_alone_leaves_the_guess_along_it() -> None:
     pytest.importorskip("small_gicp")
     matcher = ScanMatcher()
     ground = corner(0.0)[:3000]
-    matcher.corrected(ground, np.zeros(3))
-    wrong = np.array([0.05, 0.0, 0.02])
-    found = [matcher.corrected(ground, wrong) for _ in range(5)][-1]
+    matcher.corrected(ground, np.zeros(3), AHEAD)
+    found, _ = matcher.corrected(ground, np.array([0.05, 0.0, 0.02]), AHEAD)
     assert found == pytest.approx([0.05, 0.0, 0.0], abs=0.003)
 
 
@@ -52,5 +66,17 @@ def test_few_points_are_not_matched() -> None:
     pytest.importorskip("small_gicp")
     matcher = ScanMatcher()
     guess = np.ones(3)
-    for _ in range(6):
-        assert matcher.corrected(np.zeros((5, 3)), guess) is guess
+    for _ in range(2):
+        assert matcher.corrected(np.zeros((5, 3)), guess, AHEAD) == (guess, 0.0)
+
+
+def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten() -> None:
+    pytest.importorskip("small_gicp")
+    matcher = ScanMatcher()
+    ground = corner(0.0)[:3000]
+    counts = []
+    for step in range(30):
+        matcher.corrected(ground, np.array([0.1 * step, 0.0, 0.0]), AHEAD)
+        counts.append(len(matcher.save()[0]))
+    assert counts[:4] == [1, 1, 1, 2]  # after 0.3 m
+    assert max(counts) == counts[-1] <= 12

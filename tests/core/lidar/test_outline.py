@@ -3,9 +3,20 @@
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.outline import columns, points_along, polyline, with_assumed
+from flipperctl.core.lidar.outline import (
+    Columns,
+    columns,
+    points_along,
+    polyline,
+    sorted_points,
+    with_assumed,
+)
 
 NOISE = 0.01
+
+
+def sorted_columns(points: np.ndarray) -> Columns:
+    return columns(sorted_points(points, 0.025), 0.025, 4)
 
 
 def step(height: float, at: float, spread: float = NOISE) -> np.ndarray:
@@ -22,7 +33,7 @@ def step(height: float, at: float, spread: float = NOISE) -> np.ndarray:
 @pytest.mark.parametrize("at", [0.0, 0.013, 0.12])
 @pytest.mark.parametrize("height", [0.2, -0.2, 0.1])
 def test_a_riser_becomes_one_vertical_face(height: float, at: float) -> None:
-    line = polyline(columns(step(height, at), 0.025, 4), NOISE)
+    line = polyline(sorted_columns(step(height, at)), NOISE)
     upright = np.flatnonzero(np.diff(line[:, 0]) == 0)
     assert len(upright) == 1
     assert line[upright[0], 0] == pytest.approx(at, abs=0.006)
@@ -32,17 +43,17 @@ def test_a_riser_becomes_one_vertical_face(height: float, at: float) -> None:
 def test_a_ramp_stays_a_ramp() -> None:
     x = np.arange(-0.5, 0.5, 0.025 / 20)
     ramp = np.column_stack([x, np.zeros(len(x)), 0.8 * x])
-    line = polyline(columns(ramp, 0.025, 4), NOISE)
+    line = polyline(sorted_columns(ramp), NOISE)
     assert (np.diff(line[:, 0]) > 0).all()
     assert line[:, 1] == pytest.approx(0.8 * line[:, 0], abs=0.002)
 
 
 def test_columns_of_few_points_are_unseen() -> None:
     points = np.array([[0.01, 0.0, 0.1]] * 3 + [[0.03, 0.0, 0.2]] * 4)
-    found = columns(points, 0.025, 4)
+    found = sorted_columns(points)
     assert found.x == pytest.approx([0.0375])
     assert found.median == pytest.approx([0.2])
-    assert not len(columns(np.zeros((0, 3)), 0.025, 4).x)
+    assert not len(sorted_columns(np.zeros((0, 3))).x)
 
 
 def test_gaps_and_ends_are_filled_and_marked() -> None:
@@ -70,3 +81,13 @@ def test_assumed_ground_stands_only_where_nothing_was_seen() -> None:
     assert unseen.tolist() == [True, False, True, False]
     alone, _ = with_assumed(np.zeros((0, 2)), assumed, 0.03)
     assert alone.tolist() == assumed.tolist()
+
+
+def test_points_are_sorted_by_column_and_height() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-1.0, 1.0, (500, 3))
+    found = sorted_points(points, 0.1)
+    expected = np.lexsort((points[:, 2], np.floor(points[:, 0] / 0.1)))
+    assert np.array_equal(found.points, points[expected])
+    left = found.where(lambda p: p[:, 1] > 0)
+    assert np.array_equal(left.number, found.number[found.points[:, 1] > 0])

@@ -1,0 +1,126 @@
+"""Checks of messages before the estimator uses them.
+
+In: a message as a driver delivered it. Out: the message, without numbers that cannot be; nothing if
+none is left; or ``PerceptionError`` if it is malformed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from flipperctl.core.arrays import FloatArray
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+
+_LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
+"""Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
+_LARGEST_ANGLE = 1e4
+"""Largest angle; headings may count turns [rad]."""
+_LARGEST_TIME = 1e12
+"""Largest time, in either direction; clocks may count from 1970 [s]."""
+_FARTHEST = 1e3
+"""Farthest point of a scan [m]."""
+
+
+class PerceptionError(ValueError):
+    """A message is malformed, or nothing can be estimated; the text says why.
+
+    The estimator raises no other exception because of its input, and is as it was before.
+    """
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a message came, and what it says."""
+
+    time: float
+    """Time [s]."""
+    value: Pose | Joints | Inertial | Belts | Scan
+    """The message."""
+
+
+def checked(time: object, value: object) -> Moment | None:
+    """Return a message that can be used; None if it holds no such numbers or is of another kind.
+
+    Points that are not finite or farther than a LiDAR sees are dropped.
+
+    Raises:
+        PerceptionError: a number is no number, or an array has another shape or type.
+    """
+    if not isinstance(value, Scan | Pose | Joints | Inertial | Belts):
+        return None
+    at = number(time, "the time of a message")
+    if not abs(at) <= _LARGEST_TIME:  # nor NaN
+        return None
+    if isinstance(value, Scan):
+        return Moment(at, _scan(value))
+    numbers = {f.name: number(getattr(value, f.name), f.name) for f in fields(value)}
+    if all(abs(n) <= _LARGEST.get(name, _LARGEST_ANGLE) for name, n in numbers.items()):
+        return Moment(at, type(value)(**numbers))
+    return None
+
+
+def number(value: object, name: str) -> float:
+    """Return ``value`` as a float, which may be infinite or NaN.
+
+    Raises:
+        PerceptionError: it is no real number.
+    """
+    if isinstance(value, float):
+        return float(value)  # of numpy's too
+    if isinstance(value, int | np.integer | np.floating):
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf
+    raise PerceptionError(f"{name} is {_kind(value)}; a number is needed")
+
+
+def _scan(scan: Scan) -> Scan:
+    """Return the scan with finite points alone, each with what is measured about it."""
+    points = _array(scan.points, "points")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
+    with np.errstate(invalid="ignore"):
+        possible = np.abs(points) <= _FARTHEST  # False for NaN
+    kept = np.ones(len(points), np.bool_) if possible.all() else possible.all(axis=1)
+    arrays: dict[str, Any] = {"points": points}
+    for field in fields(scan):  # such as the times of the points
+        value = getattr(scan, field.name)
+        if field.name == "points" or value is None:
+            continue
+        each = _array(value, field.name)
+        if each.shape != (len(points),):
+            shape = (len(points),)
+            raise PerceptionError(f"{field.name} has the shape {each.shape}; {shape} is needed")
+        arrays[field.name] = each
+        kept &= np.isfinite(each)
+    if kept.all():
+        return replace(scan, **arrays)
+    return replace(scan, **{name: each[kept] for name, each in arrays.items()})
+
+
+def thinned(scan: Scan, most: int) -> Scan:
+    """Return the scan with at most so many points, which are evenly distributed over it."""
+    count = len(scan.points)
+    if count <= most:
+        return scan
+    kept = np.arange(most) * count // most  # no fixed stride, which would leave out whole rings
+    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
+    return replace(scan, **{k: each[kept] for k, each in found.items() if each is not None})
+
+
+def _array(value: object, name: str) -> FloatArray:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+        with np.errstate(over="ignore"):
+            return value.astype(np.float64, copy=False)
+    raise PerceptionError(f"{name} is {_kind(value)}; an array of numbers is needed")
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    return f"of the type {type(value).__name__}"
