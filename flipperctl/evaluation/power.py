@@ -26,16 +26,15 @@ def paired_power(difference: float, deviation: float, episodes: int) -> float:
 
     ``deviation`` is the standard deviation of the pairs' differences, in the same unit.
     """
-    from scipy.special import nctdtr, stdtrit
+    from scipy.stats import nct, t  # special.nctdtr errs by 1e-8
 
     if deviation == 0:
         return 1.0 if difference else _ALPHA
     freedom, shift = episodes - 1, abs(difference) / deviation * math.sqrt(episodes)
-    limit = float(stdtrit(freedom, 1 - _ALPHA / 2))
-    upper = 1.0 - float(nctdtr(freedom, shift, limit))
-    lower = float(nctdtr(freedom, shift, -limit))
-    # SciPy returns NaN for the far tail, whose probability is below rounding.
-    return upper + (0.0 if math.isnan(lower) else lower)
+    limit = float(t.isf(_ALPHA / 2, freedom))
+    upper, lower = float(nct.sf(limit, freedom, shift)), float(nct.cdf(-limit, freedom, shift))
+    # SciPy returns NaN for far tails: the upper is then 1 and the lower 0 within rounding.
+    return (1.0 if math.isnan(upper) else upper) + (0.0 if math.isnan(lower) else lower)
 
 
 def paired_episodes(difference: float, deviation: float, power: float = POWER) -> int | None:
