@@ -119,7 +119,10 @@ def bootstrap(
 
 
 def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> FloatArray:
-    """Return means of resampled seeds on resampled episodes, (B, S, K)."""
+    """Return means of resampled seeds on resampled episodes, (B, S, K).
+
+    Scores of (S, E, L), such as one for each of L levels, give (B, S, L, K).
+    """
     count = len(next(iter(scores.values())))
     rows = rng.integers(count, size=(resamples, count))  # seeds first: one policy, all scenes
     columns = []
@@ -127,8 +130,8 @@ def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Float
         weights = rng.multinomial(
             values.shape[1], np.full(values.shape[1], 1 / values.shape[1]), size=resamples
         )  # how often each episode was drawn, (B, E)
-        drawn = weights @ values.T / values.shape[1]  # (B, S)
-        columns.append(np.take_along_axis(drawn, rows, axis=1))
+        drawn = np.tensordot(weights / values.shape[1], values, (1, 1))  # (B, S, ...)
+        columns.append(drawn[np.arange(resamples)[:, None], rows])
     return np.stack(columns, axis=-1)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flipperctl.api import FloatArray
-from flipperctl.evaluation.aggregates import mean, profile
+from flipperctl.evaluation.aggregates import profile
 from flipperctl.evaluation.scores import Method
 from flipperctl.evaluation.seed_intervals import resampled
 from flipperctl.report.figure import WIDTH, legend_above, style_axes
@@ -50,10 +50,7 @@ def profile_band(
     """Return the profile and the ends of its band at each level, (L,), the mean over scenes."""
     scores = method.scores(price)
     curve = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
-    ends = []
-    for level in levels:
-        below = {scene: (values <= level).astype(np.float64) for scene, values in scores.items()}
-        drawn = mean(resampled(below, np.random.default_rng(0), _RESAMPLES))
-        ends.append(np.percentile(drawn, [2.5, 97.5]))
-    low, high = np.array(ends).T
+    below = {k: (values[:, :, None] <= levels).astype(np.float64) for k, values in scores.items()}
+    drawn = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))  # (B, L)
+    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
     return curve, low, high
