@@ -61,6 +61,11 @@ def other_measures() -> list[type[Measure]]:
     ]
 
 
+def shown_measures() -> list[type[Measure]]:
+    """Return the measures beyond ``CORE`` that printed tables have, sorted by name."""
+    return [cls for cls in other_measures() if cls.in_tables]
+
+
 def heading(measure: type[Measure]) -> str:
     """Return the heading of a further measure in tables: its name and its unit."""
     return f"{measure.plugin_name.replace('_', ' ')} [{measure.unit}]"

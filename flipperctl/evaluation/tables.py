@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.env.metrics import heading, other_measures
+from flipperctl.api import Measure
+from flipperctl.env.metrics import heading, other_measures, shown_measures
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.results import EvaluationResult, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
@@ -81,7 +82,7 @@ def write_tables(folder: Path, result: EvaluationResult) -> None:
 def latex(result: EvaluationResult) -> str:
     """Return a LaTeX tabular, which needs the package booktabs."""
     stopped = result.interruption
-    further = [_escape(heading(measure)) for measure in other_measures()]
+    further = [_escape(heading(measure)) for measure in shown_measures()]
     headings = (*_HEADINGS, *further, _LAST)
     lines = [
         *([] if stopped is None else [f"% {_escape(stopped.text)}"]),
@@ -99,7 +100,7 @@ def latex(result: EvaluationResult) -> str:
         lines.append(r"\midrule")
         names = scene.terrain, scene.conditions.label
         for method, summary in _methods(scene):
-            texts = [interval_text(c.mean, c.digits) for c in _cells(summary)]
+            texts = [interval_text(c.mean, c.digits) for c in _cells(summary, shown_measures())]
             numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
             # LaTeX's own dash, which every font has; names keep theirs.
             numbers = [number.replace("–", "--") for number in numbers]
@@ -130,7 +131,7 @@ def scene_rows(result: EvaluationResult, digits: int | None = None) -> Iterator[
                 "reached": summary.outcomes.reached,
             }
             bound = [Cell("static_bound", summary.static_bound, 2)] if summary.static_bound else []
-            for cell in (*_cells(summary), *bound):
+            for cell in (*_cells(summary, other_measures()), *bound):
                 row |= _csv_cells(cell, digits)
             yield {
                 **row,
@@ -156,7 +157,7 @@ def _methods(scene: SceneResult) -> list[tuple[str, Summary]]:
     return [(scene.controller, scene.summary), *baselines]
 
 
-def _cells(summary: Summary) -> list[Cell]:
+def _cells(summary: Summary, further: Sequence[type[Measure]]) -> list[Cell]:
     failed = summary.not_reached
     return [
         Cell("success", summary.success, 3),
@@ -165,7 +166,7 @@ def _cells(summary: Summary) -> list[Cell]:
         Cell("pitch_variation", summary.pitch_variation, 2),
         Cell("max_pitch", summary.max_pitch, 2),
         Cell("flipper_travel", summary.flipper_travel, 2),
-        *(Cell(m.plugin_name, summary.further[m.plugin_name], m.digits) for m in other_measures()),
+        *(Cell(m.plugin_name, summary.further[m.plugin_name], m.digits) for m in further),
         Cell(
             "not_reached_pitch_variation_100hz",
             failed.pitch_variation_100hz if failed else None,

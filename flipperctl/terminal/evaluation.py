@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from flipperctl.api import Measure
-from flipperctl.env.metrics import heading, other_measures
+from flipperctl.env.metrics import heading, shown_measures
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
@@ -42,7 +42,7 @@ def table(result: EvaluationResult, label: str) -> Table:
         *(HEADING, *((BOUND,) if bound else ()), PAPERS_HEADING),
         *(*((_FAILED,) if failed else ()), "t_cost [s]"),
         *("largest pitch [rad]", "flipper travel [rad]"),
-        *map(heading, other_measures()),
+        *map(heading, shown_measures()),
     ]
     several = len({scene.controller for scene in result.scenes}) > 1
     found = Table(headings, title, words=["outcomes"])
@@ -59,7 +59,7 @@ def table(result: EvaluationResult, label: str) -> Table:
             interval_text(summary.t_cost, 1),
             interval_text(summary.max_pitch),
             interval_text(summary.flipper_travel),
-            *(interval_text(summary.further[m.plugin_name], m.digits) for m in other_measures()),
+            *(interval_text(summary.further[m.plugin_name], m.digits) for m in shown_measures()),
         ]
 
     for name, scene in _named(result):
@@ -86,7 +86,7 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
         *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),
-        *(_difference_heading(measure) for measure in other_measures()),
+        *(_difference_heading(measure) for measure in shown_measures()),
     ]
     found = Table(headings, title)
     for name, other in compared:
@@ -165,5 +165,5 @@ def _difference_cells(name: str, other: Summary, difference: Differences) -> lis
         interval_text(variation),
         interval_text(difference.pitch_variation),
         interval_text(difference.t_cost, 1),
-        *(interval_text(difference.further[m.plugin_name], m.digits) for m in other_measures()),
+        *(interval_text(difference.further[m.plugin_name], m.digits) for m in shown_measures()),
     ]

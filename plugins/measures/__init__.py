@@ -1,5 +1,27 @@
-"""Built-in measures of episodes: duration, pitch and the motion of the flippers."""
+"""Built-in measures of episodes: duration, pitch, flippers, stability, impacts and roll."""
 
-from . import decisions, flipper_travel, max_pitch, pitch_variation, t_cost
+from . import (
+    decisions,
+    energy_margin,
+    flipper_travel,
+    largest_impact,
+    max_pitch,
+    pitch_reserve,
+    pitch_variation,
+    roll,
+    standstill,
+    t_cost,
+)
 
-__all__ = ["decisions", "flipper_travel", "max_pitch", "pitch_variation", "t_cost"]
+__all__ = [
+    "decisions",
+    "energy_margin",
+    "flipper_travel",
+    "largest_impact",
+    "max_pitch",
+    "pitch_reserve",
+    "pitch_variation",
+    "roll",
+    "standstill",
+    "t_cost",
+]
