@@ -214,3 +214,6 @@ class Transition:
     """Time between two poses of ``path`` [s]."""
     perception: Perception | None = None
     """What the policy perceived when it decided; None in predictions. Measures may use it."""
+    flipper_work: float | None = None
+    """Integral of |torque · angular speed| of the flippers over the decision [J]; None in
+    predictions, and in an engine that does not measure it. Measures may use it."""

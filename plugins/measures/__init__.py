@@ -3,6 +3,7 @@
 from . import (
     decisions,
     energy_margin,
+    flipper_energy,
     flipper_travel,
     largest_impact,
     max_pitch,
@@ -16,6 +17,7 @@ from . import (
 __all__ = [
     "decisions",
     "energy_margin",
+    "flipper_energy",
     "flipper_travel",
     "largest_impact",
     "max_pitch",

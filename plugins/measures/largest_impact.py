@@ -21,6 +21,7 @@ class LargestImpact(Measure):
 
     def __call__(self, episode: Sequence[Transition]) -> float:
         """Return the largest length of the difference of two successive velocities [m/s]."""
-        steps = np.concatenate([np.diff(t.path[:, :2], axis=0) for t in episode])  # (S, 2) [m]
+        poses = [episode[0].path[:1], *(t.path[1:] for t in episode)]
+        steps = np.diff(np.concatenate(poses)[:, :2], axis=0)  # (S, 2) [m]
         change = np.diff(steps / episode[0].sample_period, axis=0)
         return float(np.hypot(change[:, 0], change[:, 1]).max(initial=0.0))

@@ -24,6 +24,7 @@ class Standstill(Measure):
     def __call__(self, episode: Sequence[Transition]) -> float:
         """Return the time of the samples, 10 ms each, with a smaller mean speed [s]."""
         period = episode[0].sample_period
-        steps = np.concatenate([np.diff(t.path[:, :2], axis=0) for t in episode])  # (S, 2) [m]
+        poses = [episode[0].path[:1], *(t.path[1:] for t in episode)]
+        steps = np.diff(np.concatenate(poses)[:, :2], axis=0)  # (S, 2) [m]
         limit = _SLOW * track_speed(episode[0].robot) * period  # [m]
         return period * int(np.count_nonzero(np.hypot(steps[:, 0], steps[:, 1]) < limit))

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.api import Measure, Profile, Robot, RobotState, Transition
+from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index
 from flipperctl.config import resolver
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import other_measures, shown_measures
 
 ROBOT = Robot()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m, 35 kg and 2 × 5 kg
@@ -88,3 +89,25 @@ def test_the_pitch_reserve_is_what_is_left_to_a_third_of_pi() -> None:
 def test_printed_tables_leave_them_out_and_files_do_not() -> None:
     assert {m.plugin_name for m in other_measures()} >= SHIPPED
     assert not {m.plugin_name for m in shown_measures()} & SHIPPED
+
+
+@pytest.mark.parametrize("sim", [{"engine": "plain"}, {"engine": "compiled"}, {"name": "mujoco"}])
+def test_the_energy_of_the_flippers_is_torque_times_angle(sim: dict[str, str]) -> None:
+    # The flippers lift the robot, while the belts carry part of it up their round ends and other
+    # parts of the work are lost: the work is near m·g·Δz, of 74 J.
+    env = FlipperEnv("flat", sim=sim, episode={"start_noise": 0})
+    env.reset(seed=0)
+    before = env.drive.world.position[1]
+    episode = []
+    for action in (action_index(-1, -1), action_index(-1, -1), action_index(0, 0)):
+        env.step(action)
+        assert env.transition is not None
+        episode.append(env.transition)
+    lifted = env.drive.world.position[1] - before
+    assert lifted > 0.1  # both pairs turned by 30° below the chassis: 0.336·sin 30° = 0.168 m
+    weight = 45 * 9.81
+    found = value("flipper_energy", episode)
+    assert weight * lifted < found < weight * lifted * 1.6
+    # The last decision holds the flippers, which costs torque but hardly any work.
+    assert episode[-1].flipper_work is not None
+    assert episode[-1].flipper_work < 0.1 * found

@@ -86,6 +86,7 @@ class MujocoWorld:
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
+        self._work = 0.0
         self._camera: tuple[tuple[int, int], Camera] | None = None
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
@@ -111,7 +112,10 @@ class MujocoWorld:
         poses = np.empty((samples, 5))
         for sample in range(samples):
             self._drive()
+            before = self.data.qpos[_HINGES].copy()
             mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+            turned = self.data.qpos[_HINGES] - before
+            self._work += float(np.abs(self.data.actuator_force * turned).sum())
             self._samples += 1
             x, z = self.position
             pitch = self.pitch
@@ -209,6 +213,14 @@ class MujocoWorld:
             yaw=self.yaw,
             side=float(data.qpos[1]),
         )
+
+    def flipper_work(self) -> float:
+        """Return the work of the servos since the start [J].
+
+        It is the sum over samples and flippers of the absolute torque of the last substep times the
+        angle by which the flipper turned, so that braking counts as driving does.
+        """
+        return self._work
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
