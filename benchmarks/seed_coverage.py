@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for count in SEEDS
             ]
             for kind in found[0]:
-                print(_line(kind, [f"{one[kind]:.1%}" for one in found]), flush=True)
+                print(_line(kind, [_text(one[kind]) for one in found]), flush=True)
     return 0
 
 
@@ -87,7 +87,7 @@ def coverage(
     """Return the fraction of samples whose interval contains the truth, by kind of interval."""
     rng = np.random.default_rng(seed)
     middle = deviations[0] * shape.middle
-    hits: dict[str, int] = {}
+    hits: dict[str, float] = {}
     for _ in range(repetitions):
         ours, theirs = _two(rng, deviations, shape, seeds)
         found: Mapping[str, tuple[Interval, float]] = {
@@ -108,9 +108,11 @@ def coverage(
             ),
         }
         for kind, (interval, truth) in found.items():
-            assert interval.low is not None
-            assert interval.high is not None
-            hits[kind] = hits.get(kind, 0) + (interval.low <= truth <= interval.high)
+            if interval.low is None or interval.high is None:
+                hit = math.nan
+            else:
+                hit = float(interval.low <= truth <= interval.high)
+            hits[kind] = hits.get(kind, 0.0) + hit
     return {kind: count / repetitions for kind, count in hits.items()}
 
 
@@ -125,6 +127,10 @@ def _two(
         for _ in range(2)
     )
     return {"scene": ours}, {"scene": theirs}
+
+
+def _text(rate: float) -> str:
+    return "-" if math.isnan(rate) else f"{rate:.1%}"
 
 
 def _line(name: str, cells: Sequence[str]) -> str:

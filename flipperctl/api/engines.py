@@ -143,7 +143,7 @@ class PoweredWorld(Protocol):
     """A ``World`` that measures the work of its flippers' motors."""
 
     def flipper_work(self) -> float:
-        """Return the integral of |torque · angular speed| of all flippers since the start [J].
+        """Return the integral of all motors' absolute power since the start [J]: torque × speed.
 
         It never decreases; a snapshot need not contain it.
         """

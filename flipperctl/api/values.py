@@ -215,5 +215,7 @@ class Transition:
     perception: Perception | None = None
     """What the policy perceived when it decided; None in predictions. Measures may use it."""
     flipper_work: float | None = None
-    """Integral of |torque · angular speed| of the flippers over the decision [J]; None in
-    predictions, and in an engine that does not measure it. Measures may use it."""
+    """Integral of the flippers' absolute power, torque × angular speed, over the decision [J].
+
+    None in predictions, and in an engine that does not measure it. Measures may use it.
+    """

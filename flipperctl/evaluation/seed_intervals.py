@@ -71,6 +71,8 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     """Return how often a seed of ours has a smaller score than one of theirs on an episode.
 
     Ties count one half. Averaged over all pairs of seeds, episodes and scenes, with its interval.
+    Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
+    the variation of others.
     """
     wins = {k: _wins(ours[k], theirs[k]) for k in ours}  # (S, S', E)
     found = float(np.mean([w.mean() for w in wins.values()]))
@@ -79,8 +81,9 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     episodes = _over_episodes({k: w.mean(axis=(0, 1)) for k, w in wins.items()})
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     interval, _ = _tested(found, seeds, episodes, mine[2] + other[2])
-    if interval.low is None or interval.high is None:
-        return interval
+    few = any(part.freedom + 1 < FEWEST_SEEDS for part in seeds)
+    if few or interval.low is None or interval.high is None:
+        return Interval(found, None, None)
     return Interval(found, max(0.0, interval.low), min(1.0, interval.high))
 
 

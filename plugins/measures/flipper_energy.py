@@ -7,7 +7,7 @@ from flipperctl.api import Measure, Transition, measure
 
 @measure("flipper_energy")
 class FlipperEnergy(Measure):
-    """Integral of |torque · angular speed| of all flippers over the episode [J].
+    """Integral of the absolute power (torque × angular speed) of all flippers [J].
 
     Braking counts as driving does, since a flipper's gear gives no energy back; a torque that holds
     a flipper still does no work. It is 0 in an engine that does not measure it.

@@ -64,6 +64,8 @@ def test_paired_episodes_make_a_difference_narrow() -> None:
     assert found.high - found.low < 0.02
     assert p < 1e-6
     better = better_interval({"a": ours}, {"a": theirs})
+    few = better_interval({"a": np.vstack([ours, ours])}, {"a": theirs})
+    assert (few.mean, few.low) == (1.0, None)
     assert better.mean == 1.0
     assert better_interval({"a": ours}, {"a": ours}).mean == 0.5
 

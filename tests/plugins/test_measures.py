@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,8 @@ def value(name: str, episode: Sequence[Transition]) -> float:
 
 def state(x: float = 0.0, z: float = 0.1, pitch: float = 0.0, **more: Any) -> RobotState:
     fields = {"front": 0.0, "rear": 0.0, **more}
-    velocity = np.array([0.2, 0.0])
-    return RobotState(np.array([x, z]), pitch, velocity=velocity, pitch_rate=0.0, time=0.0, **fields)
+    fields |= {"velocity": np.array([0.2, 0.0]), "pitch_rate": 0.0, "time": 0.0}
+    return RobotState(np.array([x, z]), pitch, **fields)
 
 
 def decision(
@@ -66,10 +67,7 @@ def test_an_impact_is_the_change_of_velocity_within_10_ms() -> None:
 
 def test_roll_counts_at_decisions() -> None:
     rolls = (0.1, -0.2, 0.05)
-    episode = [
-        decision(state(roll=after), state(roll=before))
-        for before, after in zip(rolls, rolls[1:], strict=False)
-    ]
+    episode = [decision(state(roll=after), state(roll=before)) for before, after in pairwise(rolls)]
     assert value("roll_variation", episode) == pytest.approx(0.3 + 0.25)
     assert value("max_roll", episode) == 0.2
     assert value("max_roll", [decision(state(roll=0.05), state(roll=-0.3))]) == 0.3
