@@ -22,9 +22,10 @@ from flipperctl.api import FloatArray
 PRICE = 2 * math.pi
 """Price of an episode that is not reached [rad]: the pitch variation of one whole turn.
 
-It is a choice, not a measurement: above θ̂_R of nearly every episode that was reached (rules and
-shipped policies need 0.5 to 4 rad), so that failing never pays, and not so far above that the score
-is the success rate in other words: 1 % of failures weighs as much as 0.06 rad.
+It is a choice, not a measurement. It lies above θ̂_R of each of 2,255 episodes that were reached in
+earlier evaluations (at most 4.9 rad by rules and shipped policies, 6.1 rad by ``random``), so that
+failing never pays, and not so far above that the score is the success rate in other words: 1 % of
+failures weighs as much as 0.06 rad.
 """
 
 
