@@ -20,6 +20,7 @@ from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, RUN, call
+from tests.cli.test_results import write
 from tests.cli.test_sweeps import JOBLIB, RAY
 
 pytestmark = pytest.mark.slow
@@ -78,6 +79,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
+    for method, seed in (("plain", 1), ("plain", 2), ("searched", 1)):
+        write(folder / "seeds" / method / str(seed), {f"{method}{seed}": 1 + seed / 10, "level": 1})
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
     shutil.copy(folder / "stair.onnx", folder / "first.onnx")

@@ -165,6 +165,17 @@ class RayWorld(Protocol):
         """
 
 
+@runtime_checkable
+class PoweredWorld(Protocol):
+    """A ``World`` that measures the work of its flippers' motors."""
+
+    def flipper_work(self) -> float:
+        """Return the integral of all motors' absolute power since the start [J]: torque × speed.
+
+        It never decreases; a snapshot need not contain it.
+        """
+
+
 SharedSetting = Literal["friction", "gravity", "roll_limit"]
 """A setting with the same meaning in every engine that has it: friction between track and ground
 [-], downward acceleration [m/s²], absolute roll from which the robot is overturned [rad]."""

@@ -29,6 +29,8 @@ class Measure(Plugin, ABC):
     Such a measure is shown in evaluations with such a sensor, and no training logs it."""
     better: ClassVar[Literal["lower", "higher"] | None] = None
     """Which values are better, as stated in tables of differences; None: neither."""
+    in_tables: ClassVar[bool] = True
+    """Whether printed tables and ``table.tex`` have a column; files and JSON always have one."""
 
     @abstractmethod
     def __call__(self, episode: Sequence[Transition]) -> float:

@@ -227,3 +227,8 @@ class Transition:
     """Time between two poses of ``path`` [s]."""
     perception: Perception | None = None
     """What the policy perceived when it decided; None in predictions. Measures may use it."""
+    flipper_work: float | None = None
+    """Integral of the flippers' absolute power, torque × angular speed, over the decision [J].
+
+    None in predictions, and in an engine that does not measure it. Measures may use it.
+    """

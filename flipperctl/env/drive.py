@@ -36,7 +36,10 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 
 
 class DrivenWorld(World, EndingWorld, RayWorld, CameraWorld, Protocol):
-    """A world that may terminate by itself, casts rays and has cameras."""
+    """A world that may terminate by itself, casts rays, has cameras and may measure its work."""
+
+    def flipper_work(self) -> float | None:
+        """Return the work of the flippers' motors since the start [J]; None: not measured."""
 
 
 class Drive:
@@ -64,6 +67,8 @@ class Drive:
         self.poses = self._pose()
         """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
+        self.flipper_work: float | None = None
+        """Work of the flippers' motors in the last decision [J]; None: not measured."""
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
@@ -95,9 +100,11 @@ class Drive:
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
-        state, turns = self.state, self._turns[action]
+        state, turns, begun = self.state, self._turns[action], self.world.flipper_work()
         self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turns)
         outcome = self._run()
+        ended = self.world.flipper_work()
+        self.flipper_work = None if begun is None or ended is None else ended - begun
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
             self.delayed_state = self.state

@@ -248,6 +248,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             flippers=poses[:, 3:],
             sample_period=SAMPLE_PERIOD,
             perception=self.perception,
+            flipper_work=self.drive.flipper_work,
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)

@@ -72,6 +72,11 @@ def occurring(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
     return [cls for cls in other_measures() if cls.plugin_name in names]
 
 
+def shown(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
+    """Return those of the ``occurring`` measures that printed tables have."""
+    return [measure for measure in occurring(further) if measure.in_tables]
+
+
 def heading(measure: type[Measure]) -> str:
     """Return the heading of a further measure in tables: its name and its unit."""
     return f"{measure.plugin_name.replace('_', ' ')} [{measure.unit}]"

@@ -22,6 +22,7 @@ from flipperctl.api import (
     FloatArray,
     Limits,
     Outcome,
+    PoweredWorld,
     Profile,
     RayWorld,
     Robot,
@@ -73,6 +74,7 @@ class GuardedWorld:
         """The engine's own world."""
         # Once, since the check of a protocol takes long compared with a decision.
         self._terminates = isinstance(world, EndingWorld)
+        self._is_powered = isinstance(world, PoweredWorld)
 
     @property
     def position(self) -> tuple[float, float]:
@@ -147,6 +149,14 @@ class GuardedWorld:
         if outcome is not None and not isinstance(outcome, Outcome):
             raise self._refusal("ended", short_repr(outcome), "an Outcome, or None")
         return outcome
+
+    def flipper_work(self) -> float | None:
+        """Return the work of the flippers' motors since the start [J]; None: not measured."""
+        if not self._is_powered:
+            return None
+        work = self._call("flipper_work")
+        self._require_finite("flipper_work", (work,), ("work",))
+        return float(work)
 
     def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
         """Return the distance from ``origin`` to the ground along each direction, (R,) [m].

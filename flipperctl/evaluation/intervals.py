@@ -15,7 +15,7 @@ from flipperctl.evaluation.estimates import Interval, PairedSuccess
 
 FEWEST = 5
 """Smallest number of values whose mean has an interval [-]."""
-Z = 1.959964
+Z = 1.959963984540054
 """97.5 % quantile of the standard normal distribution [-]."""
 _HALVINGS = 60
 """Halvings of an interval of length 1 after which its ends are equal in double precision [-]."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Measure
-from flipperctl.env.metrics import heading, occurring
+from flipperctl.env.metrics import heading, occurring, shown
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.results import EvaluationResult, SceneResult, Summary
 from flipperctl.files import write_bytes, write_csv
@@ -87,7 +87,7 @@ def measures_of(result: EvaluationResult) -> list[type[Measure]]:
 def latex(result: EvaluationResult) -> str:
     """Return a LaTeX tabular, which needs the package booktabs."""
     stopped = result.interruption
-    further = measures_of(result)
+    further = shown(scene.summary.further for scene in result.scenes)
     headings = (*_HEADINGS, *(_escape(heading(measure)) for measure in further), _LAST)
     lines = [
         *([] if stopped is None else [f"% {_escape(stopped.text)}"]),

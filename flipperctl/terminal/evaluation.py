@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from flipperctl.api import Measure
-from flipperctl.env.metrics import heading, occurring
+from flipperctl.env.metrics import heading, shown
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.estimates import PairedSuccess
 from flipperctl.evaluation.results import (
@@ -20,7 +20,7 @@ from flipperctl.evaluation.results import (
     Summary,
 )
 from flipperctl.evaluation.sensing import counts
-from flipperctl.evaluation.tables import interval_text, measures_of
+from flipperctl.evaluation.tables import interval_text
 from flipperctl.terminal.groups import BOUND, group_table
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
 from flipperctl.terminal.tables import Table
@@ -40,7 +40,7 @@ def table(result: EvaluationResult, label: str) -> Table:
     failed = any(scene.summary.not_reached for scene in result.scenes)
     causes = any(counts(scene.episodes) for scene in result.scenes)
     bound = any(scene.summary.static_bound for scene in result.scenes)
-    further = measures_of(result)
+    further = shown(scene.summary.further for scene in result.scenes)
     headings = [
         *("terrain", "episodes", "success", *(_PASSABLE if passable else ()), "outcomes"),
         *((_CAUSES,) if causes else ()),
@@ -69,8 +69,8 @@ def table(result: EvaluationResult, label: str) -> Table:
         ]
 
     for name, scene in _named(result):
-        shown = f"{name}, {scene.controller}" if several else name
-        found.add(*cells(shown, scene.summary, counts(scene.episodes)))
+        row = f"{name}, {scene.controller}" if several else name
+        found.add(*cells(row, scene.summary, counts(scene.episodes)))
         for part, summary in scene.summary.parts.items():
             found.add(*cells(f"  {part}", summary), dim=True)
     return found
@@ -88,7 +88,7 @@ def comparisons(result: EvaluationResult) -> Iterator[Table]:
 
 def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     baseline = compared[0][1].controller
-    further = occurring(other.difference.further for _, other in compared)
+    further = shown(other.difference.further for _, other in compared)
     title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),

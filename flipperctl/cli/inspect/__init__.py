@@ -1,10 +1,13 @@
-"""``flipperctl inspect``: views of plugins, terrains, rewards, runs, settings and engines."""
+"""``flipperctl inspect``: views of plugins, terrains, rewards, runs, results, settings, engines."""
 
 from importlib import import_module
 
 from flipperctl.cli.command import App
 
-VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "engines", "conventions")
+VIEWS = (
+    *("plugins", "terrain", "reward", "checkpoint", "run", "results", "config", "engines"),
+    "conventions",
+)
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 
@@ -12,7 +15,7 @@ def group() -> App:
     """Return the group with its subcommands."""
     views = App(
         name="inspect",
-        help="Look at plugins, terrains, rewards, checkpoints, runs, configurations and engines.",
+        help="Look at plugins, terrains, rewards, files, runs, results, settings and engines.",
         no_args_is_help=True,
         rich_markup_mode="rich",
     )

@@ -152,8 +152,8 @@ class GroundSeen:
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
         near[:, 2] -= z
         slope = lateral_slope(near, s.grid.cell)
-        ordered = sorted_points(straightened(near, slope), s.grid.cell)
-        found = columns(ordered, s.grid.cell, s.fewest)
+        sloped = sorted_points(near, s.grid.cell)
+        found = self._columns(straightened(near, slope), s.fewest)
         line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(found, assumed, stance)
@@ -177,8 +177,8 @@ class GroundSeen:
             deviation=np.where(seen, deviation, np.inf),
             sides=np.stack(
                 [
-                    self._side(ordered.where(lambda points: points[:, 1] > 0), slope),
-                    self._side(ordered.where(lambda points: points[:, 1] < 0), -slope),
+                    self._side(sloped.where(lambda points: points[:, 1] > 0)),
+                    self._side(sloped.where(lambda points: points[:, 1] < 0)),
                 ]
             ),
         )
@@ -198,15 +198,14 @@ class GroundSeen:
         cell = self._settings.grid.cell
         return columns(sorted_points(points, cell), cell, fewest)
 
-    def _side(self, near: Sorted, slope: float) -> FloatArray:
+    def _side(self, near: Sorted) -> FloatArray:
         """Return the heights of the bins by the points ``near`` one track alone, (N,) [m].
 
-        ``slope``: how much the ground rises from the middle to that side, which the points no
-        longer show [-]. The heights are NaN where nothing was seen.
+        They are NaN where nothing was seen.
         """
         s = self._settings
         line = polyline(columns(near, s.grid.cell, s.fewest), s.noise)
-        line[:, 1] += (self._lift or 0.0) + slope * s.half_width / 2
+        line[:, 1] += self._lift or 0.0
         assumed = np.zeros(len(line), np.bool_)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, assumed, _SPACING, _GAP, limits)

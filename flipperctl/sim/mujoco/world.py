@@ -29,6 +29,7 @@ from flipperctl.api import (
     View,
 )
 from flipperctl.errors import NonFiniteError
+from flipperctl.sim.mujoco.axes import orientation
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
 from flipperctl.sim.mujoco.scenery import add_scenery
@@ -92,6 +93,7 @@ class MujocoWorld:
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
+        self._work = 0.0
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
@@ -117,7 +119,10 @@ class MujocoWorld:
         poses = np.empty((samples, 5))
         for sample in range(samples):
             self._drive()
+            before = self.data.qpos[_HINGES].copy()
             mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+            turned = self.data.qpos[_HINGES] - before
+            self._work += float(np.abs(self.data.actuator_force * turned).sum())
             self._samples += 1
             x, z = self.position
             pitch = self.pitch
@@ -204,14 +209,6 @@ class MujocoWorld:
             return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
         return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
 
-    @staticmethod
-    def _orientation(
-        ahead: tuple[float, float, float], left: tuple[float, float, float]
-    ) -> FloatArray:
-        """Return the rotation from frame R to world by the chassis' x and y axes, (3, 3)."""
-        (a, b, c), (d, e, f) = ahead, left
-        return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
-
     def _angles(self) -> tuple[float, float]:
         """Return the angles of the front and the rear pair, the means of both sides [rad]."""
         front_left, rear_left, front_right, rear_right = self.data.qpos[_HINGES].tolist()
@@ -235,9 +232,17 @@ class MujocoWorld:
             yaw=yaw,
             side=side,
             side_velocity=float(data.qvel[1]),
-            orientation=self._orientation(ahead, left),
+            orientation=orientation(ahead, left),
             belts=np.array([self.robot.track_speed + faster, self.robot.track_speed - faster]),
         )
+
+    def flipper_work(self) -> float:
+        """Return the work of the servos since the start [J].
+
+        It is the sum over samples and flippers of the absolute torque of the last substep times the
+        angle by which the flipper turned, so that braking counts as driving does.
+        """
+        return self._work
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
@@ -286,9 +291,9 @@ class MujocoWorld:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return state, self._targets, self._samples
+        return state, self._targets, self._samples, self._work
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        state, self._targets, self._samples = saved
+        state, self._targets, self._samples, self._work = saved
         mujoco.mj_setState(self.model, self.data, state, _STATE)

@@ -6,6 +6,7 @@ contact. ``plain`` computes the same numbers through pymunk's public interface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import llvmlite.binding
@@ -49,6 +50,7 @@ def _c_function(name: str, signature: Any) -> Any:
 
 _step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
 _read = _c_function("pmSpaceBodyGetIteratorFuncBatched", types.void(types.uintp, types.uintp))
+_impulse = _c_function("cpConstraintGetImpulse", types.float64(types.uintp))
 _write = _c_function("pmSpaceBodySetIteratorFuncBatched", types.void(types.uintp, types.uintp))
 
 
@@ -157,6 +159,8 @@ def _run(
     servos: float,
     belts: float,
     tolerance: float,
+    gears: NDArray[np.uintp],
+    spent: FloatArray,
     poses: FloatArray,
     angle_limit: float,
     x_limit: float,
@@ -166,11 +170,20 @@ def _run(
     states = bodies.states
     _read_states(bodies)
     energy = _kinetic(states, inertia) + _potential(states, inertia, gravity)
+    turned, impulses = np.zeros(len(gears)), np.zeros(len(gears))
+    for gear in range(len(gears)):
+        turned[gear] = states[STATE * (gear + 1) + 2] - states[2]
     for sample in range(len(poses)):
         belt[2] = 0.0
+        impulses[:] = 0.0
         for _ in range(substeps):
             _step(space, substep)
+            for gear in range(len(gears)):
+                impulses[gear] += _impulse(gears[gear])
         _read_states(bodies)
+        for gear in range(len(gears)):
+            before, turned[gear] = turned[gear], states[STATE * (gear + 1) + 2] - states[2]
+            spent[0] += impulses[gear] / (substep * substeps) * abs(turned[gear] - before)
         kinetic, potential = _kinetic(states, inertia), _potential(states, inertia, gravity)
         supplied = servos + min(belt[2], belts) + tolerance
         excess = kinetic + potential - (energy + supplied)
@@ -198,6 +211,7 @@ class CompiledLoop:
         budget: Budget,
         substep: float,
         substeps: int,
+        gears: Sequence[pymunk.GearJoint] = (),
     ) -> None:
         check_layout()
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
@@ -210,19 +224,27 @@ class CompiledLoop:
         write = _Batch(velocity, 9)
         chassis, front, rear = (address(body._body) for body in bodies)
         access = _Access(chassis, front, rear, *read.parts, *write.parts)
-        self._memory = space, bodies, numbers, read, write  # must live as long as the loop
+        self._memory = space, bodies, gears, numbers, read, write  # must live as long as the loop
         self._belt = np.frombuffer(ffi.buffer(numbers))
+        self._spent = np.zeros(1)
         self._arguments = (
             *(address(space._space), substep, substeps, access),
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
             *budget,
+            np.array([address(gear._constraint) for gear in gears], np.uintp),
+            self._spent,
         )
 
     @property
     def work(self) -> float:
         """Work of the belts in the last sample, without their slip [J]."""
         return float(self._belt[2])
+
+    @property
+    def spent(self) -> float:
+        """Work of the flippers' servos since the start; see ``PlainLoop.spent`` [J]."""
+        return float(self._spent[0])
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Fill the rows of ``poses``; see ``PlainLoop.run``."""

@@ -8,6 +8,7 @@ tangent, and it vanishes at a vertical face.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,13 +45,21 @@ class PlainLoop:
         budget: Budget,
         substep: float,
         substeps: int,
+        gears: Sequence[pymunk.GearJoint] = (),
     ) -> None:
-        """Drive the belts, with ``substeps`` of ``substep`` [s] per sample."""
+        """Drive the belts, with ``substeps`` of ``substep`` [s] per sample.
+
+        ``gears``: the servos of the front and the rear flippers, or none.
+        """
         self._space, self._bodies, self._budget = space, bodies, budget
         self._substep, self._substeps = substep, substeps
         self._inertia = np.array([[body.mass, body.moment] for body in bodies])
         self.work = 0.0
         """Work of the belts in the last sample, without their slip [J]."""
+        self.spent = 0.0
+        """Work of the servos since the start: in each sample the mean of the absolute torque times
+        the angle by which the flipper turned, so that braking counts as driving does [J]."""
+        self._gears = gears
         self.drive(belt)
 
     def drive(self, belt: Belt) -> None:
@@ -81,10 +90,17 @@ class PlainLoop:
         """
         step, dt, (body, front, rear) = self._space.step, self._substep, self._bodies
         energy = sum(self._energies())
+        turned = self._turned()
         for sample in range(len(poses)):
             self.work = 0.0
+            impulses = [0.0] * len(self._gears)
             for _ in range(self._substeps):
                 step(dt)
+                for index, gear in enumerate(self._gears):
+                    impulses[index] += gear.impulse
+            before, turned = turned, self._turned()
+            for impulse, old, new in zip(impulses, before, turned, strict=True):
+                self.spent += impulse / (dt * self._substeps) * abs(new - old)
             energy = self._balance(energy)
             x, z = body.position
             angle = body.angle
@@ -92,6 +108,12 @@ class PlainLoop:
             if limits.reached(x, z, angle):
                 return sample + 1
         return len(poses)
+
+    def _turned(self) -> list[float]:
+        """Return the angle of each servo's flipper relative to the chassis [rad]."""
+        chassis = self._bodies[0].angle
+        flippers = self._bodies[1 : 1 + len(self._gears)]
+        return [flipper.angle - chassis for flipper in flippers]
 
     def _energies(self) -> tuple[float, float]:
         """Return the kinetic and the potential energy of the robot [J]."""

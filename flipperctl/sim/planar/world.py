@@ -88,6 +88,7 @@ class PlanarWorld:
             Budget.of(robot, sim.gravity),
             sim.substep,
             substeps,
+            (self._front_gear, self._rear_gear),
         )
 
     def _add_ground(self) -> None:
@@ -147,6 +148,10 @@ class PlanarWorld:
     def position(self) -> tuple[float, float]:
         """World coordinates (x, z) of the chassis centre [m]."""
         return self._chassis.position
+
+    def flipper_work(self) -> float:
+        """Return the work of the servos since the start; see ``PlainLoop.spent`` [J]."""
+        return self._loop.spent
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""

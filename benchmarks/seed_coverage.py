@@ -1,0 +1,141 @@
+"""Simulate how often the intervals over training seeds contain the true value.
+
+    python -m benchmarks.seed_coverage [--repetitions N] [--seed N] [--mix NAME]
+
+A score is a seed's part + an episode's part + a part of both, with deviations that a mix states,
+drawn from a normal or an exponential distribution; the episodes are the same for all seeds and for
+two methods that are compared. The command prints the fraction of samples whose 95 % interval
+contains the truth, by number of seeds. Bootstraps draw fewer samples than ``inspect results``, to
+save time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flipperctl import entry
+from flipperctl.api import FloatArray
+from flipperctl.evaluation import seed_intervals
+from flipperctl.evaluation.aggregates import interquartile_mean, mean
+from flipperctl.evaluation.estimates import Interval
+
+SEEDS = (2, 3, 4, 5, 10)
+"""Numbers of training seeds [-]."""
+EPISODES = 30
+"""Number of episodes [-]."""
+RESAMPLES = 400
+"""Number of bootstrap samples [-]."""
+MIXES = {"episodes": (0.1, 0.5, 0.2), "alike": (0.3, 0.3, 0.3), "seeds": (0.5, 0.1, 0.1)}
+"""Standard deviations of the parts of seed, episode, and both, by which of them are large."""
+_QUARTILES = math.log(4 / 3), math.log(4)
+_MIDDLE = 2 * (0.75 * (_QUARTILES[0] + 1) - 0.25 * (_QUARTILES[1] + 1)) - 1
+"""Interquartile mean of an exponential distribution with mean 0 and deviation 1 [-]."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A distribution with mean 0 and deviation 1."""
+
+    draw: Callable[[np.random.Generator, tuple[int, int]], FloatArray]
+    middle: float
+    """Its interquartile mean."""
+
+
+SHAPES = {
+    "normal": Shape(lambda rng, size: rng.normal(size=size), 0.0),
+    "exponential": Shape(lambda rng, size: rng.exponential(size=size) - 1.0, _MIDDLE),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a table of coverages; exit with code 2 if an argument is wrong."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.seed_coverage",
+        description="Simulate how often intervals over training seeds contain the true value.",
+    )
+    parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
+    parser.add_argument("--mix", choices=MIXES, help="one mix of deviations [all]")
+    chosen = parser.parse_args(arguments)
+    if chosen.repetitions < 1:
+        parser.error(f"--repetitions: {chosen.repetitions}; 1 or more is allowed")
+    if chosen.seed < 0:
+        parser.error(f"--seed: {chosen.seed}; 0 or more is allowed")
+    mixes = {chosen.mix: MIXES[chosen.mix]} if chosen.mix else MIXES
+    for deviations in mixes.values():
+        parts = ", ".join(f"{d:g}" for d in deviations)
+        for label, shape in SHAPES.items():
+            print(f"{label}, deviations of seed, episode, both: {parts}")
+            print(_line("", [f"S={count}" for count in SEEDS]))
+            found = [
+                coverage(deviations, shape, count, chosen.repetitions, chosen.seed)
+                for count in SEEDS
+            ]
+            for kind in found[0]:
+                print(_line(kind, [_text(one[kind]) for one in found]), flush=True)
+    return 0
+
+
+def coverage(
+    deviations: tuple[float, float, float], shape: Shape, seeds: int, repetitions: int, seed: int
+) -> dict[str, float]:
+    """Return the fraction of samples whose interval contains the truth, by kind of interval."""
+    rng = np.random.default_rng(seed)
+    middle = deviations[0] * shape.middle
+    hits: dict[str, float] = {}
+    for _ in range(repetitions):
+        ours, theirs = _two(rng, deviations, shape, seeds)
+        found: Mapping[str, tuple[Interval, float]] = {
+            "mean": (seed_intervals.mean_interval(ours), 0.0),
+            "difference": (seed_intervals.difference_interval(ours, theirs)[0], 0.0),
+            "better": (seed_intervals.better_interval(ours, theirs), 0.5),
+            "IQM": (
+                seed_intervals.statistic_interval(ours, interquartile_mean, rng, RESAMPLES),
+                middle,
+            ),
+            "mean, percentile bootstrap": (
+                seed_intervals.bootstrap(ours, mean, rng, RESAMPLES),
+                0.0,
+            ),
+            "IQM, percentile bootstrap": (
+                seed_intervals.bootstrap(ours, interquartile_mean, rng, RESAMPLES),
+                middle,
+            ),
+        }
+        for kind, (interval, truth) in found.items():
+            if interval.low is None or interval.high is None:
+                hit = math.nan
+            else:
+                hit = float(interval.low <= truth <= interval.high)
+            hits[kind] = hits.get(kind, 0.0) + hit
+    return {kind: count / repetitions for kind, count in hits.items()}
+
+
+def _two(
+    rng: np.random.Generator, deviations: tuple[float, float, float], shape: Shape, seeds: int
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return the scores of two equal methods on the same episodes, each (S, E)."""
+    own, ground, both = deviations
+    episodes = ground * shape.draw(rng, (1, EPISODES))
+    ours, theirs = (
+        own * shape.draw(rng, (seeds, 1)) + episodes + both * shape.draw(rng, (seeds, EPISODES))
+        for _ in range(2)
+    )
+    return {"scene": ours}, {"scene": theirs}
+
+
+def _text(rate: float) -> str:
+    return "-" if math.isnan(rate) else f"{rate:.1%}"
+
+
+def _line(name: str, cells: Sequence[str]) -> str:
+    return f"{name:32}" + "".join(f"{text:>9}" for text in cells)
+
+
+if __name__ == "__main__":
+    entry.run(main)

@@ -1,0 +1,155 @@
+"""Read what ``eval --output`` wrote for several methods and training seeds.
+
+In: folders with ``episodes.csv``, or folders of such folders, one for each training seed. Out: the
+methods with the episodes that all of them played.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flipperctl.api import Outcome
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.scores import Method
+from flipperctl.messages import close_match
+
+FILE = "episodes.csv"
+_KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
+
+Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
+"""Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """Methods on the episodes that all of their training seeds played."""
+
+    methods: tuple[Method, ...]
+    episodes: Mapping[str, int]
+    """Number of shared episodes by scene."""
+    notices: tuple[str, ...]
+    """What was left out, in sentences."""
+
+
+def read(words: Sequence[str], measure: str) -> Evaluated:
+    """Read the methods of ``DIR`` or ``METHOD=DIR``; ``measure`` is the column of the score.
+
+    A folder with ``episodes.csv`` is one training seed of a method, which has the name of its
+    policy unless ``METHOD`` is given; a folder whose subfolders have such a file is one method with
+    a training seed in each. Baselines are methods by their own name. A rule that was evaluated
+    several times with equal results counts once.
+
+    Raises:
+        RequestError: a folder has no results, a file is damaged or lacks the measure, or no episode
+            was played by all.
+    """
+    runs: dict[str, list[Episodes]] = {}
+    notices: list[str] = []
+    seen: set[Path] = set()
+    for word in words:
+        name, folder = _named(word)
+        folders = list(_folders(folder))
+        if len(folders) > 1 or folders[0] != folder:
+            name = name or folder.resolve().name
+        for one in folders:
+            if (place := one.resolve()) in seen:
+                notices.append(f"{one} is named twice and counts once")
+                continue
+            seen.add(place)
+            for index, (label, episodes) in enumerate(_policies(one / FILE, measure).items()):
+                known = runs.setdefault((name if index == 0 else None) or label, [])
+                if episodes not in known:
+                    known.append(episodes)
+                elif index == 0:
+                    notices.append(f"{one} has the episodes of another seed and is left out")
+    return _shared(runs, notices)
+
+
+def _named(word: str) -> tuple[str | None, Path]:
+    name, equals, path = word.partition("=")
+    if not equals or Path(word).exists():
+        return None, Path(word)
+    if not name or not path:
+        raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
+    return name, Path(path)
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    if (folder / FILE).is_file():
+        yield folder
+        return
+    inner = sorted(file.parent for file in folder.glob(f"*/{FILE}"))
+    if not inner:
+        raise RequestError(
+            f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
+            "flipperctl eval --output is allowed"
+        )
+    yield from inner
+
+
+def _policies(path: Path, measure: str) -> dict[str, Episodes]:
+    """Return the episodes of each policy of a file, the evaluated one before its baselines."""
+    found: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            columns = reader.fieldnames or ()
+            for key in (*_KEYS, measure):
+                if key not in columns:
+                    raise RequestError(
+                        f"{path}: there is no column {key!r}{close_match(key, columns)}"
+                    )
+            for row in reader:
+                scene = f"{row['scene']} {row['conditions_hash']}"
+                value = float(row[measure])
+                if not np.isfinite(value):
+                    raise ValueError(f"{measure} {row[measure]!r}")
+                played = found.setdefault(row["controller"], {}).setdefault(scene, {})
+                played[row["seed"]] = value, row["outcome"] == Outcome.REACHED
+    except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
+        raise RequestError(f"{path}: cannot be read: {error}") from error
+    if not found:
+        raise RequestError(f"{path}: there is no episode in it")
+    return dict(found)
+
+
+def _shared(runs: Mapping[str, Sequence[Episodes]], notices: list[str]) -> Evaluated:
+    """Return the methods on the scenes and episodes that every run has."""
+    every = [run for known in runs.values() for run in known]
+    shared: dict[str, list[str]] = {}
+    for scene in dict.fromkeys(scene for run in every for scene in run):
+        played = [set(run.get(scene, ())) for run in every]
+        common = set.intersection(*played)
+        if common:
+            shared[scene] = [seed for seed in every[0][scene] if seed in common]
+        if (most := max(map(len, played))) > len(common):
+            notices.append(f"{scene}: {len(common)} of up to {most} episodes were played by all")
+    if not shared:
+        scenes = "; ".join(f"{name}: {', '.join(known[0])}" for name, known in runs.items())
+        raise RequestError(f"no episode was played by all methods and seeds ({scenes})")
+    names = _short(list(shared))
+    methods = []
+    for method, known in runs.items():
+        pairs = {
+            names[scene]: [[run[scene][seed] for seed in seeds] for run in known]
+            for scene, seeds in shared.items()
+        }
+        values = {k: np.array([[v for v, _ in row] for row in rows]) for k, rows in pairs.items()}
+        reached = {k: np.array([[r for _, r in row] for row in rows]) for k, rows in pairs.items()}
+        methods.append(Method(method, values, reached))
+    episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
+    return Evaluated(tuple(methods), episodes, tuple(notices))
+
+
+def _short(scenes: Sequence[str]) -> dict[str, str]:
+    """Return the name of each scene: its terrain, and the hash too if a terrain has several."""
+    terrains = [scene.rpartition(" ")[0] for scene in scenes]
+    return {
+        scene: terrain if terrains.count(terrain) == 1 else scene
+        for scene, terrain in zip(scenes, terrains, strict=True)
+    }

@@ -1,0 +1,253 @@
+"""95 % intervals for what a training method reaches: over training seeds and over episodes.
+
+In: scores of S training seeds on E episodes of each scene, which are the same episodes for all
+seeds. Out: an interval for the mean or the interquartile mean over all seeds and episodes that
+there could be.
+
+A score is μ + a_seed + b_episode + c_both: seeds and episodes are crossed, and both are samples.
+The variance of the mean has a part of each, and neither an interval over the seed's means nor one
+over episodes contains both. The parts are estimated by themselves and combined with Satterthwaite's
+degrees of freedom, as is usual where readers × cases are crossed (Obuchowski and Rockette 1995);
+below five seeds each part keeps its own quantile of Student's t, which is cautious.
+``benchmarks/seed_coverage.py`` simulates how often the intervals contain the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+from flipperctl.evaluation.aggregates import Statistic, percentile_ends
+from flipperctl.evaluation.estimates import Interval
+
+RESAMPLES = 2000
+"""Number of bootstrap samples [-]."""
+FEWEST_SEEDS = 5
+"""Number of seeds from which Satterthwaite's interval contains the truth in 95 ± 1 % [-]."""
+_HALVINGS = 40
+"""Halvings by which a p-value is found [-]."""
+FEWEST_EPISODES = 5
+"""Smallest number of episodes of a scene for an interval [-]."""
+
+Scores = Mapping[str, FloatArray]
+"""Scores by scene, (S, E): the same S training seeds in each scene."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the variance of an estimate."""
+
+    variance: float
+    freedom: float
+    """Degrees of freedom of its estimate [-]."""
+
+
+def mean_interval(scores: Scores) -> Interval:
+    """Return the mean over scenes, seeds and episodes with its interval.
+
+    With one seed it describes the variation over episodes alone.
+    """
+    return _interval(float(np.mean(_seed_means(scores))), *_parts(scores))
+
+
+def difference_interval(ours: Scores, theirs: Scores) -> tuple[Interval, float]:
+    """Return our mean minus theirs on the same episodes, with its interval and its p-value.
+
+    The training seeds of the two are independent of each other; the episodes are pairs.
+    """
+    mine, other = _parts(ours), _parts(theirs)
+    paired = {k: ours[k].mean(axis=0) - theirs[k].mean(axis=0) for k in ours}
+    seeds = [part for part in (mine[0], other[0]) if part is not None]
+    rest = mine[2] + other[2]
+    found = float(np.mean(_seed_means(ours)) - np.mean(_seed_means(theirs)))
+    return _tested(found, seeds, _over_episodes(paired), rest)
+
+
+def better_interval(ours: Scores, theirs: Scores) -> Interval:
+    """Return how often a seed of ours has a smaller score than one of theirs on an episode.
+
+    Ties count one half. Averaged over all pairs of seeds, episodes and scenes, with its interval.
+    Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
+    the variation of others.
+    """
+    wins = {k: _wins(ours[k], theirs[k]) for k in ours}  # (S, S', E)
+    found = float(np.mean([w.mean() for w in wins.values()]))
+    mine = _parts({k: w.mean(axis=1) for k, w in wins.items()})
+    other = _parts({k: w.mean(axis=0) for k, w in wins.items()})
+    episodes = _over_episodes({k: w.mean(axis=(0, 1)) for k, w in wins.items()})
+    seeds = [part for part in (mine[0], other[0]) if part is not None]
+    interval, _ = _tested(found, seeds, episodes, mine[2] + other[2])
+    few = any(part.freedom + 1 < FEWEST_SEEDS for part in seeds)
+    if few or interval.low is None or interval.high is None:
+        return Interval(found, None, None)
+    return Interval(found, max(0.0, interval.low), min(1.0, interval.high))
+
+
+def statistic_interval(
+    scores: Scores, statistic: Statistic, rng: np.random.Generator, resamples: int = RESAMPLES
+) -> Interval:
+    """Return a statistic of the seeds' means, such as the interquartile mean, with its interval.
+
+    The part of the seeds is the variance of the statistic over bootstrap samples of whole seeds,
+    times S / (S - 1), since a bootstrap of few values is too narrow; the part of the episodes is
+    that of the jackknife in each scene.
+    """
+    means = _seed_means(scores)
+    count = len(means)
+    found = float(statistic(means))
+    _, _, rest = _parts(scores)
+    seeds: Part | None = None
+    if count > 1:
+        rows = rng.integers(count, size=(resamples, count))
+        spread = float(np.var(statistic(means[rows]))) * count / (count - 1)
+        seeds = Part(spread, count - 1)
+    return _interval(found, seeds, _jackknifed(scores, statistic), rest)
+
+
+def bootstrap(
+    scores: Scores, statistic: Statistic, rng: np.random.Generator, resamples: int = RESAMPLES
+) -> Interval:
+    """Return a statistic with the percentile interval of the bootstrap: seeds, then episodes.
+
+    Each sample draws whole seeds with replacement, and in each scene episodes with replacement,
+    the same for all seeds. It contains the truth too rarely below ten seeds: 72 % at three.
+    """
+    values = statistic(resampled(scores, rng, resamples))
+    low, high = percentile_ends(values)
+    return Interval(float(statistic(_seed_means(scores))), float(low), float(high))
+
+
+def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> FloatArray:
+    """Return means of resampled seeds on resampled episodes, (B, S, K).
+
+    Scores of (S, E, L), such as one for each of L levels, give (B, S, L, K).
+    """
+    count = len(next(iter(scores.values())))
+    rows = rng.integers(count, size=(resamples, count))  # seeds first: one policy, all scenes
+    columns = []
+    for values in scores.values():
+        weights = rng.multinomial(
+            values.shape[1], np.full(values.shape[1], 1 / values.shape[1]), size=resamples
+        )  # how often each episode was drawn, (B, E)
+        drawn = np.tensordot(weights / values.shape[1], values, (1, 1))  # (B, S, ...)
+        columns.append(drawn[np.arange(resamples)[:, None], rows])
+    return np.stack(columns, axis=-1)
+
+
+def _seed_means(scores: Scores) -> FloatArray:
+    return np.column_stack([values.mean(axis=1) for values in scores.values()])
+
+
+def _parts(scores: Scores) -> tuple[Part | None, Part | None, float]:
+    """Return the parts of the mean's variance: over seeds, over episodes, and of both.
+
+    The first two contain the third each; it is the variance of what neither seed nor episode
+    explains. A part is None where there is one seed, or where episodes are too few.
+    """
+    means = _seed_means(scores)
+    count, scenes = means.shape
+    episodes = _over_episodes({k: values.mean(axis=0) for k, values in scores.items()})
+    if count < 2:
+        return None, episodes, 0.0
+    seeds = Part(float(np.var(means.mean(axis=1), ddof=1)) / count, count - 1)
+    rest = 0.0
+    for values in scores.values():
+        if (size := values.shape[1]) > 1:
+            left = values - values.mean(axis=1, keepdims=True) - values.mean(axis=0) + values.mean()
+            square = float(np.sum(left**2)) / ((count - 1) * (size - 1))
+            rest += square / (count * size) / scenes**2
+    return seeds, episodes, rest
+
+
+def _over_episodes(values: Mapping[str, FloatArray]) -> Part | None:
+    """Return the part of the episodes from one value for each, (E,) by scene."""
+    if min(len(found) for found in values.values()) < FEWEST_EPISODES:
+        return None
+    each = [
+        Part(float(np.var(found, ddof=1)) / len(found) / len(values) ** 2, len(found) - 1)
+        for found in values.values()
+    ]
+    return _joined(each)
+
+
+def _jackknifed(scores: Scores, statistic: Statistic) -> Part | None:
+    """Return the variance of the statistic over episodes by the jackknife in each scene."""
+    means, each = _seed_means(scores), []
+    for at, values in enumerate(scores.values()):
+        size = values.shape[1]
+        if size < FEWEST_EPISODES:
+            return None
+        without = np.repeat(means[None], size, axis=0)  # (E, S, K)
+        without[:, :, at] = ((values.sum(axis=1, keepdims=True) - values) / (size - 1)).T
+        found = statistic(without)
+        spread = (size - 1) / size * float(np.sum((found - found.mean()) ** 2))
+        each.append(Part(spread, size - 1))
+    return _joined(each)
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    """Return the sum of independent parts with Satterthwaite's degrees of freedom."""
+    total = sum(part.variance for part in parts)
+    below = sum(part.variance**2 / part.freedom for part in parts)
+    return Part(total, total**2 / below if below > 0 else sum(part.freedom for part in parts))
+
+
+def _interval(found: float, seeds: Part | None, episodes: Part | None, rest: float) -> Interval:
+    return _tested(found, [] if seeds is None else [seeds], episodes, rest)[0]
+
+
+def _tested(
+    found: float, seeds: Sequence[Part], episodes: Part | None, rest: float
+) -> tuple[Interval, float]:
+    """Return an estimate with its interval, and the two-sided p-value for 0."""
+    if episodes is None:
+        return Interval(found, None, None), 1.0
+    parts = [*seeds, episodes]
+    # The residual is in both sums; the estimate of the variance must not fall below either.
+    variance = max(_joined(parts).variance - rest, *(part.variance for part in parts))
+    if variance <= 0:
+        return Interval(found, found, found), 0.0 if found else 1.0
+    if any(part.freedom + 1 < FEWEST_SEEDS for part in seeds):
+        half, p = _cautious(found, parts, rest)
+        return Interval(found, found - half, found + half), p
+    below = sum(part.variance**2 / part.freedom for part in parts)
+    if seeds and rest > 0:
+        below += rest**2 / (sum(part.freedom for part in seeds) * episodes.freedom)
+    from scipy.special import stdtr, stdtrit
+
+    freedom, error = variance**2 / below, math.sqrt(variance)
+    half = float(stdtrit(freedom, 0.975)) * error
+    p = 2 * float(stdtr(freedom, -abs(found) / error))
+    return Interval(found, found - half, found + half), p
+
+
+def _cautious(found: float, parts: Sequence[Part], rest: float) -> tuple[float, float]:
+    """Return half the width of the interval of few seeds, and the p-value for 0.
+
+    Each part has the quantile of its own degrees of freedom (Cochran 1964), the episodes' being the
+    last one. The interval is never too narrow, where Satterthwaite's is: 88 % at two seeds.
+    """
+    from scipy.special import stdtrit
+
+    freedoms = np.array([part.freedom for part in parts])
+    variances = np.array([part.variance for part in parts])
+    pure = np.append(variances[:-1], max(0.0, variances[-1] - rest))
+
+    def half(p: float) -> float:
+        squares = stdtrit(freedoms, 1 - p / 2) ** 2
+        return math.sqrt(max(float(squares @ pure), float((squares * variances).max())))
+
+    low, high = 0.0, 1.0  # the p-value is where the interval ends at 0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if half(middle) > abs(found) else (low, middle)
+    return half(0.05), high
+
+
+def _wins(ours: FloatArray, theirs: FloatArray) -> FloatArray:
+    gap = theirs[None, :, :] - ours[:, None, :]
+    return np.asarray((gap > 0) + 0.5 * (gap == 0))

@@ -1,0 +1,94 @@
+"""``inspect results``: methods over their training seeds, from files of evaluations."""
+
+import csv
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.cli.call import call
+
+HEAD = ("scene", "controller", "conditions_hash", "seed", "outcome", "pitch_variation_100hz")
+
+
+def write(folder: Path, policies: Mapping[str, float], *, failed: int = -1, count: int = 8) -> None:
+    """Write episodes whose θ̂_R is the policy's value and a tenth of the episode's seed."""
+    folder.mkdir(parents=True)
+    with (folder / "episodes.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEAD)
+        for name, value in policies.items():
+            for seed in range(count):
+                outcome = "stuck" if seed == failed and name != "level" else "reached"
+                writer.writerow(("stair", name, "abcd", seed, outcome, value + seed / 10))
+
+
+@pytest.fixture
+def seeds(tmp_path: Path) -> Path:
+    for seed in range(3):
+        write(tmp_path / "plain" / f"{seed}", {f"runs/{seed}/best": 1 + seed / 10, "level": 2.0})
+    return tmp_path
+
+
+def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Path) -> None:
+    write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, failed=0)
+    arguments = ("plain", "searched=other", "--against", "level", "--price", "5")
+    done = call("inspect", "results", *arguments, "--json", cwd=seeds)
+    assert done.code == 0, done.err
+    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    assert {name: row["seeds"] for name, row in rows.items()} == {
+        "plain": 3,
+        "level": 1,  # the same in each file
+        "searched": 1,
+    }
+    assert rows["plain"]["score"]["mean"] == pytest.approx(1.1 + 0.35)
+    # One of eight episodes costs 5 in place of 1.5: the mean rises by 3.5 / 8.
+    assert rows["searched"]["score"]["mean"] == pytest.approx(1.5 + 0.35 + 3.5 / 8)
+    assert rows["searched"]["reached_mean"] == pytest.approx(1.5 + 0.4)
+    assert rows["plain"]["comparison"]["score"]["mean"] == pytest.approx(-0.9)
+    assert rows["plain"]["comparison"]["improvement"] == 1.0
+    assert rows["searched"]["comparison"]["success"]["lost"] == 1
+    assert rows["level"]["comparison"] is None
+
+
+def test_tables_a_picture_and_the_episodes_that_show_a_difference(seeds: Path) -> None:
+    write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, failed=0, count=9)
+    arguments = ("plain", "searched=other", "--detect", "0.1", "--detect-success", "1")
+    done = call("inspect", "results", *arguments, "--output", "profile.png", cwd=seeds)
+    assert done.code == 0, done.err
+    assert "8 of up to 9 episodes were played by all" in done.err
+    assert "compared with plain" in done.out
+    assert "searched, plain: 6 episodes show a difference of 1 of success" in done.out
+    assert "fewer than five training seeds: plain" in done.out
+    assert (seeds / "profile.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("missing",), "missing: there is no episodes.csv"),
+        (("plain", "--against", "leve"), "did you mean 'level'?"),
+        (("plain", "--price", "0"), "--price: 0; a number above 0 is allowed"),
+        (("plain", "--detect-success", "2"), "--detect-success: 2; a number in (0, 1]"),
+        (("plain", "--measure", "t_cost"), "--price: t_cost has no default"),
+        (("plain", "--measure", "t_cost", "--price", "60"), "there is no column 't_cost'"),
+        (("plain", "--measure", "decisions"), "less is better is allowed"),
+        (("=plain",), "METHOD=DIR or DIR is allowed"),
+        (("plain", "elsewhere"), "no episode was played by all"),
+        (("damaged",), "damaged/episodes.csv: cannot be read"),
+    ],
+)
+def test_a_wrong_request_says_what_is_allowed(
+    arguments: tuple[str, ...], words: str, seeds: Path
+) -> None:
+    write(seeds / "elsewhere", {"okada": 1.0})
+    path = seeds / "elsewhere" / "episodes.csv"
+    path.write_text(path.read_text().replace("stair", "gap"))
+    write(seeds / "damaged", {"okada": 1.0})
+    path = seeds / "damaged" / "episodes.csv"
+    path.write_text(path.read_text().replace("1.3", "x"))
+    done = call("inspect", "results", *arguments, cwd=seeds)
+    assert done.code == 2
+    assert words in done.err
+    assert done.err.count("\n") == 1

@@ -1,0 +1,96 @@
+"""Intervals over training seeds and episodes."""
+
+import math
+
+import numpy as np
+import pytest
+
+from flipperctl.evaluation.aggregates import interquartile_mean, mean
+from flipperctl.evaluation.intervals import interval
+from flipperctl.evaluation.seed_intervals import (
+    better_interval,
+    bootstrap,
+    difference_interval,
+    mean_interval,
+    statistic_interval,
+)
+
+
+def crossed(rng: np.random.Generator, seeds: int, own: float, ground: float, both: float) -> object:
+    size = (seeds, 30)
+    return (
+        rng.normal(0, own, (seeds, 1)) + rng.normal(0, ground, (1, 30)) + rng.normal(0, both, size)
+    )
+
+
+def test_one_seed_has_students_interval_over_its_episodes() -> None:
+    values = [1.0, 2.0, 4.0, 3.0, 7.0]
+    found, expected = mean_interval({"stair": np.array([values])}), interval(values)
+    assert (found.mean, found.low, found.high) == pytest.approx(
+        (expected.mean, expected.low, expected.high)
+    )
+
+
+def test_seeds_that_differ_alone_have_students_interval_over_seeds() -> None:
+    # Each episode is the same, so all variation is that of the seeds' values.
+    values = [1.0, 2.0, 4.0, 3.0, 7.0]
+    found = mean_interval({"stair": np.repeat(np.array(values)[:, None], 6, axis=1)})
+    expected = interval(values)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_episodes_that_all_seeds_share_do_not_count_several_times() -> None:
+    # Five equal seeds know no more about the ground than one does.
+    values = np.array([[1.0, 2.0, 4.0, 3.0, 7.0]])
+    one, five = (mean_interval({"stair": np.repeat(values, n, axis=0)}) for n in (1, 5))
+    assert (five.low, five.high) == pytest.approx((one.low, one.high))
+
+
+def test_scenes_weigh_the_same_whatever_their_number_of_episodes() -> None:
+    found = mean_interval({"a": np.full((2, 5), 1.0), "b": np.full((2, 50), 3.0)})
+    assert found.mean == 2.0
+    few = mean_interval({"a": np.full((2, 4), 1.0), "b": np.full((2, 50), 3.0)})
+    assert (few.mean, few.low, few.high) == (2.0, None, None)
+
+
+def test_paired_episodes_make_a_difference_narrow() -> None:
+    rng = np.random.default_rng(0)
+    ground = rng.normal(2, 1, (1, 40))
+    ours, theirs = (ground + d + rng.normal(0, 0.01, (1, 40)) for d in (0.0, 0.1))
+    found, p = difference_interval({"a": ours}, {"a": theirs})
+    assert found.mean == pytest.approx(-0.1, abs=0.01)
+    assert found.low is not None
+    assert found.high is not None
+    assert found.high - found.low < 0.02
+    assert p < 1e-6
+    better = better_interval({"a": ours}, {"a": theirs})
+    few = better_interval({"a": np.vstack([ours, ours])}, {"a": theirs})
+    assert (few.mean, few.low) == (1.0, None)
+    assert better.mean == 1.0
+    assert better_interval({"a": ours}, {"a": ours}).mean == 0.5
+
+
+def test_few_seeds_have_their_own_quantile_and_p_value() -> None:
+    # Two seeds, 0 and 2, and equal episodes: mean 1, error 1, t(1) = 12.706; p = 0.5.
+    scores = np.repeat([[0.0], [2.0]], 5, axis=1)
+    found = mean_interval({"a": scores})
+    assert found.high == pytest.approx(1 + 12.7062, abs=1e-4)
+    _, p = difference_interval({"a": scores}, {"a": np.zeros((1, 5))})
+    assert p == pytest.approx(0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("seeds", [3, 5])
+def test_the_percentile_bootstrap_misses_where_the_interval_holds(seeds: int) -> None:
+    rng = np.random.default_rng(3)
+    held = missed = iqm = 0
+    for _ in range(200):
+        scores = {"a": crossed(rng, seeds, 0.5, 0.1, 0.1)}
+        ours, other = mean_interval(scores), bootstrap(scores, mean, rng, 100)
+        middle = statistic_interval(scores, interquartile_mean, rng, 100)
+        held += ours.low <= 0 <= ours.high
+        missed += not other.low <= 0 <= other.high
+        iqm += middle.low <= 0 <= middle.high
+    deviation = math.sqrt(200 * 0.95 * 0.05)
+    assert held > 190 - 4 * deviation
+    assert iqm > 190 - 4 * deviation
+    assert missed > 20

@@ -1,0 +1,112 @@
+"""The measures of stability, impacts, roll and standstill against numbers worked by hand."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index
+from flipperctl.config import resolver
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.metrics import other_measures, shown
+
+ROBOT = Robot()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m, 35 kg and 2 × 5 kg
+FLAT = Profile([(0.0, 0.0)])
+UP = math.pi / 3
+SHIPPED = {
+    *("energy_margin", "energy_margin_min", "largest_impact", "max_roll", "pitch_reserve"),
+    *("roll_variation", "standstill"),
+}
+
+
+def value(name: str, episode: Sequence[Transition]) -> float:
+    made = resolver.create("measure", name, name)
+    assert isinstance(made, Measure)
+    return made(episode)
+
+
+def state(x: float = 0.0, z: float = 0.1, pitch: float = 0.0, **more: Any) -> RobotState:
+    fields = {"front": 0.0, "rear": 0.0, **more}
+    fields |= {"velocity": np.array([0.2, 0.0]), "pitch_rate": 0.0, "time": 0.0}
+    return RobotState(np.array([x, z]), pitch, **fields)
+
+
+def decision(
+    after: RobotState, before: RobotState | None = None, path: Any = ((0, 0, 0), (0, 0, 0))
+) -> Transition:
+    fields = {"profile": FLAT, "robot": ROBOT, "action": (0, 0), "pitches": np.zeros(2)}
+    return Transition(before or state(), after, path=np.array(path, float), **fields)
+
+
+def test_the_energy_margin_is_the_rise_of_the_centre_of_mass_until_it_tips() -> None:
+    # The track touches as long as its gap is at most 1 cm: up to √(0.11² − 0.1²) = 0.0458 m past
+    # the hinge at 0.28 m, so the last point of the 2 cm grid is at 0.32 m. Both pairs raised by
+    # 60° have their mass 0.168·sin 60° = 0.1455 m up, which lifts the centre by 10/45 of it.
+    height = 0.1 + 10 / 45 * 0.168 * math.sin(UP)
+    expected = math.hypot(0.32, height) - height
+    standing = decision(state(front=UP, rear=UP))
+    assert value("energy_margin_min", [standing]) == pytest.approx(expected, abs=1e-9)
+    # In the air, and with the centre of mass ahead of every contact, nothing holds it.
+    flying = decision(state(z=1.0))
+    assert value("energy_margin_min", [standing, flying]) == 0.0
+    assert value("energy_margin", [standing, flying]) == pytest.approx(expected / 2)
+    on_its_nose = decision(state(z=0.1 + 0.28 * math.sin(1.2), pitch=-1.2, front=UP, rear=UP))
+    assert value("energy_margin_min", [on_its_nose]) >= 0.0
+
+
+def test_an_impact_is_the_change_of_velocity_within_10_ms() -> None:
+    # 0.2 m/s forward, then 0.1 m/s forward and 0.3 m/s down: √(0.1² + 0.3²), across decisions.
+    first = decision(state(), path=[(0, 0, 0), (0.002, 0, 0), (0.004, 0, 0)])
+    second = decision(state(), path=[(0.004, 0, 0), (0.005, -0.003, 0), (0.006, -0.006, 0)])
+    assert value("largest_impact", [first, second]) == pytest.approx(math.hypot(0.1, 0.3))
+    assert value("largest_impact", [first]) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_roll_counts_at_decisions() -> None:
+    rolls = (0.1, -0.2, 0.05)
+    episode = [decision(state(roll=after), state(roll=before)) for before, after in pairwise(rolls)]
+    assert value("roll_variation", episode) == pytest.approx(0.3 + 0.25)
+    assert value("max_roll", episode) == 0.2
+    assert value("max_roll", [decision(state(roll=0.05), state(roll=-0.3))]) == 0.3
+
+
+def test_standing_still_is_slower_than_a_tenth_of_the_belts() -> None:
+    # Of 0.2 m/s: 0.2 mm in 10 ms. Two samples are slower, one is not.
+    path = [(0, 0, 0), (0, 0.0001, 0), (0.00015, 0.0001, 0), (0.00045, 0.0001, 0)]
+    assert value("standstill", [decision(state(), path=path)]) == pytest.approx(0.02)
+
+
+def test_the_pitch_reserve_is_what_is_left_to_a_third_of_pi() -> None:
+    path = [(0, 0, 0.1), (0, 0, -0.5), (0, 0, 0.2)]
+    assert value("pitch_reserve", [decision(state(), path=path)]) == pytest.approx(UP - 0.5)
+
+
+def test_printed_tables_leave_them_out_and_files_do_not() -> None:
+    assert {m.plugin_name for m in other_measures()} >= SHIPPED
+    found = shown([dict.fromkeys([*SHIPPED, *(m.plugin_name for m in other_measures())])])
+    assert not {m.plugin_name for m in found} & SHIPPED
+
+
+@pytest.mark.parametrize("sim", [{"engine": "plain"}, {"engine": "compiled"}, {"name": "mujoco"}])
+def test_the_energy_of_the_flippers_is_torque_times_angle(sim: dict[str, str]) -> None:
+    # The flippers lift the robot, while the belts carry part of it up their round ends and other
+    # parts of the work are lost: the work is near m·g·Δz, of 74 J.
+    env = FlipperEnv("flat", sim=sim, episode={"start_noise": 0})
+    env.reset(seed=0)
+    before = env.drive.world.position[1]
+    episode = []
+    for action in (action_index(-1, -1), action_index(-1, -1), action_index(0, 0)):
+        env.step(action)
+        assert env.transition is not None
+        episode.append(env.transition)
+    lifted = env.drive.world.position[1] - before
+    assert lifted > 0.1  # both pairs turned by 30° below the chassis: 0.336·sin 30° = 0.168 m
+    weight = 45 * 9.81
+    found = value("flipper_energy", episode)
+    assert weight * lifted < found < weight * lifted * 1.6
+    # The last decision holds the flippers, which costs torque but hardly any work.
+    assert episode[-1].flipper_work is not None
+    assert episode[-1].flipper_work < 0.1 * found
