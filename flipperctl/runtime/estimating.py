@@ -6,6 +6,7 @@ In: an interface and the robot's devices. Out: a ``LidarEstimator`` that knows n
 from __future__ import annotations
 
 from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.certainty import accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
@@ -31,7 +32,11 @@ def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
         chassis_width=setup.chassis_width,
         overall_width=setup.overall_width,
     )
-    settings = MapSettings(bins=interface.bins, bin_width=interface.bin_width)
+    settings = MapSettings(
+        bins=interface.bins,
+        bin_width=interface.bin_width,
+        accuracy=accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+    )
     return LidarEstimator(body, setup.mount, settings, _matcher(setup))
 
 

@@ -21,6 +21,8 @@ from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20
 """Points without which a cloud tells nothing [-]."""
+_LONGEST_TURN = 1.0
+"""Largest age of a point at the time of its cloud; those of other ages are left out [s]."""
 _FASTEST = 20.0
 """Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
 
@@ -139,14 +141,25 @@ class Intake:
 
     def _scan(self, cloud: Cloud) -> Scan:
         _check_frame("cloud", cloud.frame, self._setup.cloud_frame)
-        points = _points(cloud.points)
-        points = points[np.isfinite(points).all(axis=1)]
+        points = _array(cloud.points, 2)
+        if points.shape[1:] != (3,):
+            found = f"has points of shape {points.shape}"
+            raise _refusal("cloud", "shape", found, "(P, 3) of numbers")
+        kept, ages = np.isfinite(points).all(axis=1), None
+        if cloud.ages is not None:
+            ages = _array(cloud.ages, 1)
+            if ages.shape != (len(points),):
+                found = f"has ages of shape {ages.shape} for {len(points)} points"
+                raise _refusal("cloud", "shape", found, "one for each point")
+            kept &= (ages >= 0) & (ages <= _LONGEST_TURN)
+            ages = ages[kept]
+        points = points[kept]
         if len(points) < _FEWEST_POINTS:
             found = f"has {len(points)} finite points"
             raise _refusal("cloud", "points", found, f"{_FEWEST_POINTS} or more")
         if self._setup.signs.x < 0:  # a turn by π about z keeps the frame right-handed
             points = points * (-1.0, -1.0, 1.0)
-        return Scan(points)
+        return Scan(points, ages)
 
     def _attitude(self, message: Attitude) -> Inertial:
         _check_frame("attitude", message.frame, self._setup.attitude_frame)
@@ -187,11 +200,10 @@ def _number(device: str, name: str, value: object, limit: float) -> float:
     raise _refusal(device, "value", f"has {name} {str(value)[:40]}", allowed)
 
 
-def _points(points: object) -> NDArray[np.float64]:
+def _array(values: object, dimensions: int) -> NDArray[np.float64]:
+    """Return an array; an empty one if it has another number of dimensions or other content."""
     try:
-        array = np.asarray(points, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        array = np.empty(0)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise _refusal("cloud", "shape", f"has points of shape {array.shape}", "(P, 3) of numbers")
-    return array
+        return np.empty(0)
+    return array if array.ndim == dimensions else np.empty(0)

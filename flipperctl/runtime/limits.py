@@ -85,3 +85,7 @@ class RobotSetup:
     """Width over the outer sides of the flippers [m]."""
     pose: Literal["belts", "matched"] = "belts"
     """How scans enter the map: by odometry, or corrected by matching (needs small_gicp)."""
+    range_bias: float = 0.02
+    """Largest constant error of the LiDAR's distances [m]."""
+    tilt_error: float = 0.0032
+    """Standard deviation of the inertial unit's roll and pitch [rad]."""

@@ -19,12 +19,15 @@ class Cloud:
     time: float
     """Instant at which the points were measured, by the clock of ``step`` [s].
 
-    Of a turning LiDAR, that of the whole scan which its driver moved the points to.
+    Of a turning LiDAR, the end of the turn, if ``ages`` are given.
     """
     frame: str
     """Name of the frame of the points."""
     points: ArrayLike
     """(P, 3) points [m]; rows that are not finite are left out."""
+    ages: ArrayLike | None = None
+    """(P,) how long before ``time`` each point was measured [s], by which the robot's motion is
+    taken out; None: all at ``time``, or moved there by the driver."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 from flipperctl.core import observation
 from flipperctl.core.arrays import FloatArray
 
+_DRIFT = {"belts": 0.15, "matched": 0.02}
+"""Standard deviation of the motion by odometry, per way, over the kinds of ground that
+``python -m benchmarks.odometry`` drives on [-]."""
+
 
 @dataclass(frozen=True)
 class Accuracy:
@@ -37,6 +41,18 @@ class Accuracy:
     filled: float = 0.3
     """Of filled ground, per length that is filled; the slope from an edge to what lies unseen
     behind it [-]."""
+
+
+def accuracy_of(pose: str, range_bias: float, tilt: float) -> Accuracy:
+    """Return the accuracy with odometry by ``pose``, ``true``, ``belts`` or ``matched``.
+
+    ``range_bias``: largest constant error of the distances [m]; ``tilt``: standard deviation of
+    roll and pitch [rad].
+    """
+    height = max(0.004, range_bias / 4)  # contact corrects most of the bias
+    if pose == "true":
+        return Accuracy(height=height)
+    return Accuracy(height=height, tilt=tilt, drift=_DRIFT[pose])
 
 
 def deviations(

@@ -22,7 +22,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.cells import Grid
-from flipperctl.core.lidar.certainty import Accuracy
+from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
@@ -38,9 +38,6 @@ from flipperctl.sim.lidar.returns import RangeErrors
 from flipperctl.sim.lidar.scanner import Scanner
 from flipperctl.sim.planar.sensing import PlanarSensor
 
-_DRIFT = {"belts": 0.15, "matched": 0.02}
-"""Standard deviation of the motion by odometry, per way, over the kinds of ground that
-``python -m benchmarks.odometry`` drives on [-]."""
 _LEAST_NOISE = 0.01
 """The map takes points for no more accurate than this, because slopes and edges spread them [m]."""
 
@@ -329,11 +326,8 @@ class LidarSensor(Sensor):
 
     @property
     def _accuracy(self) -> Accuracy:
-        height = max(0.004, self.range_bias / 4)  # contact corrects most of the bias
-        if self.pose == "true":
-            return Accuracy(height=height)
         tilt = math.hypot(self.tilt_wander, self.tilt_noise)
-        return Accuracy(height=height, tilt=tilt, drift=_DRIFT[self.pose])
+        return accuracy_of(self.pose, self.range_bias, tilt)
 
     @property
     def _mount(self) -> Mount:
