@@ -37,7 +37,7 @@ def is_file(name: str) -> bool:
 
 
 def named_robot(name: str) -> Robot:
-    """Return the robot of a preset or of a file; settings that a file leaves out are those of nubot.
+    """Return the robot of a preset or of a file; those that a file leaves out are nubot's.
 
     Raises:
         ConfigError: there is no such robot or file, or a setting in it is unknown or not allowed.
@@ -92,8 +92,8 @@ def notes_on_samples(robot: Robot, randomise: Randomise) -> Iterator[str]:
 def expand_files(words: Sequence[str]) -> list[str]:
     """Return overrides in which ``robot=FILE`` is replaced by the settings of the file.
 
-    All settings of the robot are written out, in place of those of a policy's training too; one that
-    another word sets is left to that word.
+    All settings of the robot are written out, in place of those of a policy's training too; one
+    that another word sets is left to that word.
 
     Raises:
         ConfigError: a list names files, or a file is not one of a robot.

@@ -81,7 +81,8 @@ class MujocoWorld:
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = sim.ground_width / 2
-        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim)
+        self.ground = boxes(profile, sim, rng)
+        self.model, self._belts, self._sides = build(self.ground, robot, sim)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
