@@ -68,10 +68,10 @@ def run(
             raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing")
         _policy(kind, checkpoint, overrides or [], output, as_json=as_json)
         return
+    from flipperctl.bags.episode import export_bag
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
-    from flipperctl.export.episode import export_bag
     from flipperctl.export.scene import export_scene
     from flipperctl.files import check_writable
     from flipperctl.runs.named_policies import controller_or_okada

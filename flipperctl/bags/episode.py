@@ -2,7 +2,7 @@
 
 In: a scene and a policy. Out: a folder with the MCAP file and its metadata, which
 ``ros2 bag play``, Foxglove and PlotJuggler open. ROS itself is not needed. The messages follow
-``ros_messages``.
+``messages``.
 """
 
 from __future__ import annotations
@@ -16,12 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flipperctl.api import FloatArray, Measured, Perception, RobotState, Sensor, World
-from flipperctl.config import EvalConfig
-from flipperctl.core.lidar.messages import Belts, Inertial, Scan
-from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.observer import Observer
-from flipperctl.errors import OutputError, RequestError
-from flipperctl.export.ros_messages import (
+from flipperctl.bags.messages import (
     LEVEL,
     LIDAR,
     Messages,
@@ -29,6 +24,11 @@ from flipperctl.export.ros_messages import (
     nanoseconds,
     require_rosbags,
 )
+from flipperctl.config import EvalConfig
+from flipperctl.core.lidar.messages import Belts, Inertial, Scan
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.observer import Observer
+from flipperctl.errors import OutputError, RequestError
 from flipperctl.files import failure
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions

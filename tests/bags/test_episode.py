@@ -11,15 +11,15 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
 from flipperctl.api import RobotState
+from flipperctl.bags import episode
+from flipperctl.bags.episode import Stamped, Watch, export_bag, typestore, write_bag
+from flipperctl.bags.messages import EPOCH, Messages, nanoseconds, quaternion
 from flipperctl.config import EvalConfig
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
 from flipperctl.core.lidar.rotations import mounting
 from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, OutputError
-from flipperctl.export import episode
-from flipperctl.export.episode import Stamped, Watch, export_bag, typestore, write_bag
-from flipperctl.export.ros_messages import EPOCH, Messages, nanoseconds, quaternion
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
