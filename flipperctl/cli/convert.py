@@ -62,7 +62,7 @@ def run(
     if output.suffix != ".xyz":
         raise RequestError(f"--output {output}: a file that ends in .xyz is allowed")
     check_writable(output)
-    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values()))
+    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "convert"))
     frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)
     found = convert(source, output, robot, frames, limits)
     show(found, lambda: print_ground(found), as_json=as_json)

@@ -71,10 +71,10 @@ def export(
     }
 
 
-def robot_fields(changes: Mapping[str, Any]) -> dict[str, Any]:
+def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[str, Any]:
     """Return the fields of the robot among changes of settings, by their paths.
 
-    ``robot`` names a robot, which has all fields.
+    ``robot`` names a robot, which has all fields. ``command`` takes them, for the error.
 
     Raises:
         ConfigError: a path is not that of a field of the robot, or there is no such robot.
@@ -89,8 +89,9 @@ def robot_fields(changes: Mapping[str, Any]) -> dict[str, Any]:
         section, _, field = key.partition(".")
         if section != "robot" or not field:
             raise ConfigError(
-                f"{key}: export takes the robot alone, as in robot=absolem or "
-                "robot.angle_limit=0.9; everything else is that of the training"
+                f"{key}: {command} takes settings of the robot alone, as in robot=absolem or "
+                "robot.angle_limit=0.9; everything else is that of the "
+                f"{'training' if command == 'export' else 'recording'}"
             )
     return chosen | {key.removeprefix("robot."): value for key, value in own.items()}
 

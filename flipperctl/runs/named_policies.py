@@ -130,6 +130,6 @@ def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -
                 first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
                 raise ConfigError(
                     f"--compare: {first} is for {key}={first_value}, {other} for "
-                    f"{value}; give {key}=…, or robot=NAME, to choose the robot"
+                    f"{value}; give {key}=… to choose the robot"
                 )
     return ours
