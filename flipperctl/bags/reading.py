@@ -6,6 +6,7 @@ Out: clouds with their stamps and frames, and the tree of transforms.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +27,12 @@ _FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
 _NUMBERS = {7: "f4", 8: "f8"}
 """Datatype of a field → type of numpy."""
+_DAMAGED = (
+    *(ArithmeticError, AssertionError, EOFError, LookupError, MemoryError, OSError, RuntimeError),
+    *(TypeError, ValueError),
+    struct.error,
+)
+"""What readers raise at bytes that make no sense."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +93,7 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag; an error of its content names the file."""
     require_rosbags("reading a bag")
+    from rosbags import rosbag1, rosbag2
     from rosbags.highlevel import AnyReader, AnyReaderError
 
     if not path.exists():
@@ -94,8 +102,8 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with AnyReader([path], default_typestore=typestore()) as reader:
             yield reader
-    except (AnyReaderError, OSError, ValueError) as error:
-        text = " ".join(str(error).split())
+    except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, *_DAMAGED) as error:
+        text = " ".join(str(error).split()) or type(error).__name__
         raise RequestError(f"{path} cannot be read as a bag: {text}") from error
 
 

@@ -146,8 +146,11 @@ def test_a_bag_that_cannot_be_used_is_refused_with_the_reason(tmp_path, made, fr
 
 def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
     (tmp_path / "text.mcap").write_text("no bag")
+    whole = (bag / "drive.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     for source, error in {
         "text.mcap": "text.mcap cannot be read as a bag",
+        "cut.mcap": "cut.mcap cannot be read as a bag",
         "absent": "absent: there is no such file or folder",
     }.items():
         with pytest.raises(RequestError, match=error):
