@@ -12,13 +12,14 @@ import typer
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
-HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export).
+HELP = """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export); a scene for
+other simulators: [bold]mjcf[/], [bold]urdf[/]; an episode as a bag of ROS 2: [bold]mcap[/].
 
-Before the file is saved, it is compared with torch on at least 1,000 observations of real rollouts;
-a mismatch is an error.
+Before a policy is saved, it is compared with torch on at least 1,000 observations of real rollouts;
+a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if it is another
+than that of the training; the command prints the changes.
 
-OVERRIDES are settings of the target robot that differ from the training, as in
-robot.angle_limit=0.9; the command prints the changes.
+A scene or an episode is the first one of eval with the same OVERRIDES, checkpoint and seed.
 
 [bold]Examples[/]
 
@@ -27,29 +28,74 @@ robot.angle_limit=0.9; the command prints the changes.
   flipperctl export pt2 --checkpoint best.safetensors
 
   flipperctl export onnx --checkpoint generalist --output mine.onnx robot.flipper_speed=0.5
+
+  flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
+
+  flipperctl export mcap --checkpoint generalist terrain=step sim=mujoco perception=lidar
 """
 
 
 class Kind(StrEnum):
-    """File formats of an exported policy."""
+    """File formats of an exported policy, scene or episode."""
 
     onnx = "onnx"
     pt2 = "pt2"
+    mjcf = "mjcf"
+    urdf = "urdf"
+    mcap = "mcap"
 
 
 def run(
     kind: Annotated[Kind, typer.Argument(help="The format.")],
-    checkpoint: Annotated[
-        Path, typer.Option(metavar="RUN_OR_FILE", help="A run directory or a checkpoint.")
-    ],
+    checkpoint: options.CheckpointFile = None,
     overrides: options.Overrides = None,
+    controller: options.DefaultOkada = None,
+    seed: options.Seed = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="[<terrain>.<format>]", show_default=False)
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="[<terrain>.<format>]; mcap: a folder.", show_default=False
+        ),
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
+    if kind in (Kind.onnx, Kind.pt2):
+        if controller is not None or seed is not None:
+            raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
+        if checkpoint is None:
+            raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing")
+        _policy(kind, checkpoint, overrides or [], output, as_json=as_json)
+        return
+    from flipperctl.bags.episode import export_bag
+    from flipperctl.cli.hydra.compose import only_one
+    from flipperctl.cli.scenes import scenes
+    from flipperctl.config.words import with_engine, with_flags
+    from flipperctl.export.scene import export_scene
+    from flipperctl.files import check_writable
+    from flipperctl.runs.named_policies import controller_or_okada
+    from flipperctl.terminal.document import show
+    from flipperctl.terminal.export import print_bag, print_scene
+
+    words = with_flags(overrides, seed=seed)
+    named = controller_or_okada(checkpoint, controller)
+    if kind is Kind.mcap:
+        config, source = only_one(scenes(words, checkpoint, named))
+        folder = output or Path(config.terrain.plugin_name)
+        bag = export_bag(config, source, folder)
+        show(bag, lambda: print_bag(bag), as_json=as_json)
+        return
+    config, _ = only_one(scenes(with_engine(words), checkpoint, named))
+    target = output or Path(f"{config.terrain.plugin_name}.{'xml' if kind == 'mjcf' else kind}")
+    check_writable(target)
+    scene = export_scene(config, "mjcf" if kind is Kind.mjcf else "urdf", target)
+    show(scene, lambda: print_scene(scene), as_json=as_json)
+
+
+def _policy(
+    kind: Kind, checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
+) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import export, robot_fields
@@ -65,7 +111,7 @@ def run(
     saved = checkpoints.read(file)
     target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
     check_writable(target)
-    robot = robot_fields(Overrides.parse(overrides or ()).values())
+    robot = robot_fields(Overrides.parse(words).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
-    found = export(saved, kind.value, target, robot)
+    found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)
     show(found, lambda: print_export(target, saved.path, found), as_json=as_json)

@@ -20,7 +20,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, reinstall_hint
 
 GROUPS = (
-    *("terrain", "rewards", "network", "collector", "teacher", "logger"),
+    *("terrain", "robot", "rewards", "network", "collector", "teacher", "logger"),
     *("sim", "perception", "conditions"),
 )
 """Groups whose choice is stored under a key of the same name."""

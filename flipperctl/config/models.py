@@ -30,6 +30,7 @@ from flipperctl.config.combinations import check_decisions, check_episode
 from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import create, to_dict
+from flipperctl.config.robots import robot_or_name
 from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
     Agent,
@@ -101,6 +102,7 @@ def _to_dicts(value: Mapping[str, Plugin]) -> dict[str, Any]:
 
 
 ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(to_dict)]
+NamedRobot = Annotated[Robot, BeforeValidator(robot_or_name)]
 AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(to_dict)]
 AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(to_dict)]
 AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(to_dict)]
@@ -121,7 +123,7 @@ class EnvConfig(Settings):
         # the validator turns names into terms
         default_factory=lambda: cast("dict[str, RewardTerm]", dict(PAPER_REWARDS))
     )
-    robot: Robot = Robot()
+    robot: NamedRobot = Robot()
     sim: AnyEngine = Field(default_factory=lambda: cast("Engine", DEFAULT_ENGINE))
     perception: AnySensor = Field(default_factory=lambda: cast("Sensor", DEFAULT_ENGINE))
     episode: Episode = Episode()

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import with_overrides
+from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, ExportError
 from flipperctl.export.folded import folded
 from flipperctl.export.metadata import policy_metadata
@@ -70,20 +71,29 @@ def export(
     }
 
 
-def robot_fields(changes: Mapping[str, Any]) -> dict[str, Any]:
+def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[str, Any]:
     """Return the fields of the robot among changes of settings, by their paths.
 
+    ``robot`` names a robot, which has all fields. ``command`` takes them, for the error.
+
     Raises:
-        ConfigError: a path is not that of a field of the robot.
+        ConfigError: a path is not that of a field of the robot, or there is no such robot.
     """
-    for key in changes:
+    own = dict(changes)
+    chosen = {}
+    if (name := own.pop("robot", None)) is not None:
+        if not isinstance(name, str):
+            raise ConfigError(f"robot: a name or a file is allowed; the value is {name!r}")
+        chosen = dict(named_robot(name))
+    for key in own:
         section, _, field = key.partition(".")
         if section != "robot" or not field:
             raise ConfigError(
-                f"{key}: export takes settings of the robot alone, as in robot.angle_limit=0.9; "
-                "everything else is that of the training"
+                f"{key}: {command} takes settings of the robot alone, as in robot=absolem or "
+                "robot.angle_limit=0.9; everything else is that of the "
+                f"{'training' if command == 'export' else 'recording'}"
             )
-    return {key.removeprefix("robot."): value for key, value in changes.items()}
+    return chosen | {key.removeprefix("robot."): value for key, value in own.items()}
 
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:

@@ -34,9 +34,9 @@ class Inherited:
     """The sections that a policy brings to its evaluation, as plain data."""
 
     chosen: dict[str, Any]
-    """Terrain and rewards, which overrides may replace as a whole."""
+    """Terrain, robot and rewards, which overrides may replace as a whole."""
     kept: dict[str, Any]
-    """Robot, observation layout (of ``perception``) and evaluation settings, in all conditions."""
+    """Observation layout (of ``perception``) and evaluation settings, in all conditions."""
     nominal: dict[str, Any]
     """The other sections at their defaults."""
     trained: dict[str, Any] | None
@@ -48,8 +48,8 @@ class Inherited:
         own = to_dict(config.environment())
         own["terrain"] = to_dict(config.terrain, brief=True)
         layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
-        chosen = {name: own.pop(name) for name in ("terrain", "rewards")}
-        kept = {"robot": own.pop("robot"), "perception": layout, "eval": to_dict(config.eval)}
+        chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
+        kept = {"perception": layout, "eval": to_dict(config.eval)}
         default = to_dict(EvalConfig(terrain=config.terrain))
         nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
         return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)

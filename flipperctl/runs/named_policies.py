@@ -127,7 +127,7 @@ def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -
         for field in Robot.model_fields:
             values = getattr(ours, field), getattr(theirs, field)
             key = f"robot.{field}"
-            if values[0] != values[1] and key not in chosen:
+            if values[0] != values[1] and not {"robot", key} & set(chosen):
                 first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
                 raise ConfigError(
                     f"--compare: {first} is for {key}={first_value}, {other} for "

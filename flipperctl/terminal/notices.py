@@ -1,4 +1,4 @@
-"""Print the notices of plugins about the data that they read, once per command, on stderr.
+"""Print notices once per command, on stderr: of plugins about their data, and on sampled robots.
 
 In: a validated configuration. Out: a line for each notice.
 """
@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from flipperctl import guard
 from flipperctl.api import Plugin
 from flipperctl.config import EnvConfig, resolver
+from flipperctl.config.robots import notes_on_samples
 
 _printed: set[str] = set()
 
@@ -21,17 +22,23 @@ def begin() -> None:
 
 
 def print_notices(config: EnvConfig) -> None:
-    """Print the notices of the configuration's plugins that this command has not printed yet.
+    """Print the notices on a configuration that this command has not printed yet.
 
     Raises:
         PluginFailedError: a plugin's code failed.
     """
     for plugin in _plugins(config):
         for notice in _notices(plugin):
-            text = f"warning: {guard.plugin_label(plugin)}: {notice}"
-            if text not in _printed:
-                _printed.add(text)
-                print(text, file=sys.stderr)
+            _print(f"{guard.plugin_label(plugin)}: {notice}")
+    for note in notes_on_samples(config.robot, config.randomise):
+        _print(note)
+
+
+def _print(notice: str) -> None:
+    text = f"warning: {notice}"
+    if text not in _printed:
+        _printed.add(text)
+        print(text, file=sys.stderr)
 
 
 def _plugins(config: EnvConfig) -> Iterator[Plugin]:

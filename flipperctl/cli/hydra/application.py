@@ -21,6 +21,7 @@ from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import compose_train, parse_training
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config.robots import expand_files
 from flipperctl.errors import InterruptedRunError
 from flipperctl.files import failure
 from flipperctl.rollout import ray_cluster
@@ -44,6 +45,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     config_store.register_defaults()
     config_store.register_sweepers()
     several = "--multirun" in arguments
+    arguments = expand_files(arguments)
     checked = _check([a for a in arguments if a != "--multirun"], several=several, compose=check)
     errors: list[BaseException] = []
     job = _Job(CommandProcess.current(), checked)

@@ -26,7 +26,7 @@ EVAL_CHECKPOINT, EVAL_EXPORT = "flipperctl_eval_trained", "flipperctl_eval_expor
 """Primary configurations of an evaluation of a controller, a checkpoint and an exported file."""
 EVAL_ROBOT = "flipperctl_eval_robot"
 """Primary configuration of an evaluation of a controller with a robot that a file describes."""
-_TRAINED = "_trained"  # terrain and rewards of a checkpoint, as group entries
+_TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 
@@ -93,10 +93,13 @@ def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str
 
     ``layout`` is its observation layout, if that differs as well. Overrides change both.
     """
-    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_"], "robot": to_dict(robot)}
+    chosen = {"override /robot": _TRAINED}
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_", chosen]}
     if layout is not None:
         node["perception"] = to_dict(layout)
-    ConfigStore.instance().store(name=EVAL_ROBOT, node=node)
+    store = ConfigStore.instance()
+    store.store(group="robot", name=_TRAINED, node=to_dict(robot))
+    store.store(name=EVAL_ROBOT, node=node)
     return EVAL_ROBOT
 
 

@@ -14,6 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
+from flipperctl.config.robots import expand_files
 from flipperctl.config.words import check_words, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
@@ -31,7 +32,8 @@ class Overrides:
     def parse(cls, words: Iterable[str], *, check: bool = True) -> Overrides:
         """Parse the words.
 
-        With ``check``, words that are not overrides are explained, for instance a typing mistake.
+        With ``check``, words that are not overrides are explained, for instance a typing mistake,
+        and ``robot=FILE`` becomes the settings of the file.
 
         Raises:
             ConfigError: a word is not an override, Hydra cannot read it, or a key is given twice.
@@ -39,6 +41,7 @@ class Overrides:
         words = list(words)
         if check:
             check_words(words)
+            words = expand_files(words)
         try:
             return cls(tuple(OverridesParser.create().parse_overrides(words)))
         except OverrideParseException as error:

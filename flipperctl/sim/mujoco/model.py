@@ -68,6 +68,16 @@ def build(
     scenery: Callable[[Any], None] = lambda spec: None,
 ) -> Model:
     """Compile the scene; the robot's pose is set in its data, ``scenery`` adds to the model."""
+    spec = specify(ground, robot, sim)
+    scenery(spec)
+    model = spec.compile()
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]
+    return Model(model, model.geom_surfacevel.copy(), np.array(sides))
+
+
+def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
+    """Return the ``mujoco.MjSpec`` of the scene, with the chassis at the origin."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
@@ -92,11 +102,7 @@ def build(
             **_surface(sim),
         )
     _add_robot(spec, robot, sim)
-    scenery(spec)
-    model = spec.compile()
-    names = [model.geom(i).name for i in range(model.ngeom)]
-    sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]
-    return Model(model, model.geom_surfacevel.copy(), np.array(sides))
+    return spec
 
 
 def _set_looks(spec: Any) -> None:

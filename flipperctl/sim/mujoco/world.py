@@ -88,7 +88,8 @@ class MujocoWorld:
         self._half_width = sim.ground_width / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
         scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
-        self.model, self._belts, self._sides = build(boxes(profile, sim, rng), robot, sim, scenery)
+        self.ground = boxes(profile, sim, rng)
+        self.model, self._belts, self._sides = build(self.ground, robot, sim, scenery)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])

@@ -1,0 +1,162 @@
+"""Read point clouds and the frames in which they were measured from a bag.
+
+In: a bag of ROS 1 or ROS 2, such as a folder of ``ros2 bag record``, an ``.mcap`` or a ``.bag``.
+Out: clouds with their stamps and frames, and the tree of transforms.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+from flipperctl.bags.episode import typestore
+from flipperctl.bags.messages import require_rosbags
+from flipperctl.bags.transforms import Pose, Transforms
+from flipperctl.errors import RequestError
+from flipperctl.messages import close_match
+
+_CLOUD, _ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
+_FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
+_STATIC = "tf_static"
+_NUMBERS = {7: "f4", 8: "f8"}
+"""Datatype of a field → type of numpy."""
+_DAMAGED = (
+    *(ArithmeticError, AssertionError, EOFError, LookupError, MemoryError, OSError, RuntimeError),
+    *(TypeError, ValueError),
+    struct.error,
+)
+"""What readers raise at bytes that make no sense."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The points of one scan."""
+
+    time: float
+    """Its stamp [s]."""
+    frame: str
+    points: FloatArray
+    """(P, 3) finite points in that frame [m]."""
+
+
+@dataclass(frozen=True)
+class Bag:
+    """The clouds of one topic, and all transforms."""
+
+    topic: str
+    clouds: Sequence[Cloud]
+    transforms: Transforms
+
+
+def read_bag(path: Path, topic: str | None = None) -> Bag:
+    """Return the clouds of a topic, by default of the only one, and all transforms.
+
+    The pose of an odometry is a transform as well, for a frame that has no other.
+
+    Raises:
+        MissingExtraError: rosbags is not installed.
+        RequestError: the file is no bag, there is no such topic, or the clouds have no stamps.
+    """
+    transforms, clouds, odometry = Transforms(), [], []
+    with _opened(path) as reader:
+        chosen = _chosen_topic(path, reader, topic)
+        for connection, _, data in reader.messages():
+            kind = connection.msgtype
+            if connection.topic == chosen:
+                clouds.append(_cloud(f"{path}: {chosen}", reader.deserialize(data, kind)))
+            elif kind in _FRAMES:
+                static = connection.topic.rstrip("/").endswith(_STATIC)
+                for one in reader.deserialize(data, kind).transforms:
+                    place, turn = one.transform.translation, one.transform.rotation
+                    time = None if static else _seconds(one.header.stamp)
+                    pose = _pose(place, turn)
+                    transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
+            elif kind == _ODOMETRY:
+                odometry.append(reader.deserialize(data, kind))
+    without = {one.child_frame_id for one in odometry if not transforms.has(one.child_frame_id)}
+    for one in odometry:
+        if one.child_frame_id in without:
+            place, turn = one.pose.pose.position, one.pose.pose.orientation
+            time, pose = _seconds(one.header.stamp), _pose(place, turn)
+            transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
+    return Bag(chosen, clouds, transforms)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a bag; an error of its content names the file."""
+    require_rosbags("reading a bag")
+    from rosbags import rosbag1, rosbag2
+    from rosbags.highlevel import AnyReader, AnyReaderError
+
+    if not path.exists():
+        raise RequestError(f"{path}: there is no such file or folder")
+    # A bag without definitions of its types, as of early ROS 2, has those of the distribution.
+    try:
+        with AnyReader([path], default_typestore=typestore()) as reader:
+            yield reader
+    except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, *_DAMAGED) as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise RequestError(f"{path} cannot be read as a bag: {text}") from error
+
+
+def _chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
+    """Return the topic of clouds, the only one unless it is named."""
+    clouds = sorted({c.topic for c in reader.connections if c.msgtype == _CLOUD})
+    known = ", ".join(clouds) or "none"
+    if topic is not None:
+        if topic not in clouds:
+            hint = close_match(topic, clouds)
+            raise RequestError(f"{path}: no PointCloud2 is on {topic!r}{hint}; topics: {known}")
+        return topic
+    if len(clouds) != 1:
+        raise RequestError(
+            f"{path}: the PointCloud2 of one topic is needed; topics: {known}; --topic chooses one"
+        )
+    found: str = clouds[0]
+    return found
+
+
+def _cloud(where: str, message: Any) -> Cloud:
+    time, frame = _seconds(message.header.stamp), message.header.frame_id.lstrip("/")
+    if time == 0:
+        raise RequestError(
+            f"{where}: a cloud has no stamp (header.stamp is 0), so that its pose is unknown; "
+            "record the driver's messages, not those of a node that drops the header"
+        )
+    if not frame:
+        raise RequestError(f"{where}: a cloud has no frame (header.frame_id is empty)")
+    fields = {one.name: one for one in message.fields}
+    for name in "xyz":
+        if name not in fields or fields[name].datatype not in _NUMBERS:
+            known = ", ".join(fields) or "none"
+            raise RequestError(f"{where}: a cloud needs x, y and z as floats; fields: {known}")
+    order = ">" if message.is_bigendian else "<"
+    layout = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [order + _NUMBERS[fields[name].datatype] for name in "xyz"],
+            "offsets": [fields[name].offset for name in "xyz"],
+            "itemsize": message.point_step,
+        }
+    )
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.row_step)
+    data = rows[:, : message.width * message.point_step].tobytes()
+    found = np.frombuffer(data, layout)
+    points = np.column_stack([found[name].astype(np.float64) for name in "xyz"])
+    return Cloud(time, frame, points[np.isfinite(points).all(axis=1)])
+
+
+def _pose(place: Any, turn: Any) -> Pose:
+    return Pose(np.array([place.x, place.y, place.z]), np.array([turn.x, turn.y, turn.z, turn.w]))
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)

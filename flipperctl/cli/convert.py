@@ -1,0 +1,68 @@
+"""``flipperctl convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli import options
+
+HELP = """Make recorded ground from a bag of ROS 1 or 2, or from a folder of clouds with poses.
+
+The points of all clouds are put into one frame by the recorded transforms or odometry, without
+those of the robot, and thinned. The command prints how to drive over them (terrain=profile_file).
+A folder has clouds (.pcd, .ply, .xyz, .npy) in the frame of the chassis, and poses.txt with a line
+for each: 8 numbers (stamp, x, y, z, qx, qy, qz, qw), or 12 (the rows of [[R|t]]).
+
+OVERRIDES are the robot that recorded, as in robot=absolem, whose own points are left out.
+
+[bold]Examples[/]
+
+  flipperctl convert recorded_bag --output ground.xyz
+
+  flipperctl convert run.mcap --output ground.xyz --topic /ouster/points --fixed-frame map
+"""
+
+
+def run(
+    source: Annotated[Path, typer.Argument(help="A bag, or a folder of clouds and poses.txt.")],
+    output: Annotated[Path, typer.Option(metavar="FILE.xyz", help="The file to write.")],
+    overrides: options.Overrides = None,
+    topic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Topic of the PointCloud2 [the only one].")
+    ] = None,
+    fixed_frame: Annotated[
+        str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
+    ] = "odom",
+    base_frame: Annotated[
+        str, typer.Option(metavar="NAME", help="Frame of the chassis.")
+    ] = "base_link",
+    reach: Annotated[
+        float, typer.Option(min=0.5, help="Points farther from the robot are left out [m].")
+    ] = 5.0,
+    cell: Annotated[
+        float,
+        typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge [m]."),
+    ] = 0.02,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl.api import Robot
+    from flipperctl.bags.ground import Frames, Limits, convert
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.errors import RequestError
+    from flipperctl.export.policy import robot_fields
+    from flipperctl.files import check_writable
+    from flipperctl.terminal.document import show
+    from flipperctl.terminal.export import print_ground
+
+    if output.suffix != ".xyz":
+        raise RequestError(f"--output {output}: a file that ends in .xyz is allowed")
+    check_writable(output)
+    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "convert"))
+    frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)
+    found = convert(source, output, robot, frames, limits)
+    show(found, lambda: print_ground(found), as_json=as_json)

@@ -1,0 +1,139 @@
+"""Robots by name and from files: ``robot=nubot``, ``robot=my_robot.yaml``.
+
+In: a name of ``configs/robot``, or the path of a file that has settings of the robot. Out: the
+robot, or the overrides that stand for the file.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from flipperctl.api import Robot
+from flipperctl.config.randomise import Randomise
+from flipperctl.errors import ConfigError
+from flipperctl.messages import close_match, explain
+
+DEFAULT_ROBOT = "nubot"
+"""The robot whose values are the defaults of ``api.Robot``."""
+_SUFFIXES = (".yaml", ".yml")
+_KEY = "robot"
+
+
+def known_robots() -> list[str]:
+    """Return the names of the robots that the package has."""
+    folder = files("flipperctl.configs.robot")
+    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(_SUFFIXES))
+
+
+def is_file(name: str) -> bool:
+    """Return whether a robot is named by a file instead of a preset."""
+    return name.lower().endswith(_SUFFIXES)
+
+
+def named_robot(name: str) -> Robot:
+    """Return the robot of a preset or of a file; those that a file leaves out are nubot's.
+
+    Raises:
+        ConfigError: there is no such robot or file, or a setting in it is unknown or not allowed.
+    """
+    if is_file(name):
+        return read_robot(Path(name))
+    if name not in (known := known_robots()):
+        raise ConfigError(
+            f"{_KEY}: there is no robot {name!r}{close_match(name, known)}; known: "
+            f"{', '.join(known)}; a file of your own ends in .yaml"
+        )
+    text = files("flipperctl.configs.robot").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+    return _parse(text, f"{_KEY}={name}")
+
+
+def read_robot(file: Path) -> Robot:
+    """Return the robot that a file describes.
+
+    Raises:
+        ConfigError: the file cannot be read, is not a mapping, or a setting in it is not allowed.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{_KEY}: {file} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{_KEY}: {file} is not text in UTF-8") from error
+    return _parse(text, str(file))
+
+
+def robot_or_name(value: object) -> object:
+    """Return the robot that a text names; anything else is returned as it is."""
+    return named_robot(value) if isinstance(value, str) else value
+
+
+def notes_on_samples(robot: Robot, randomise: Randomise) -> Iterator[str]:
+    """Yield a line for each setting of another robot that is sampled around that of nubot.
+
+    The named conditions have ranges for nubot; with another robot, its own value may lie outside.
+    """
+    for one in randomise.sampled():
+        if one.section != _KEY:
+            continue
+        own, (low, high) = getattr(robot, one.field), one.ends
+        if own != Robot.model_fields[one.field].default and not low <= own <= high:
+            yield (
+                f"{one.key}: no episode has the robot's {_KEY}.{one.field}={own:.4g}, since its "
+                f"range is {low:g} to {high:g}; give a range around it, or {one.key}=null"
+            )
+
+
+def expand_files(words: Sequence[str]) -> list[str]:
+    """Return overrides in which ``robot=FILE`` is replaced by the settings of the file.
+
+    All settings of the robot are written out, in place of those of a policy's training too; one
+    that another word sets is left to that word.
+
+    Raises:
+        ConfigError: a list names files, or a file is not one of a robot.
+    """
+    given = {word.lstrip("+~").partition("=")[0] for word in words}
+    return [found for word in words for found in _expand(word, given)]
+
+
+def _expand(word: str, given: Iterable[str]) -> Iterator[str]:
+    key, _, value = word.partition("=")
+    name = value.strip().strip("'\"")
+    if key != _KEY or not is_file(name):
+        yield word
+        return
+    if "," in name and not Path(name).exists():
+        raise ConfigError(
+            f"{word}: one file is allowed; lists name robots of the package: "
+            f"{', '.join(known_robots())}"
+        )
+    for field, setting in read_robot(Path(name)).model_dump(mode="json").items():
+        if f"{_KEY}.{field}" not in given:
+            yield f"{_KEY}.{field}={'null' if setting is None else repr(setting)}"
+
+
+def _parse(text: str, where: str) -> Robot:
+    import yaml
+
+    try:
+        found: Any = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        problem = re.sub(r"\s+", " ", str(getattr(error, "problem", None) or error))
+        raise ConfigError(f"{where}{line}: no YAML: {problem}") from error
+    if not isinstance(found, dict):
+        raise ConfigError(
+            f"{where}: settings of the robot are allowed, as in chassis_length: 0.7; known: "
+            f"{', '.join(Robot.model_fields)}"
+        )
+    try:
+        return Robot(**{str(key): value for key, value in found.items()})
+    except ValidationError as error:
+        raise ConfigError(explain(error, where, Robot)) from error

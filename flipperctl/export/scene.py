@@ -1,0 +1,63 @@
+"""Export of a robot and the ground of an episode for other simulators: MJCF or URDF.
+
+In: the configuration of an evaluation in 3-D. Out: one MJCF file of both, or two URDF files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.files import write_bytes
+from flipperctl.rollout.seeds import EvaluationSeeds
+
+SceneFormat = Literal["mjcf", "urdf"]
+
+
+def export_scene(config: EvalConfig, format: SceneFormat, output: Path) -> dict[str, Any]:
+    """Write the scene of the first episode of an evaluation; return what was written.
+
+    MJCF is one file with robot and ground. URDF is one of the robot, and one of the ground beside
+    it (``ground_file``).
+
+    Raises:
+        ConfigError: the engine is not ``mujoco``, whose model is written.
+        MissingExtraError: MuJoCo is not installed.
+        OutputError: a file cannot be written.
+    """
+    env = FlipperEnv(config=config)
+    env.reset(seed=EvaluationSeeds.of(config.eval.seed, config.terrain)(0))
+    # After the reset, which explains a missing or unusable MuJoCo.
+    from flipperctl.sim.mujoco import description
+    from flipperctl.sim.mujoco.world import MujocoWorld
+
+    guarded: Any = env.drive.world
+    world = guarded.unguarded
+    if not isinstance(world, MujocoWorld):
+        raise ConfigError(
+            f"sim: {config.sim.plugin_name} has no model in 3-D to write; sim=mujoco is allowed"
+        )
+    texts = {output: description.mjcf(world)}
+    if format == "urdf":
+        texts = {
+            output: description.urdf(world),
+            ground_file(output): description.ground_urdf(world.ground),
+        }
+    for path, text in texts.items():
+        write_bytes(path, text.encode())
+    return {
+        "format": format,
+        "output": [str(path) for path in texts],
+        "terrain": env.profile.label,
+        "seed": config.eval.seed,
+        "start": world.data.qpos[:3].tolist(),
+        "boxes": len(world.ground),
+    }
+
+
+def ground_file(output: Path) -> Path:
+    """Return the file of the ground beside that of the robot."""
+    return output.with_name(f"{output.stem}_ground{output.suffix}")

@@ -1,0 +1,183 @@
+"""Recorded ground from bags, and from folders of clouds with poses."""
+
+import dataclasses
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from flipperctl.api import Robot, RobotState
+from flipperctl.bags.episode import Stamped, typestore, write_bag
+from flipperctl.bags.ground import Frames, convert, thinned
+from flipperctl.bags.messages import LIDAR, Messages
+from flipperctl.bags.transforms import Pose, Transforms
+from flipperctl.config import resolver
+from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.errors import MissingExtraError, RequestError
+from tests.cli.call import call
+
+YAW, PITCH, AXIS = 0.3, 0.1, math.pi / 4
+MOUNT = np.array([0.25, 0.0, 0.4])
+HEIGHT = 0.15
+TIMES = np.arange(0, 10.1, 1.0)
+
+
+def state(time):
+    """The robot drives 3 m along its heading, its nose up."""
+    x, y = (-2 + 0.3 * time) * np.array([math.cos(YAW), math.sin(YAW)])
+    return RobotState(
+        np.array([x, 0.3]), PITCH, 0, 0, np.zeros(2), 0, float(time), yaw=YAW, side=float(y)
+    )
+
+
+def ground():
+    """A step across the heading at the origin, (P, 3) in world [m]."""
+    ahead, left = np.meshgrid(np.arange(-3, 4, 0.05), np.arange(-0.6, 0.61, 0.04))
+    ahead, left = ahead.ravel(), left.ravel()
+    x = math.cos(YAW) * ahead - math.sin(YAW) * left
+    y = math.sin(YAW) * ahead + math.cos(YAW) * left
+    return np.column_stack([x, y, np.where(ahead > 0, HEIGHT, 0.0)])
+
+
+def in_chassis(time):
+    """The ground within 2.5 m of the robot, and a point of its own, in frame R."""
+    here = state(time)
+    place = np.array([here.position[0], here.side, here.position[1]])
+    seen = (ground() - place) @ attitude(0, PITCH, YAW)
+    return np.vstack([seen[np.linalg.norm(seen, axis=1) < 2.5], [[0.6, 0.1, 0.2]]])
+
+
+def messages(shift=0.0):
+    make = Messages(typestore())
+    yield Stamped(0.0, "/tf_static", make.mount(MOUNT[0], MOUNT[2], AXIS))
+    for time in np.arange(0, 10.1, 0.25):
+        yield Stamped(float(time), "/tf", make.transforms(state(time)))
+    for time in TIMES.tolist():
+        points = (in_chassis(time) - MOUNT) @ mounting(AXIS)
+        yield Stamped(time, "/points", make.cloud(time + shift, LIDAR, points))
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags") / "drive"
+    write_bag(folder, list(messages()))
+    return folder
+
+
+def check_step(found):
+    """Check that the recorded ground is the step, with the line along the heading."""
+    start, end = np.array(found["start"]), np.array(found["end"])
+    assert math.atan2(*(end - start)[::-1]) == pytest.approx(YAW, abs=0.01)
+    terrain = resolver.create(
+        "terrain",
+        {
+            "name": "profile_file",
+            "path": found["output"],
+            "start": found["start"],
+            "end": found["end"],
+        },
+        "terrain",
+    )
+    x, z = terrain.generate(np.random.default_rng(0)).points.T
+    edge = float(np.linalg.norm(start))
+    assert z[(x > edge + 0.1) & (x < edge + 1)].mean() - z[0] == pytest.approx(HEIGHT, abs=0.003)
+    assert z[x < edge - 0.1] == pytest.approx(z[0], abs=0.01)  # none of the robot's own points
+
+
+def test_a_bag_becomes_the_ground_that_was_measured(bag, tmp_path):
+    output = tmp_path / "ground.xyz"
+    done = call("convert", str(bag), "--output", str(output), "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    assert (found["clouds"], found["clouds_without_pose"]) == (len(TIMES), 0)
+    check_step(found)
+    done = call("convert", str(bag / "drive.mcap"), "--output", "same.xyz", cwd=tmp_path)
+    assert "terrain=profile_file terrain.path=same.xyz 'terrain.start=[" in done.out
+    assert (tmp_path / "same.xyz").read_text() == output.read_text()
+
+
+@pytest.mark.parametrize("columns", [8, 12])
+def test_a_folder_of_clouds_with_poses_is_read_as_well(tmp_path, columns):
+    lines = []
+    for index, time in enumerate(TIMES.tolist()):
+        np.save(tmp_path / f"{index:03}.npy", in_chassis(time))
+        here = state(time)
+        turn = attitude(0, PITCH, YAW)
+        place = [here.position[0], here.side, here.position[1]]
+        if columns == 12:
+            lines.append(np.column_stack([turn, place]).ravel())
+        else:
+            half = YAW / 2, -PITCH / 2
+            (c, s), (d, t) = ((math.cos(a), math.sin(a)) for a in half)
+            lines.append([time, *place, -s * t, c * t, s * d, c * d])  # yaw, then pitch about y
+    np.savetxt(tmp_path / "poses.txt", lines)
+    check_step(convert(tmp_path, tmp_path / "ground.xyz", Robot()))
+    (tmp_path / "000.npy").unlink()
+    with pytest.raises(RequestError, match=r"11 poses for 10 clouds"):
+        convert(tmp_path, tmp_path / "ground.xyz", Robot())
+
+
+def unstamped():
+    for one in messages():
+        if one.topic == "/points":
+            stamp = dataclasses.replace(one.message.header.stamp, sec=0, nanosec=0)
+            header = dataclasses.replace(one.message.header, stamp=stamp)
+            yield one._replace(message=dataclasses.replace(one.message, header=header))
+
+
+@pytest.mark.parametrize(
+    ("made", "frames", "error"),
+    [
+        (unstamped, Frames(), r"/points: a cloud has no stamp \(header.stamp is 0\)"),
+        (messages, Frames(fixed="odon"), "there is no frame 'odon'; did you mean 'odom'"),
+        (messages, Frames(base="lidar2"), "no frame 'lidar2'.*base_link, base_stabilized, lidar"),
+        (messages, Frames(topic="/poins"), "no PointCloud2 is on '/poins'; did you mean"),
+        (lambda: messages(shift=100.0), Frames(), "none of the 11 clouds of /points has a trans"),
+        (lambda: list(messages())[:5], Frames(), "PointCloud2 of one topic.*topics: none"),
+    ],
+)
+def test_a_bag_that_cannot_be_used_is_refused_with_the_reason(tmp_path, made, frames, error):
+    write_bag(tmp_path / "bag", list(made()))
+    with pytest.raises(RequestError, match=error):
+        convert(tmp_path / "bag", tmp_path / "ground.xyz", Robot(), frames)
+
+
+def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
+    (tmp_path / "text.mcap").write_text("no bag")
+    whole = (bag / "drive.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    for source, error in {
+        "text.mcap": "text.mcap cannot be read as a bag",
+        "cut.mcap": "cut.mcap cannot be read as a bag",
+        "absent": "absent: there is no such file or folder",
+    }.items():
+        with pytest.raises(RequestError, match=error):
+            convert(tmp_path / source, tmp_path / "ground.xyz", Robot())
+    done = call("convert", str(bag), "--output", "ground.pcd", cwd=tmp_path)
+    assert "a file that ends in .xyz is allowed" in done.err
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):
+        convert(bag, tmp_path / "ground.xyz", Robot())
+
+
+def test_transforms_are_interpolated_and_inverted():
+    quarter = np.array([0, 0, math.sqrt(0.5), math.sqrt(0.5)])  # about z
+    tree = Transforms()
+    tree.add("odom", "base", 1.0, Pose.none())
+    tree.add("odom", "base", 2.0, Pose(np.array([1.0, 0, 0]), -quarter))
+    tree.add("base", "sensor", None, Pose(np.array([0.0, 0, 1.0]), quarter))
+    middle = tree.pose("odom", "base", 1.5)
+    assert middle.place.tolist() == [0.5, 0, 0]
+    assert 2 * math.acos(middle.turn[3]) == pytest.approx(math.pi / 4)
+    sensor = tree.pose("odom", "sensor", 2.0)
+    assert sensor.apply(np.array([[1.0, 0, 0]]))[0] == pytest.approx([0, 0, 1])  # half a turn
+    assert tree.pose("sensor", "odom", 2.0).apply(np.zeros((1, 3)))[0] == pytest.approx([1, 0, -1])
+    assert tree.pose("odom", "base", 2.2).place[0] == 1
+    assert tree.pose("odom", "base", 2.3) is None
+
+
+def test_a_cube_keeps_the_mean_of_its_points():
+    points = np.array([[0.001, 0.0, 0.0], [0.003, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    assert thinned(points, 0.02).tolist() == [[0.002, 0, 0], [0.05, 0, 0]]

@@ -1,0 +1,126 @@
+"""Robots by name and from files."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from flipperctl.api import Robot
+from flipperctl.cli.hydra.compose import compose_environment
+from flipperctl.cli.hydra.config_store import register_robot
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.scenes import scenes
+from flipperctl.config import EnvConfig, EvalConfig, to_dict
+from flipperctl.config.randomise import Randomise
+from flipperctl.config.robots import expand_files, known_robots, named_robot, notes_on_samples
+from flipperctl.errors import ConfigError
+from flipperctl.export.policy import robot_fields
+from tests.cli.call import call
+
+PRESETS = Path(__file__).parents[2] / "configs/robot"
+
+
+def test_the_default_preset_is_the_default_robot():
+    assert named_robot("nubot") == Robot()
+
+
+@pytest.mark.parametrize("name", known_robots())
+def test_a_preset_states_every_setting(name):
+    stated = yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8"))
+    assert set(stated) == set(Robot.model_fields)  # Hydra overrides only keys that exist
+
+
+def test_the_reach_of_absolem_is_the_published_one():
+    robot = named_robot("absolem")
+    assert 2 * robot.hinge_offset == pytest.approx(0.5)  # distance of the axles
+    assert robot.flipper_axle + robot.track_radius == pytest.approx(0.33 + 0.029)
+    assert robot.chassis_mass + 2 * robot.flipper_mass == pytest.approx(38)
+    assert robot.decision_period == pytest.approx(1 / 3)
+
+
+def test_a_file_becomes_settings_that_other_words_win_over(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("chassis_length: 0.7\ntrack_speed: 0.3\n")
+    words = expand_files([f"robot={file}", "terrain=step", "robot.track_speed=0.1"])
+    assert "robot.chassis_length=0.7" in words
+    assert "robot.control_period=null" in words
+    assert "robot.flipper_length=0.536" in words
+    assert [word for word in words if "track_speed" in word] == ["robot.track_speed=0.1"]
+    assert len(words) == len(Robot.model_fields) + 1
+
+
+def test_python_takes_the_same_names(tmp_path):
+    file = tmp_path / "mine.yml"
+    file.write_text("chassis_length: 0.7\n")
+    assert EnvConfig(terrain="step", robot="absolem").robot == named_robot("absolem")
+    assert EnvConfig(terrain="step", robot=str(file)).robot == Robot(chassis_length=0.7)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("chassis_lenght: 0.7", "mine.yaml.chassis_lenght: there is no such key; did you mean"),
+        ("track_radius: 3", "mine.yaml.track_radius: .*< 0.5.*the value is 3"),
+        ("track_radius: 0.4", r"mine.yaml: chassis_length \(0.76 m\) must exceed twice"),
+        ("- 1", "mine.yaml: settings of the robot are allowed"),
+        ("a: [1", "mine.yaml, line 1: no YAML"),
+    ],
+)
+def test_an_error_names_the_file_the_key_and_what_is_allowed(tmp_path, text, error):
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=error):
+        expand_files([f"robot={file}"])
+
+
+def test_unknown_robots_and_lists_of_files_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"absent.yaml cannot be read: No such file"):
+        expand_files(["robot=absent.yaml"])
+    with pytest.raises(ConfigError, match="one file is allowed"):
+        expand_files(["robot=a.yaml,b.yaml"])
+    with pytest.raises(ConfigError, match="did you mean 'absolem'"):
+        named_robot("absolen")
+    done = call("inspect", "config", "robot=absolen", cwd=tmp_path)
+    assert done.code == 2
+    assert "there is no robot 'absolen'; did you mean 'absolem'?; known: absolem, nubot" in done.err
+
+
+def test_commands_take_names_and_files(tmp_path):
+    (tmp_path / "mine.yaml").write_text("chassis_length: 0.7\n")
+    done = call("inspect", "config", "robot=absolem", "robot.track_speed=0.3", cwd=tmp_path)
+    shown = yaml.safe_load(done.out)["robot"]
+    assert Robot(**shown) == named_robot("absolem").model_copy(update={"track_speed": 0.3})
+    done = call("inspect", "config", "robot=mine.yaml", cwd=tmp_path)
+    assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
+    done = call("train", "--cfg", "job", "robot=mine.yaml", cwd=tmp_path)
+    assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
+
+
+def test_a_policy_is_evaluated_and_exported_for_another_robot(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("chassis_length: 0.7\n")
+    for name in ("absolem", str(file)):
+        ((config, _),) = scenes([f"robot={name}", "terrain=flat"], Path("generalist"), None)
+        assert config.robot == named_robot(name)
+        assert Robot(**robot_fields({"robot": name})) == named_robot(name)
+    fields = robot_fields({"robot": "absolem", "robot.track_speed": 0.1})
+    assert Robot(**fields) == named_robot("absolem").model_copy(update={"track_speed": 0.1})
+
+
+def test_a_name_wins_over_the_robot_of_compared_files():
+    primary = register_robot(Robot(chassis_length=0.8))
+    assert compose_environment(Overrides.parse([]), primary).robot.chassis_length == 0.8
+    chosen = compose_environment(Overrides.parse(["robot=absolem"]), primary).robot
+    assert chosen == named_robot("absolem")
+
+
+def test_conditions_for_nubot_are_remarked_on():
+    randomise = Randomise(flipper_length=(0.52, 0.552), chassis_mass=(30, 40))
+    assert not list(notes_on_samples(Robot(), randomise))
+    (note,) = notes_on_samples(named_robot("absolem"), randomise)
+    assert "robot.flipper_length=0.448" in note
+
+
+def test_the_conditions_of_nubot_are_those_of_before():
+    without = EvalConfig(terrain="step")
+    assert to_dict(without) == to_dict(EvalConfig(terrain="step", robot="nubot"))
