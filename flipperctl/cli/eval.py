@@ -32,6 +32,8 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
   flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
 
   flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
+
+  flipperctl eval --controller okada terrain=uplift --map terrain.height,sim.friction=0.4:1.0
 """
 
 
@@ -73,10 +75,19 @@ def run(
     record: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
     ] = None,
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            "--map",
+            metavar="SETTINGS",
+            help="Map of success over two settings: terrain.height=0.1:0.6,sim.friction=0.4:1.0.",
+        ),
+    ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl.cli.eval_map import run_map
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.groups import grouped, parse
@@ -90,6 +101,11 @@ def run(
 
     require_one_policy(checkpoint, controller, overrides)
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    if axes is not None:
+        others = {"baseline": baseline, "passable": passable, "by": by, "film": film}
+        others["record"] = record
+        run_map(axes, arguments, checkpoint, controller, output, as_json=as_json, others=others)
+        return
     found = scenes(arguments, checkpoint, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
