@@ -57,12 +57,14 @@ class EpisodeResult:
     crossed_by: str | None = None
     """Label of a policy that reached the finish with this seed; empty if none did, None if no other
     policy tried."""
+    digest: str | None = field(default=None, compare=False, repr=False)
+    """Digest of the actions and of the poses at 100 Hz; None if it was not computed."""
     recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
     """The episode decision by decision, if recording was requested."""
 
     @classmethod
-    def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
-        """Return the result from a row of ``rollout.episode.play``.
+    def of(cls, episode: int, row: Mapping[str, Any], digest: str | None = None) -> EpisodeResult:
+        """Return the result from a row of ``rollout.episode.play`` and the episode's digest.
 
         Raises:
             KeyError: the row lacks a measure.
@@ -88,6 +90,7 @@ class EpisodeResult:
             further=further,
             search=search,
             drawn=drawn,
+            digest=digest,
         )
 
     @property

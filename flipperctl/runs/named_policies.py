@@ -45,7 +45,8 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
     """
     for name, value in others.items():
         if value:
-            raise RequestError(f"--{name} has no meaning beside {option}; leave it out")
+            name = name if name == "overrides" else f"--{name}"
+            raise RequestError(f"{name}: no meaning beside {option}; leave it out")
 
 
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:

@@ -30,7 +30,7 @@ def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
     [
         (["terrain.hight,sim.friction"], "did you mean 'terrain.height_low'"),
         (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
-        ([AXES, "--by", "height"], "--by has no meaning beside --map"),
+        ([AXES, "--by", "height"], "--by: no meaning beside --map"),
         ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),
     ],
 )

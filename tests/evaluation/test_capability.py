@@ -23,9 +23,7 @@ UPLIFT = EvalConfig(terrain="uplift", eval={"episodes": 2, "seed": 3})
 def player(reaches: Callable[[Index], bool], played: list[Index]) -> PlayCells:
     """Return a stand-in for episodes, of which all or none of a cell reach the finish."""
 
-    def play(
-        cells: Sequence[Index], label: str
-    ) -> Iterator[tuple[Index, Sequence[EpisodeResult]]]:
+    def play(cells: Sequence[Index], label: str) -> Iterator[tuple[Index, Sequence[EpisodeResult]]]:
         for cell in cells:
             played.append(cell)
             outcome = "reached" if reaches(cell) else "stuck"
