@@ -14,7 +14,7 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
-from flipperctl import __version__
+from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.stored import rows_of
@@ -55,9 +55,9 @@ def play(name: str, jobs: int = 1) -> None:
     write_bytes(FOLDER / f"{name}.json", text.encode())
 
 
-def main() -> None:
-    """Run as a program."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def main() -> int:
+    """Play the named evaluations; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.results", description=__doc__)
     parser.add_argument(
         "names", nargs="+", choices=COMMANDS, metavar="NAME", help=", ".join(COMMANDS)
     )
@@ -65,7 +65,8 @@ def main() -> None:
     asked = parser.parse_args()
     for name in asked.names:
         play(name, asked.jobs)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    entry.run(main)

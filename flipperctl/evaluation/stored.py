@@ -63,13 +63,18 @@ class StoredRow:
         return cls(**fields)
 
 
+def summary_file(folder_or_file: Path) -> Path:
+    """Return the file of results in a folder of ``eval --output``, or the file itself."""
+    return folder_or_file / "summary.json" if folder_or_file.is_dir() else folder_or_file
+
+
 def read_rows(folder_or_file: Path) -> list[StoredRow]:
     """Return the rows of a folder of ``eval --output``, or of its ``summary.json``.
 
     Raises:
         RequestError: there is no such file, or it holds no results of ``eval``.
     """
-    path = folder_or_file / "summary.json" if folder_or_file.is_dir() else folder_or_file
+    path = summary_file(folder_or_file)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

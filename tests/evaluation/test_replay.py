@@ -98,7 +98,7 @@ def test_the_policy_of_a_record_is_found_by_its_content(folder: Path, tmp_path: 
     with pytest.raises(CheckpointError, match="its policy has the SHA-256"):
         policy.find(tmp_path, copy)
     gone = policy.model_copy(update={"label": "gone.safetensors"})
-    with pytest.raises(CheckpointError, match="its policy is missing.*with --checkpoint"):
+    with pytest.raises(CheckpointError, match=r"its policy is missing.*with --checkpoint"):
         gone.find(tmp_path, None)
 
 
