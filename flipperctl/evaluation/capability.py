@@ -71,6 +71,8 @@ class CapabilityMap:
     conditions: Conditions
     """Conditions to which the values of the axes are applied."""
     interrupted: bool = False
+    failures: Mapping[Index, EpisodeResult] = field(default_factory=dict)
+    """The first failure of each cell that has one."""
 
     @property
     def played(self) -> int:

@@ -1,6 +1,7 @@
 """Records of the failures of an evaluation, each of which can be played again.
 
-In: the scenes and the result of an evaluation. Out: a file for each of a policy's first failures.
+In: the scenes and the result of an evaluation, or a map. Out: a file for each of the policy's first
+failures, or for failures near the boundary of the map.
 """
 
 from __future__ import annotations
@@ -9,11 +10,15 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.axes import cell_config
+from flipperctl.evaluation.capability import CapabilityMap
 from flipperctl.evaluation.conditions import Conditions, scene_names
 from flipperctl.evaluation.episode_record import EpisodeRecord
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_json
+from flipperctl.policies.source import PolicySource
 
 MOST = 20
 """Largest number of failures of a scene that are recorded [-]."""
@@ -32,6 +37,26 @@ def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResu
     for name, record in records:
         write_json(folder / name, record.model_dump(mode="json"))
     return len(records)
+
+
+def write_map_failures(
+    folder: Path, config: EvalConfig, source: PolicySource, found: CapabilityMap
+) -> int:
+    """Write a failure of each of ``MOST`` cells of a map; return the number of files.
+
+    Cells nearest to the boundary come first: those whose success is closest to one half.
+
+    Raises:
+        OutputError: a file cannot be written.
+        WriteError: writing failed half way.
+    """
+    cells = sorted(found.failures, key=lambda cell: (abs(found.cells[cell].success - 0.5), cell))
+    for i, j in cells[:MOST]:
+        episode = found.failures[i, j]
+        record = EpisodeRecord.of(cell_config(config, found.axes, (i, j)), source, episode)
+        name = f"failure_map_{i}_{j}_{episode.episode}.json"
+        write_json(folder / name, record.model_dump(mode="json"))
+    return len(cells[:MOST])
 
 
 def failure_records(

@@ -49,6 +49,7 @@ def capability_map(
     configs = {
         (i, j): cell_config(config, axes, (i, j)) for i in range(size[0]) for j in range(size[1])
     }
+    failures: dict[Index, EpisodeResult] = {}
     source.build(configs[0, 0])  # raises for a wrong layout or robot, before the first episode
     with _CellPlayer(source, config.eval.episodes, config.eval.seed, config.eval.jobs) as player:
 
@@ -58,6 +59,8 @@ def capability_map(
             with progress(label, len(cells)) as report:
                 played = player.play([configs[cell] for cell in cells], stop)
                 for done, (cell, episodes) in enumerate(zip(cells, played, strict=False), 1):
+                    if failed := [episode for episode in episodes if not episode.reached]:
+                        failures[cell] = failed[0]
                     yield cell, episodes
                     report(done)
 
@@ -71,6 +74,7 @@ def capability_map(
         config.eval.seed,
         Conditions.of(config),
         interrupted=not complete,
+        failures=failures,
     )
 
 

@@ -1,7 +1,7 @@
 """Make a map of a policy's capability and write its files.
 
-In: the scene of an evaluation, and the text of ``--map``. Out: the map, ``map.json``, ``map.csv``
-and ``map.png``.
+In: the scene of an evaluation, and the text of ``--map``. Out: the map, ``map.json``, ``map.csv``,
+``map.png``, and records of failures near the boundary.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from flipperctl.config.words import with_default
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.evaluation.axes import parse_axes
 from flipperctl.evaluation.capability import EPISODES, CapabilityMap
+from flipperctl.evaluation.failures import write_map_failures
 from flipperctl.evaluation.map_cells import capability_map
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.files import write_csv, write_json
@@ -59,8 +60,15 @@ def map_scenes(
         if not found.cells:
             raise InterruptedRunError("interrupted: no cell of the map is finished")
         if folder is not None:
-            folder.replace(lambda part: write_map(part, found))
-            tell(f"wrote {', '.join(NAMES)} to {folder.path}")
+            recorded = 0
+
+            def write(part: Path) -> None:
+                nonlocal recorded
+                write_map(part, found)
+                recorded = write_map_failures(part, config, source, found)
+
+            folder.replace(write)
+            tell(f"wrote {', '.join(NAMES)} and {recorded} failures to {folder.path}")
     return found
 
 

@@ -23,6 +23,12 @@ def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["sim.friction"] for row in rows] == ["0.5", "0.5", "1.0", "1.0"]
     assert (tmp_path / "found/map.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(file.name for file in tmp_path.glob("found/failure_*")) == [
+        "failure_map_1_0_0.json",
+        "failure_map_1_1_0.json",
+    ]
+    done = call("eval", "--replay", "found/failure_map_1_0_0.json", cwd=tmp_path)
+    assert (done.code, "bit-identical" in done.out) == (0, True)
 
 
 @pytest.mark.parametrize(
