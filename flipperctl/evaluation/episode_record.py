@@ -11,10 +11,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flipperctl import __version__, checkpoint
-from flipperctl.api import Outcome, Settings
+from flipperctl.api import Outcome
 from flipperctl.checkpoint.strict_json import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
@@ -29,7 +29,13 @@ _FILES = ("policy", "value")
 """Settings of a controller that name a file."""
 
 
-class RecordedPolicy(Settings):
+class _Frozen(BaseModel):
+    """A frozen model that refuses unknown keys, NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RecordedPolicy(_Frozen):
     """The policy of an episode: a file by its content, or a controller's settings."""
 
     label: str = Field(description="name of a shipped policy or controller, or path of a file [-]")
@@ -78,7 +84,7 @@ class RecordedPolicy(Settings):
         return PolicySource(checkpoint=file)
 
 
-class EpisodeRecord(Settings):
+class EpisodeRecord(_Frozen):
     """One episode of an evaluation."""
 
     format: Literal[1] = Field(1, description="version of this document [-]")

@@ -59,7 +59,7 @@ def _columns() -> dict[str, _Column]:
         "timeout": _Column("timeout", lambda row: str(row.outcomes["timeout"])),
         "success": _Column("success", lambda row: ends_text(row.success, 3)),
         "difference": _Column(
-            "θ̂_R of the policy minus that of", lambda row: ends_text(row.difference, 2)
+            "policy's θ̂_R minus this [rad]", lambda row: ends_text(row.difference, 2)
         ),
     }
     for name, measure, heading, digits in (
@@ -108,7 +108,7 @@ def _find(name: str) -> tuple[_Column, str | None]:
 
 def _heading(column: _Column, method: str | None) -> str:
     if method is None:
-        return column.heading.removesuffix(" of the policy minus that of")
+        return column.heading
     if column is COLUMNS["difference"]:
         return f"θ̂_R minus `{method}`'s"
     return f"`{method}`: {column.heading}"
