@@ -23,7 +23,10 @@ from flipperctl.files import write_bytes
 FOLDER = Path(__file__).parents[1] / "docs" / "results"
 """Folder of the kept results."""
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
+_TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
+    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 60241 "
+    f"--baseline okada,level,random conditions=trained terrain={_TEN}",
     "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 100 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
 }
