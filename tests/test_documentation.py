@@ -147,6 +147,7 @@ def with_budget(command: list[str]) -> list[str]:
     if command[0] in ("eval", "transfer") or {"--compare", "--regret", "engines"} & set(command):
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
+        words = re.sub(r"(=[\d.]+:[\d.]+):\d+", r"\1:2", words)  # of a map
         words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()
         return [*words, "--episodes", "1", *SEARCH.get(name, [])]
     return command
@@ -231,6 +232,7 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "python -m benchmarks.coverage evaluated/episodes.csv",  # tests/benchmarks/test_coverage.py
         "python -m benchmarks.odometry",  # tests/benchmarks/test_odometry.py
         "python -m benchmarks.estimator_fuzz",  # tests/benchmarks/test_estimator_fuzz.py
+        "python -m benchmarks.tables --check",  # tests/benchmarks/test_tables.py
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

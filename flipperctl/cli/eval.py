@@ -32,6 +32,10 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
   flipperctl eval --checkpoint generalist terrain=pallet --episodes 1 --film pallet.gif
 
   flipperctl eval --controller okada terrain=ramp --seed 5 --record okada.safetensors
+
+  flipperctl eval --controller okada terrain=uplift --map terrain.height,sim.friction=0.4:1.0
+
+  flipperctl eval --replay evaluated/failure_stair_3.json --film stair.gif
 """
 
 
@@ -73,10 +77,24 @@ def run(
     record: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
     ] = None,
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            "--map",
+            metavar="SETTINGS",
+            help="Map of success over two settings: terrain.height=0.1:0.6,sim.friction=0.4:1.0.",
+        ),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Play a recorded failure (failure_….json) once more."),
+    ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl.cli.eval_map import run_map
+    from flipperctl.cli.eval_replay import run_replay
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.groups import grouped, parse
@@ -88,8 +106,23 @@ def run(
     from flipperctl.terminal.results import print_result
     from flipperctl.terminal.streams import print_note
 
+    others: dict[str, object] = {
+        "baseline": baseline,
+        "passable": passable,
+        "by": by,
+        "record": record,
+    }
+    if replay is not None:
+        others |= {"controller": controller, "map": axes, "episodes": episodes, "seed": seed}
+        others |= {"jobs": jobs, "overrides": overrides}
+        run_replay(replay, checkpoint, output, film, as_json=as_json, others=others)
+        return
     require_one_policy(checkpoint, controller, overrides)
     arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    if axes is not None:
+        others["film"] = film
+        run_map(axes, arguments, checkpoint, controller, output, as_json=as_json, others=others)
+        return
     found = scenes(arguments, checkpoint, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")

@@ -15,7 +15,17 @@ from flipperctl.cli.command import App
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import log_to_stderr, plain_streams
 
-COMMANDS = ("train", "eval", "transfer", "export", "convert", "inspect", "new", "bench")
+COMMANDS = (
+    "train",
+    "eval",
+    "transfer",
+    "card",
+    "export",
+    "convert",
+    "inspect",
+    "new",
+    "bench",
+)
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 # Without these defaults, Typer imports pydantic to validate absent flags, which delays every

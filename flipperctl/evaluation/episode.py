@@ -59,12 +59,14 @@ class EpisodeResult:
     policy tried."""
     failed_by: str | None = None
     """What the failure is due to, a ``SensingCause``; None if it reached or was not looked into."""
+    digest: str | None = field(default=None, compare=False, repr=False)
+    """Digest of the actions and of the poses at 100 Hz; None if it was not computed."""
     recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
     """The episode decision by decision, if recording was requested."""
 
     @classmethod
-    def of(cls, episode: int, row: Mapping[str, Any]) -> EpisodeResult:
-        """Return the result from a row of ``rollout.episode.play``.
+    def of(cls, episode: int, row: Mapping[str, Any], digest: str | None = None) -> EpisodeResult:
+        """Return the result from a row of ``rollout.episode.play`` and the episode's digest.
 
         Raises:
             KeyError: the row lacks a measure.
@@ -91,6 +93,7 @@ class EpisodeResult:
             further=further,
             search=search,
             drawn=drawn,
+            digest=digest,
         )
 
     @property

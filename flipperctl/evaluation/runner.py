@@ -12,6 +12,7 @@ from dataclasses import replace
 from flipperctl.api import Profile, RobotState, Transition
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.digest import EpisodeDigest
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.source import PolicySource
@@ -51,18 +52,22 @@ class EpisodeRunner:
         seed = self._seeds(index)
         if self._record:
             return self._recorded(index, seed)
-        row = play(self._env, self._policy, seed, report_progress=self._report_progress)
-        return EpisodeResult.of(index, row)
+        digest, report = EpisodeDigest(), self._report_progress
+        row = play(self._env, self._policy, seed, watch=digest.add, report_progress=report)
+        return EpisodeResult.of(index, row, digest.hexdigest())
 
     def _recorded(self, index: int, seed: int) -> EpisodeResult:
         policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
+        digest = EpisodeDigest()
 
         def watch(d: Decision) -> None:
             before, after = d.perception.observation, d.next_perception.observation
             recorder.add(before, d.action, d.reward, after, policy.label)
+            digest.add(d)
 
         row = play(self._env, policy, seed, watch=watch, report_progress=self._report_progress)
-        return replace(EpisodeResult.of(index, row), recorded=recorder.finish(index, row))
+        episode = EpisodeResult.of(index, row, digest.hexdigest())
+        return replace(episode, recorded=recorder.finish(index, row))
 
     def trace(self, index: int) -> tuple[list[RobotState], Profile]:
         """Play one episode; return the states at all T + 1 decisions, and the ground."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from flipperctl.checkpoint.recording import require_one_layout
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import files
+from flipperctl.evaluation.failures import write_failures
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Progress, Scene, no_progress
 from flipperctl.files import check_writable
@@ -65,9 +66,19 @@ class EvaluationFiles:
     def _write_tables(self, result: EvaluationResult) -> None:
         if self._folder is not None:
             later = [] if result.interruption else self._pictures
-            self._folder.replace(lambda part: files.write(part, result), later)
+            failures = 0
+
+            def write(part: Path) -> None:
+                nonlocal failures
+                files.write(part, result)
+                failures = write_failures(part, self._scenes, result)
+
+            self._folder.replace(write, later)
             names = "episodes.csv, summary.json, table.csv and table.tex"
             self._tell(f"wrote {names} to {self._folder.path}")
+            if failures:
+                replay = f"flipperctl eval --replay {self._folder.path}/failure_….json"
+                self._tell(f"recorded {failures} failures; to play one again: {replay}")
 
     def _write_recording(self, result: EvaluationResult) -> None:
         if self._record is not None:

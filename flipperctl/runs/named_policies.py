@@ -37,6 +37,18 @@ def require_one_policy(
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
+def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
+    """Refuse options that have no meaning beside ``option``; ``others`` has their values.
+
+    Raises:
+        RequestError: one of them is given.
+    """
+    for name, value in others.items():
+        if value:
+            name = name if name == "overrides" else f"--{name}"
+            raise RequestError(f"{name}: no meaning beside {option}; leave it out")
+
+
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
     """Return the controller to evaluate, by default okada; None if a checkpoint is given.
 

@@ -1,0 +1,88 @@
+"""Rewrite the tables of the documentation from the results that are kept in ``docs/results/``.
+
+    python -m benchmarks.tables [--check]
+
+A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->``; its columns are
+those of ``flipperctl.report.result_table``. ``--check`` writes nothing and exits with code 1 if a
+page disagrees with its results. ``python -m benchmarks.results`` makes the results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from flipperctl import entry
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.stored import StoredRow
+from flipperctl.files import write_bytes
+from flipperctl.report.result_table import markdown_table
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "results"
+_TABLE = re.compile(
+    r"(<!-- results: (\S+) ([^>]*?) -->\n).*?(^<!-- end -->$)", re.DOTALL | re.MULTILINE
+)
+
+
+def pages() -> list[Path]:
+    """Return the pages that may hold tables of results."""
+    return [
+        ROOT / "README.md",
+        *sorted((ROOT / "docs").glob("**/*.md")),
+        *sorted((ROOT / "flipperctl" / "policies").glob("*.md")),
+    ]
+
+
+def rewritten(text: str, folder: Path = FOLDER) -> str:
+    """Return the text of a page with each table made anew from its file in ``folder``.
+
+    Raises:
+        RequestError: a file is missing or no stored results, or a column does not exist.
+    """
+
+    def table(found: re.Match[str]) -> str:
+        lines = markdown_table(stored(folder / found[2]), found[3].split())
+        return found[1] + "\n".join(["", *lines, "", ""]) + found[4]
+
+    return _TABLE.sub(table, text)
+
+
+def stored(path: Path) -> list[StoredRow]:
+    """Return the rows of a file that ``benchmarks.results`` wrote.
+
+    Raises:
+        RequestError: it is missing, or of another form.
+    """
+    try:
+        return [StoredRow.of(row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RequestError(f"{path}: these are no stored results: {error}") from error
+
+
+def changes() -> Iterator[tuple[Path, str]]:
+    """Yield each page that disagrees with its results, and its text as it should be."""
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        if (new := rewritten(text)) != text:
+            yield page, new
+
+
+def main() -> int:
+    """Rewrite the pages, or check them; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.tables", description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if stale")
+    check = parser.parse_args().check
+    found = list(changes())
+    for page, text in found:
+        print(f"{'stale' if check else 'wrote'} {page.relative_to(ROOT)}")
+        if not check:
+            write_bytes(page, text.encode())
+    return int(check and bool(found))
+
+
+if __name__ == "__main__":
+    entry.run(main)

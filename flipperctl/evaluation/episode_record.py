@@ -1,0 +1,207 @@
+"""A small file with all that is needed to play one episode again, bit for bit.
+
+In: an episode of an evaluation, its configuration and the policy's source. Out: a JSON document;
+and, from such a file, the configuration and the policy, once versions and contents are checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from flipperctl import __version__, checkpoint
+from flipperctl.api import Outcome
+from flipperctl.checkpoint.strict_json import decode
+from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
+from flipperctl.config.identity import content_digest
+from flipperctl.errors import CheckpointError, ConfigError, RequestError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.messages import explain
+from flipperctl.policies.source import PolicySource
+from flipperctl.sim.versions import engine_versions
+
+_FILES = ("policy", "value")
+"""Settings of a controller that name a file."""
+
+
+class _Frozen(BaseModel):
+    """A frozen model that refuses unknown keys, NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RecordedPolicy(_Frozen):
+    """The policy of an episode: a file by its content, or a controller's settings."""
+
+    label: str = Field(description="name of a shipped policy or controller, or path of a file [-]")
+    sha256: str | None = Field(None, description="SHA-256 of the policy's file [-]")
+    controller: dict[str, Any] | None = Field(
+        None, description="name and settings of a controller [-]"
+    )
+    files: dict[str, str | None] = Field(
+        default_factory=dict, description="SHA-256 of each file that the controller reads [-]"
+    )
+
+    @classmethod
+    def of(cls, source: PolicySource) -> RecordedPolicy:
+        """Describe a policy."""
+        if source.checkpoint is not None:
+            return cls(label=source.label(), sha256=content_digest(source.checkpoint))
+        settings = dict(source.settings or {})
+        return cls(label=source.label(), controller=settings, files=_digests(settings))
+
+    def find(self, where: Path, chosen: Path | None) -> PolicySource:
+        """Return the policy, whose file is ``chosen`` or else the recorded one.
+
+        Raises:
+            CheckpointError: the file is missing or has another content. The text names the record,
+                ``where``.
+        """
+        if self.controller is not None:
+            if chosen is not None:
+                raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
+            if _digests(self.controller) != self.files:
+                raise CheckpointError(
+                    f"{where}: a file that controller {self.label} reads is missing or has another "
+                    f"content: {', '.join(self.files)}"
+                )
+            return PolicySource(settings=self.controller)
+        advice = "name the policy's file with --checkpoint"
+        try:
+            file = checkpoint.find(chosen or Path(self.label))
+        except CheckpointError as error:
+            raise CheckpointError(f"{where}: its policy is missing: {error}; {advice}") from error
+        if (digest := content_digest(file)) != self.sha256:
+            raise CheckpointError(
+                f"{where}: its policy has the SHA-256 {self.sha256}; that of {file} is {digest}; "
+                f"{advice}"
+            )
+        return PolicySource(checkpoint=file)
+
+
+class EpisodeRecord(_Frozen):
+    """One episode of an evaluation."""
+
+    format: Literal[1] = Field(1, description="version of this document [-]")
+    policy: RecordedPolicy
+    versions: dict[str, str] = Field(description="versions that affect the episode's numbers [-]")
+    conditions: dict[str, str] = Field(description="name and hash of the conditions [-]")
+    config: dict[str, Any] = Field(description="configuration of the environment [-]")
+    evaluation_seed: int = Field(ge=0, description="seed of the evaluation [-]")
+    episode: int = Field(ge=0, description="index of the episode in the evaluation [-]")
+    seed: int = Field(ge=0, description="seed of the episode [-]")
+    outcome: Outcome = Field(description="how the episode ended [-]")
+    measures: dict[str, float] = Field(description="measures and sampled values, by name [-]")
+    digest: str | None = Field(
+        None, description="SHA-256 of the actions and of the poses at 100 Hz [-]"
+    )
+
+    @classmethod
+    def of(cls, config: EvalConfig, source: PolicySource, episode: EpisodeResult) -> EpisodeRecord:
+        """Record an episode of an evaluation."""
+        conditions = Conditions.of(config)
+        return cls(
+            policy=RecordedPolicy.of(source),
+            versions=used_versions(config, source),
+            conditions={"name": conditions.name, "hash": conditions.hash},
+            config=to_dict(config.environment()),
+            evaluation_seed=config.eval.seed,
+            episode=episode.episode,
+            seed=episode.seed,
+            outcome=episode.outcome,
+            measures=measures(episode),
+            digest=episode.digest,
+        )
+
+    def evaluation(self, where: Path) -> EvalConfig:
+        """Return the configuration of the evaluation, checked against the recorded conditions.
+
+        Raises:
+            RequestError: a plugin is missing, or the ground or a setting differs from the recorded
+                one. The text names the record, ``where``.
+        """
+        try:
+            whole = parse(EnvConfig, self.config)
+        except ConfigError as error:
+            raise RequestError(f"{where}: its configuration is not valid here: {error}") from error
+        sections = {name: getattr(whole, name) for name in EnvConfig.model_fields}
+        numbers = {"seed": self.evaluation_seed, "episodes": self.episode + 1}
+        config = EvalConfig(**sections, conditions=self.conditions["name"], eval=numbers)
+        found = Conditions.of(config).hash
+        if found != self.conditions["hash"]:
+            raise RequestError(
+                f"{where}: its conditions have the hash {self.conditions['hash']}, here {found}: a "
+                "file that the ground is read from, or the defaults of a plugin, have changed"
+            )
+        return config
+
+    def check_versions(self, where: Path, source: PolicySource, config: EvalConfig) -> None:
+        """Check that the versions that affect the episode's numbers are the recorded ones.
+
+        Raises:
+            RequestError: they are not. The text names the record, ``where``.
+        """
+        here = used_versions(config, source)
+        changed = [name for name in self.versions if here.get(name) != self.versions[name]]
+        if changed:
+            recorded = ", ".join(f"{name} {self.versions[name]}" for name in changed)
+            found = ", ".join(f"{name} {here.get(name, '–')}" for name in changed)
+            raise RequestError(
+                f"{where}: it was recorded with {recorded}; here is {found}, whose episodes may "
+                "differ; install the recorded versions to replay it"
+            )
+
+
+def measures(episode: EpisodeResult) -> dict[str, float]:
+    """Return the numbers of an episode that a replay must repeat, by name in SI units."""
+    return {
+        "decisions": episode.decisions,
+        "t_cost": episode.t_cost,
+        "pitch_variation": episode.pitch_variation,
+        "pitch_variation_100hz": episode.pitch_variation_100hz,
+        "max_pitch": episode.max_pitch,
+        "flipper_travel": episode.flipper_travel,
+        **episode.sampled,
+    }
+
+
+def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:
+    """Return the versions of the package and the libraries that affect an episode's numbers."""
+    torch = {"torch": version("torch")} if source.checkpoint is not None else {}
+    own = {"flipperctl": __version__, "numpy": version("numpy")}
+    return {**own, **torch, **engine_versions(config.sim)}
+
+
+def read_record(path: Path) -> EpisodeRecord:
+    """Read a record.
+
+    Raises:
+        RequestError: the file is missing, or no record of an episode.
+    """
+    try:
+        document = decode(path.read_text(encoding="utf-8"))
+        return EpisodeRecord(**document)
+    except OSError as error:
+        raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        text = explain(error, "", EpisodeRecord)
+        raise RequestError(f"{path}: it is no record of an episode: {text}") from error
+    except (ValueError, TypeError) as error:
+        raise RequestError(f"{path}: it is no record of an episode: {error}") from error
+
+
+def _digests(settings: Mapping[str, Any]) -> dict[str, str | None]:
+    """Return the SHA-256 of each file that the settings of a controller name."""
+    named = [settings[name] for name in _FILES if isinstance(settings.get(name), str)]
+    found = {}
+    for name in filter(None, named):
+        try:
+            found[name] = content_digest(checkpoint.find(Path(name)))
+        except CheckpointError:
+            found[name] = None
+    return found

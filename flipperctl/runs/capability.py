@@ -1,0 +1,87 @@
+"""Make a map of a policy's capability and write its files.
+
+In: the scene of an evaluation, and the text of ``--map``. Out: the map, ``map.json``, ``map.csv``,
+``map.png``, and records of failures near the boundary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from flipperctl.config.words import with_default
+from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.evaluation.axes import parse_axes
+from flipperctl.evaluation.capability import EPISODES, CapabilityMap
+from flipperctl.evaluation.failures import write_map_failures
+from flipperctl.evaluation.map_cells import capability_map
+from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.files import write_csv, write_json
+from flipperctl.runs.results import ResultFolder, result_folder
+
+NAMES = ("map.json", "map.csv", "map.png")
+"""Names of the files of a map."""
+
+
+def map_words(words: list[str]) -> list[str]:
+    """Return the overrides of a map, with its own number of episodes unless they set one."""
+    return with_default(words, "eval.episodes", EPISODES)
+
+
+def map_scenes(
+    scenes: Sequence[Scene],
+    text: str,
+    output: Path | None,
+    *,
+    progress: Progress = no_progress,
+    stop: Callable[[], bool] = lambda: False,
+    tell: Callable[[str], None] = lambda text: None,
+) -> CapabilityMap:
+    """Return the map of the only scene over the axes of ``text``, after writing its files.
+
+    ``tell`` is called with a line for the files.
+
+    Raises:
+        RequestError: there are several scenes, or the axes cannot be read.
+        ConfigError: a setting does not exist, or a cell is not possible.
+        InterruptedRunError: it was stopped before any cell was finished.
+        FlipperctlError: the policy failed, or a file could not be written.
+    """
+    if len(scenes) != 1:
+        raise RequestError(f"--map shows one scene; {len(scenes)} are evaluated")
+    ((config, source),) = scenes
+    axes = parse_axes(text, config)
+    with ExitStack() as stack:
+        folder: ResultFolder | None = None
+        if output is not None:
+            folder = stack.enter_context(result_folder(output, "map", NAMES))
+        found = capability_map(config, source, axes, progress=progress, stop=stop)
+        if not found.cells:
+            raise InterruptedRunError("interrupted: no cell of the map is finished")
+        if folder is not None:
+            recorded = 0
+
+            def write(part: Path) -> None:
+                nonlocal recorded
+                write_map(part, found)
+                recorded = write_map_failures(part, config, source, found)
+
+            folder.replace(write)
+            tell(f"wrote {', '.join(NAMES)} and {recorded} failures to {folder.path}")
+    return found
+
+
+def write_map(folder: Path, found: CapabilityMap) -> None:
+    """Write all files of a map into an existing folder.
+
+    Raises:
+        OutputError: a file cannot be written.
+        WriteError: writing failed half way.
+    """
+    from flipperctl.report.capability import capability_figure
+    from flipperctl.report.figure import save
+
+    write_json(folder / "map.json", found.to_dict())
+    write_csv(folder / "map.csv", list(found.rows()))
+    save(capability_figure(found), folder / "map.png")

@@ -1,0 +1,21 @@
+"""The lines of ``flipperctl eval --replay``."""
+
+from __future__ import annotations
+
+from flipperctl.evaluation.replay import Replay
+from flipperctl.runs.replay import title
+from flipperctl.terminal.console import console, print_lines
+
+
+def print_replay(found: Replay) -> None:
+    """Print outcome and measures of the episode, and whether it is bit-identical."""
+    episode = found.episode
+    lines = [
+        title(found),
+        f"{episode.decisions} decisions, {episode.t_cost:.2f} s, θ̂_R "
+        f"{episode.pitch_variation_100hz:.3f} rad, largest pitch {episode.max_pitch:.3f} rad",
+    ]
+    if not found.differences:
+        digest = f", digest {episode.digest:.16}…" if episode.digest else ""
+        lines.append(f"bit-identical to the recorded episode{digest}")
+    print_lines(console(), lines)

@@ -1,0 +1,33 @@
+"""``flipperctl card``."""
+
+from pathlib import Path
+
+import yaml
+
+from tests.cli.call import call
+
+EVAL = ("eval", "--checkpoint", "generalist", "--baseline", "level", "terrain=flat")
+
+
+def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) -> None:
+    asked = ("perception.noise=0.01", "--episodes", "1", "--output", "found")
+    assert call(*EVAL, *asked, cwd=tmp_path).code == 0
+    done = call("card", "generalist", "found", "--output", "card.md", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert done.out == ""
+    text = (tmp_path / "card.md").read_text()
+    (model,) = yaml.safe_load(text.split("---\n")[1])["model-index"]
+    assert model["results"][0]["metrics"][0]["value"] == 1.0
+    command = (
+        "flipperctl eval --checkpoint generalist --episodes 1 --seed 0 --baseline level "
+        "conditions=nominal perception.noise=0.01 terrain=flat\n"
+    )
+    assert command in text  # without the note that the hash differs
+    assert '| `teacher.controller` | "mpc" |' in text
+
+    done = call("card", "mpc_value", "found", cwd=tmp_path)
+    assert done.code == 2
+    assert "found: it holds results of generalist, not of" in done.err
+    done = call("card", "generalist", ".", cwd=tmp_path)
+    assert done.code == 2
+    assert "summary.json: it cannot be read" in done.err

@@ -1,0 +1,47 @@
+"""``flipperctl eval --map``."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.call import call
+
+AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"
+MAP = ("eval", "--controller", "okada", "terrain=uplift", "--map")
+
+
+def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
+    done = call(*MAP, AXES, "--episodes", "1", "--output", "found", "--json", cwd=tmp_path)
+    assert done.code == 0
+    document = json.loads(done.out)
+    assert document == json.loads((tmp_path / "found/map.json").read_text())
+    assert [cell["success_rate"] for cell in document["cells"]] == [1.0, 0.0, 1.0, 0.0]
+    assert document["episodes_per_cell"] == 1
+    with (tmp_path / "found/map.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["sim.friction"] for row in rows] == ["0.5", "0.5", "1.0", "1.0"]
+    assert (tmp_path / "found/map.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(file.name for file in tmp_path.glob("found/failure_*")) == [
+        "failure_map_1_0_0.json",
+        "failure_map_1_1_0.json",
+    ]
+    done = call("eval", "--replay", "found/failure_map_1_0_0.json", cwd=tmp_path)
+    assert (done.code, "bit-identical" in done.out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["terrain.hight,sim.friction"], "did you mean 'terrain.height_low'"),
+        (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
+        ([AXES, "--by", "height"], "--by: no meaning beside --map"),
+        ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),
+    ],
+)
+def test_a_wrong_request_is_one_error(arguments: list[str], words: str, tmp_path: Path) -> None:
+    done = call(*MAP, *arguments, cwd=tmp_path)
+    assert done.code == 2
+    assert words in done.err
+    assert len(done.err.strip().splitlines()) == 1

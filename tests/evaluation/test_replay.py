@@ -1,0 +1,110 @@
+"""Records of failures, and episodes that are played again from them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.config import EvalConfig
+from flipperctl.errors import CheckpointError, RequestError
+from flipperctl.evaluation import failures
+from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
+from flipperctl.evaluation.failures import write_failures
+from flipperctl.evaluation.replay import replay
+from flipperctl.evaluation.scenes import evaluate
+from flipperctl.policies.source import PolicySource
+
+LEVEL = PolicySource.of_plugin("level", "here")
+STEP = EvalConfig(
+    terrain={"name": "step", "low": 0.4, "high": 0.4},
+    randomise={"friction": [0.8, 1.0]},
+    conditions="varied",
+    eval={"episodes": 3, "seed": 4},
+)
+"""Flippers held level stop at it."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("failures")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(failures, "MOST", 2)
+        assert write_failures(folder, [(STEP, LEVEL)], evaluate([(STEP, LEVEL)])) == 2
+    return folder
+
+
+def changed(folder: Path, **fields: object) -> Path:
+    """Return the file of a record with other fields."""
+    record = json.loads((folder / "failure_step_0.json").read_text())
+    file = folder / "changed.json"
+    file.write_text(json.dumps(record | fields))
+    return file
+
+
+def test_a_limited_number_of_failures_is_recorded(folder: Path) -> None:
+    names = sorted(file.name for file in folder.glob("failure_*"))
+    assert names == ["failure_step_0.json", "failure_step_1.json"]
+    assert read_record(folder / names[1]).measures["friction"] <= 1.0
+
+
+def test_a_replay_is_bit_identical_and_another_episode_is_not(folder: Path) -> None:
+    found = replay(folder / "failure_step_1.json")
+    assert found.differences == []
+    assert found.episode.outcome == found.record.outcome == "stuck"
+    assert found.episode.digest == found.record.digest
+    assert len(found.transitions) == found.episode.decisions
+    other = read_record(folder / "failure_step_0.json")
+    assert other.digest != found.record.digest
+    differs = replay(changed(folder, digest=found.record.digest, outcome="reached"))
+    assert [words.split()[0] for words in differs.differences] == ["outcome", "digest"]
+
+
+def test_a_record_without_a_digest_compares_every_measure(folder: Path) -> None:
+    recorded = read_record(folder / "failure_step_0.json").measures
+    larger = {**recorded, "max_pitch": recorded["max_pitch"] * (1 + 2**-52)}
+    (difference,) = replay(changed(folder, digest=None, measures=larger)).differences
+    assert difference.startswith("max_pitch ")
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"versions": {"flipperctl": "0.1.0"}}, "recorded with flipperctl 0.1.0; here is"),
+        ({"versions": {"bullet": "3"}}, "recorded with bullet 3; here is bullet –"),
+        ({"format": 2}, "format: Input should be 1"),
+        ({"seed": None}, "seed: "),
+        ({"conditions": {"name": "varied", "hash": "0"}}, "its conditions have the hash 0, here"),
+        ({"config": {"terrain": "moon"}}, "its configuration is not valid here: terrain"),
+    ],
+)
+def test_records_that_cannot_be_played_here(
+    fields: dict[str, object], words: str, folder: Path
+) -> None:
+    with pytest.raises(RequestError, match=words):
+        replay(changed(folder, **fields))
+
+
+def test_the_policy_of_a_record_is_found_by_its_content(folder: Path, tmp_path: Path) -> None:
+    generalist = checkpoint.shipped_policies()["generalist"]
+    source = PolicySource(checkpoint=generalist)
+    episode = evaluate([(STEP, LEVEL)]).scenes[0].episodes[0]
+    policy = EpisodeRecord.of(STEP, source, episode).policy
+    assert policy.find(tmp_path, None) == source
+    copy = tmp_path / "copy.safetensors"
+    copy.write_bytes(generalist.read_bytes())
+    assert policy.find(tmp_path, copy) == PolicySource(checkpoint=copy)
+    copy.write_bytes(b"another")
+    with pytest.raises(CheckpointError, match="its policy has the SHA-256"):
+        policy.find(tmp_path, copy)
+    gone = policy.model_copy(update={"label": "gone.safetensors"})
+    with pytest.raises(CheckpointError, match=r"its policy is missing.*with --checkpoint"):
+        gone.find(tmp_path, None)
+
+
+def test_what_is_no_record_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="cannot be read"):
+        read_record(tmp_path / "missing.json")
+    (tmp_path / "list.json").write_text("[]")
+    with pytest.raises(RequestError, match="no record of an episode: it must be a mapping"):
+        read_record(tmp_path / "list.json")
