@@ -105,6 +105,7 @@ def run(
             progress=episodes_progress,
             record=record is not None,
             stop=stop,
+            store=written.store,
         )
         result = grouped(result, groups)
         # The table shows a run as it was typed; files and JSON show its checkpoint.

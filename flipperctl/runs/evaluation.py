@@ -13,8 +13,11 @@ from pathlib import Path
 from flipperctl.checkpoint.recording import require_one_layout
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import files
+from flipperctl.evaluation.failures import error_of
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.results import EvaluationResult
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.evaluation.scenes import Scene
+from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, EpisodeStore, write_view
 from flipperctl.files import check_writable
 from flipperctl.runs.results import result_folder
 
@@ -50,9 +53,12 @@ class EvaluationFiles:
             require_one_layout(record, [config for config, _ in scenes])
         self._pictures = files.picture_names([config for config, _ in scenes])
         self._folder = None
+        self.store = EpisodeStore()
+        """Episodes that are not played again: those below the folder, if there is one."""
         if folder is not None:
-            names = [*files.NAMES, *self._pictures]
+            names = [*files.NAMES, VIEW, *self._pictures]
             self._folder = stack.enter_context(result_folder(folder, "eval", names))
+            self.store = CellFolder(folder / FOLDER, tell)
 
     def write(self, result: EvaluationResult) -> None:
         """Write tables and recorded episodes.
@@ -67,7 +73,13 @@ class EvaluationFiles:
             later = [] if result.interruption else self._pictures
             self._folder.replace(lambda part: files.write(part, result), later)
             names = "episodes.csv, summary.json, table.csv and table.tex"
+            write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
+            if self.store.older:
+                self._tell(
+                    f"{self._folder.path / FOLDER}: another version of flipperctl played "
+                    f"{self.store.older} of these cells; another --output plays them again"
+                )
 
     def _write_recording(self, result: EvaluationResult) -> None:
         if self._record is not None:
@@ -84,10 +96,13 @@ class EvaluationFiles:
 
         Raises:
             InterruptedRunError: the evaluation or the drawing was interrupted.
-            FlipperctlError: a picture or the film could not be drawn or written.
+            FlipperctlError: a policy failed on a scene, or a picture or the film could not be drawn
+                or written.
         """
         if result.interruption is not None:
             raise InterruptedRunError(result.interruption.text)
+        if result.failures:
+            raise error_of(result.failures)
         pictures, film = self._draw_scenes, self._draw_film
         _attempt([lambda: pictures(stop, progress), lambda: film(stop, progress)])
 
