@@ -37,12 +37,10 @@ class Series:
     """The episodes of one policy on one scene with one seed, however many: a row of cells."""
 
     policy: PolicyIdentity
-    conditions: str
-    """SHA-256 of terrain, robot, physics, sensing, start and randomisation."""
+    ground: str
+    """What is equal for all policies on equal episodes; see ``ground``."""
     scoring: str
     """SHA-256 of what else a result depends on: rewards, measures and the observation layout."""
-    seed: int
-    """Seed of the evaluation."""
     config: EvalConfig = field(compare=False, repr=False)
 
     @classmethod
@@ -52,20 +50,7 @@ class Series:
         Raises:
             PluginError: a setting of the terrain cannot be written as JSON.
         """
-        plugged = [config.terrain, config.sim, config.perception]
-        found = Conditions.of(config).settings
-        return cls(
-            policy,
-            _digest([found, foreign_sources(plugged)]),
-            _digest(_scoring(config)),
-            config.eval.seed,
-            config,
-        )
-
-    @property
-    def ground(self) -> str:
-        """The part of the key that is equal for all policies under equal conditions and seed."""
-        return f"{self.conditions[:_LONG]}.{self.seed}"
+        return cls(policy, ground(config), _digest(_scoring(config)), config)
 
     @property
     def key(self) -> str:
@@ -87,7 +72,7 @@ class Series:
             "conditions": conditions.name,
             "conditions_hash": conditions.hash,
             "engine": self.config.sim.plugin_name,
-            "evaluation_seed": self.seed,
+            "evaluation_seed": self.config.eval.seed,
             "first": first,
             "last": last,
             "settings": {**conditions.settings, **_scoring(self.config)},
@@ -98,6 +83,17 @@ class Series:
             },
             "commit": commit(),
         }
+
+
+def ground(config: EvalConfig) -> str:
+    """Return the part of a key that is equal for all policies on equal episodes.
+
+    It has a hash of terrain, robot, physics, sensing, start and randomisation, and the seed of the
+    evaluation.
+    """
+    plugged = [config.terrain, config.sim, config.perception]
+    digest = _digest([Conditions.of(config).settings, foreign_sources(plugged)])
+    return f"{digest[:_LONG]}.{config.eval.seed}"
 
 
 def cell_name(key: str, first: int, last: int) -> str:

@@ -18,6 +18,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
 from flipperctl.evaluation.failures import Failure
 from flipperctl.evaluation.interruption import Interruption
+from flipperctl.evaluation.naming import NAMELESS, SceneName
 
 
 @dataclass(frozen=True)
@@ -217,10 +218,8 @@ class SceneResult:
     conditions: Conditions
     baselines: tuple[BaselineResult, ...]
     episodes: tuple[EpisodeResult, ...]
-    method: str = ""
-    """Name of the method, whose policies differ in their training seeds; empty for one policy."""
-    training_seed: int | None = None
-    """Seed of the policy's training, for one of several policies."""
+    name: SceneName = NAMELESS
+    """How the scene and the policy are called among several methods."""
     by: Mapping[str, tuple[Group, ...]] = field(default_factory=dict)
     """Groups of the episodes by a drawn number, such as ``steps``, or several (``steps+up``)."""
 
@@ -228,6 +227,11 @@ class SceneResult:
     def terrain(self) -> str:
         """Name of the terrain plugin."""
         return self.summary.terrain
+
+    @property
+    def method(self) -> str:
+        """Name of the policy for tables: that of its method with the training seed, if known."""
+        return self.name.method_text or self.controller
 
     @property
     def has_identical_episodes(self) -> bool:
@@ -250,7 +254,7 @@ class SceneResult:
             "controller": self.controller,
             "seed": self.seed,
             "conditions": self.conditions.to_dict(),
-            **({"method": self.method, "training_seed": self.training_seed} if self.method else {}),
+            **self.name.to_dict(),
             **plain.baselines(self.baselines),
             **({"by": plain.groups(self.by)} if self.by else {}),
         }

@@ -7,7 +7,9 @@ the command line, reports and other programs; nothing is printed or written here
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from itertools import repeat
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import FlipperctlError, InterruptedRunError
@@ -18,6 +20,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.failures import Failure
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.judging import NOT_A_POLICYS, Judge, Progress, no_progress
+from flipperctl.evaluation.naming import NAMELESS, SceneName
 from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.store import EpisodeStore
@@ -37,6 +40,8 @@ def evaluate(
     record: bool = False,
     stop: Callable[[], bool] = lambda: False,
     store: EpisodeStore | None = None,
+    names: Sequence[SceneName] = (),
+    plan: Callable[[int], None] = lambda episodes: None,
 ) -> EvaluationResult:
     """Evaluate a policy on each scene, in as many processes as the scene asks for.
 
@@ -45,7 +50,8 @@ def evaluate(
     ``record``: whether the policy's results include decisions. Once ``stop``, called before each
     episode, returns True, the evaluation ends with the finished episodes. Episodes that the
     ``store`` has are not played again; new ones are added to it. A policy that fails on a scene is
-    among the ``failures`` of the result, unless all fail.
+    among the ``failures`` of the result, unless all fail. ``names``: one for each of the scenes of
+    several methods. ``plan`` is called once with the number of episodes that the store lacks.
 
     Raises:
         FlipperctlError: every policy cannot be built or failed, or an episode killed its workers.
@@ -59,9 +65,11 @@ def evaluate(
     failures: list[Failure] = []
     with EpisodeWorkers(stop=stop) as workers:
         judge = Judge(EpisodeStore() if store is None else store, workers, progress)
-        for config, source in scenes:
+        plan(_lacking(judge, scenes, baselines))
+        for (config, source), name in zip(scenes, names or repeat(NAMELESS)):  # noqa: B905
             scene = _SceneEpisodes(config, judge, failures)
-            results.append(_evaluate_scene(scene, source, baselines, references, record))
+            found = _evaluate_scene(scene, source, baselines, references, record, name)
+            results.append(found)
     finished = [result for result in results if result is not None]
     if failures and not finished:
         raise failures[0].error
@@ -69,6 +77,18 @@ def evaluate(
     if workers.interrupted:
         interruption = _interruption(scenes, results, 1 + len(baselines))
     return EvaluationResult(tuple(_corrected(finished)), interruption, tuple(failures))
+
+
+def _lacking(judge: Judge, scenes: Sequence[Scene], baselines: Sequence[PolicySource]) -> int:
+    """Return the number of episodes that the store lacks, without those of references."""
+    found: dict[tuple[str, int], None] = {}
+    for config, source in scenes:
+        for one in (source, *baselines):
+            with suppress(FlipperctlError):  # which judging raises again, where it is noted
+                key = judge.series(config, one).key
+                cells = judge.missing(config, one)
+                found |= dict.fromkeys((key, index) for cell in cells for index in cell)
+    return len(found)
 
 
 def _interruption(
@@ -147,10 +167,12 @@ def _evaluate_scene(
     baselines: Sequence[PolicySource],
     references: Sequence[PolicySource],
     record: bool,
+    name: SceneName,
 ) -> SceneResult | None:
     """Return the result of a scene; None if no episode was finished before a stop or a failure."""
     terrain = scene.terrain
-    episodes = scene.play(source, terrain, record=record)
+    label = f"{terrain}, {name.method_text}" if name.method else terrain
+    episodes = scene.play(source, label, record=record)
     if not episodes:
         return None
     others = [(b.label(), scene.play(b, f"{terrain}, {b.label()}")) for b in baselines]
@@ -166,6 +188,7 @@ def _evaluate_scene(
         Conditions.of(scene.config),
         tuple(compare(terrain, episodes, label, played) for label, played in others if played),
         tuple(episodes),
+        name,
     )
 
 

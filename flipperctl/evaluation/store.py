@@ -95,7 +95,9 @@ class CellFolder(EpisodeStore):
         text = "".join(
             json.dumps(line, separators=(",", ":"), default=_plain) + "\n" for line in lines
         )
-        write_bytes(self._folder / f"{name}{_CELL}", text.encode())
+        file = self._folder / f"{name}{_CELL}"
+        write_bytes(file, text.encode())
+        self._files.setdefault(series.key, []).append(file)
         for failed in self._folder.glob(f"{series.key}.{first:06d}-*{_FAILED}"):
             failed.unlink(missing_ok=True)
         super().add(series, cell)
@@ -109,11 +111,14 @@ class CellFolder(EpisodeStore):
         }
         write_json(self._folder / f"{document['cell']}{_FAILED}", document)
 
-    def series_on(self, ground: str) -> Iterator[str]:
-        """Yield the key of each stored series with this ``Series.ground``."""
-        for key in self._files:
+    def stored_on(self, ground: str) -> Iterator[tuple[str, dict[int, EpisodeResult]]]:
+        """Yield the label and the episodes of each stored policy on a ``cells.ground``."""
+        for key in list(self._files):
             if f".{ground}." in key:
-                yield key
+                cells = [cell for file in self._files[key] if (cell := read_cell(file))]
+                if cells:
+                    label = str(cells[0][0]["controller"])
+                    yield label, {e.episode: e for _, episodes in cells for e in episodes}
 
 
 def read_cell(file: Path) -> tuple[dict[str, Any], list[EpisodeResult]] | None:

@@ -37,7 +37,8 @@ class EvaluationFiles:
     ) -> None:
         """Check the outputs, and lock the folder until the ``stack`` is closed.
 
-        ``tell`` is called with a line for each output that was written.
+        ``tell`` is called with a line for each output that was written. The folder gets
+        a picture of each scene if there is one policy.
 
         Raises:
             RequestError: the film has several scenes, or the recording several observation layouts.
@@ -45,13 +46,19 @@ class EvaluationFiles:
             RunHeldError: another process is writing results into it.
         """
         self._scenes, self._tell = scenes, tell
+        several = any(source.label() != scenes[0][1].label() for _, source in scenes)
         self._film, self._record = film, record
         if film:
             _check_film(film, len(scenes))
         if record:
             check_writable(record)
+            if several:
+                raise RequestError(
+                    "--record takes one policy, without further ones (--baseline none)"
+                )
             require_one_layout(record, [config for config, _ in scenes])
-        self._pictures = files.picture_names([config for config, _ in scenes])
+        drawn = [] if several else [config for config, _ in scenes]
+        self._pictures = files.picture_names(drawn)
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
@@ -107,7 +114,7 @@ class EvaluationFiles:
         _attempt([lambda: pictures(stop, progress), lambda: film(stop, progress)])
 
     def _draw_scenes(self, stop: Callable[[], bool], progress: Progress) -> None:
-        if self._folder is None:
+        if self._folder is None or not self._pictures:
             return
         from flipperctl.report.scenes import draw_scenes
 

@@ -37,6 +37,14 @@ def require_one_policy(
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
+def require_policy(
+    checkpoints: Sequence[Path], controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that a policy is given; several are allowed. See ``require_one_policy``."""
+    if not checkpoints or controller is None:
+        require_one_policy(next(iter(checkpoints), None), controller, overrides)
+
+
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
     """Return the controller to evaluate, by default okada; None if a checkpoint is given.
 

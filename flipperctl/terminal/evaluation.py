@@ -6,6 +6,7 @@ baseline.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from flipperctl.api import Measure
@@ -44,12 +45,20 @@ def table(result: EvaluationResult, label: str) -> Table:
         *("largest pitch [rad]", "flipper travel [rad]"),
         *map(heading, other_measures()),
     ]
-    several = len({scene.controller for scene in result.scenes}) > 1
+    methods = has_methods(result)
+    if methods:
+        headings.insert(1, "method")
+    several = not methods and len({scene.controller for scene in result.scenes}) > 1
     found = Table(headings, title, words=["outcomes"])
 
-    def cells(name: str, summary: Summary) -> list[str]:
+    def cells(name: str, summary: Summary, method: str = "") -> list[str]:
         return [
-            *(name, str(summary.episodes), interval_text(summary.success, 3)),
+            *(
+                name,
+                *((method,) if methods else ()),
+                str(summary.episodes),
+                interval_text(summary.success, 3),
+            ),
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
             interval_text(summary.pitch_variation_100hz),
@@ -62,12 +71,21 @@ def table(result: EvaluationResult, label: str) -> Table:
             *(interval_text(summary.further[m.plugin_name], m.digits) for m in other_measures()),
         ]
 
+    last = None
     for name, scene in _named(result):
+        if methods and last not in (None, name):
+            found.end_section()
+        last = name
         shown = f"{name}, {scene.controller}" if several else name
-        found.add(*cells(shown, scene.summary))
+        found.add(*cells(shown, scene.summary, scene.method))
         for part, summary in scene.summary.parts.items():
             found.add(*cells(f"  {part}", summary), dim=True)
     return found
+
+
+def has_methods(result: EvaluationResult) -> bool:
+    """Return whether the result is that of several methods, or of a suite."""
+    return any(scene.name.method for scene in result.scenes)
 
 
 def comparisons(result: EvaluationResult) -> Iterator[Table]:
@@ -126,9 +144,25 @@ def gap_cells(found: PairedSuccess) -> list[str]:
 
 
 def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
-    """Yield each scene and its name."""
+    """Yield each scene and its name; those of several methods on equal episodes share it."""
+    if has_methods(result):
+        yield from zip(_shared_names(result), result.scenes, strict=True)
+        return
     names = scene_names([(scene.terrain, scene.conditions) for scene in result.scenes])
-    return zip(names, result.scenes, strict=True)
+    yield from zip(names, result.scenes, strict=True)
+
+
+def _shared_names(result: EvaluationResult) -> list[str]:
+    """Return the name of each scene: that within its suite, else its terrain and conditions."""
+    keys = [(s.name.scene, s.terrain, s.conditions.label) for s in result.scenes]
+    distinct = dict.fromkeys(keys)
+    terrains = Counter((scene, terrain) for scene, terrain, _ in distinct)
+    several = len({scene for scene, _, _ in distinct}) > 1
+    names = {}
+    for scene, terrain, label in distinct:
+        whole = terrain if terrains[scene, terrain] == 1 else f"{terrain}, {label}"
+        names[scene, terrain, label] = f"{whole}, {scene}" if several else whole
+    return [names[key] for key in keys]
 
 
 def _passable_cells(summary: Summary) -> list[str]:
