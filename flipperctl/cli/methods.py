@@ -69,7 +69,9 @@ def method_scenes(
         (config, _), name = rows[0]
         if not any(key_of(word).startswith("rewards") for part in sections for word in part):
             # As when they are asked for by name, so that the same cells serve.
-            config = config.model_copy(update={"rewards": EvalConfig(terrain=config.terrain).rewards})
+            config = config.model_copy(
+                update={"rewards": EvalConfig(terrain=config.terrain).rewards}
+            )
         for entrant, source in beside:
             add(entrant, name.scene, config, source)
     every = [row for rows in found.values() for row in rows]

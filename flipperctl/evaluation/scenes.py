@@ -21,6 +21,7 @@ from flipperctl.evaluation.failures import Failure
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.judging import NOT_A_POLICYS, Judge, Progress, no_progress
 from flipperctl.evaluation.naming import NAMELESS, SceneName
+from flipperctl.evaluation.ray_cells import play_over_ray
 from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.store import EpisodeStore
@@ -66,6 +67,9 @@ def evaluate(
     with EpisodeWorkers(stop=stop) as workers:
         judge = Judge(EpisodeStore() if store is None else store, workers, progress)
         plan(_lacking(judge, scenes, baselines))
+        if scenes[0][0].eval.ray is not None and not record:
+            every = [(config, who) for config, source in scenes for who in (source, *baselines)]
+            play_over_ray(judge, every, stop)
         for (config, source), name in zip(scenes, names or repeat(NAMELESS)):  # noqa: B905
             scene = _SceneEpisodes(config, judge, failures)
             found = _evaluate_scene(scene, source, baselines, references, record, name)

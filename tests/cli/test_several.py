@@ -82,7 +82,7 @@ def test_a_further_controller_is_the_only_one_that_plays(
 
 
 def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None:
-    step = ("terrain=step", "terrain.low=0.3", "terrain.high=0.3", "--episodes", "2")
+    step = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "2")
     suite = tmp_path / "mine.yaml"
     suite.write_text(f"scenes: {{one: '{' '.join(step[:3])}'}}\n")
     to = ("--output", "out")

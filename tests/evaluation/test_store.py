@@ -5,7 +5,9 @@ import json
 import os
 import signal
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,6 +23,7 @@ from flipperctl.evaluation.scenes import evaluate
 from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, write_view
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
+from flipperctl.rollout import ray_cluster
 
 LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
 
@@ -96,10 +99,46 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     assert one.training_seed is not None
 
 
-def test_processes_do_not_show_in_the_files(tmp_path: Path) -> None:
-    for jobs in (1, 2):
-        evaluate([(config(4, jobs=jobs), OKADA)], store=CellFolder(tmp_path / str(jobs)))
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+class FakeRay:
+    """Ray's calls, answered in this process, the newest task first."""
+
+    exceptions = SimpleNamespace(RayError=RuntimeError)
+
+    def __init__(self) -> None:
+        self.tasks: list[Callable[[], object]] = []
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def remote(self, function: Callable[..., object]) -> SimpleNamespace:
+        def send(*arguments: object, **more: object) -> int:
+            self.tasks.append(lambda: function(*arguments, **more))
+            return len(self.tasks) - 1
+
+        return SimpleNamespace(remote=send)
+
+    def wait(self, references: list[int], timeout: float) -> tuple[list[int], list[int]]:
+        return [references[-1]], references[:-1]
+
+    def get(self, reference: int) -> object:
+        if reference == 0:  # its worker is lost
+            raise RuntimeError
+        return self.tasks[reference]()
+
+
+def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes = [(OKADA, "flat"), (LEVEL, "flat")]
+    plain = [(config(5, name), who) for who, name in scenes]
+    expected = evaluate(plain, store=CellFolder(tmp_path / "here"))
+    fake = FakeRay()
+    monkeypatch.setattr(ray_cluster, "import_ray", lambda: fake)
+    over = [(config(5, name, ray="any"), who) for who, name in scenes]
+    found = evaluate(over, store=CellFolder(tmp_path / "ray"))
+    assert len(fake.tasks) == 6
+    assert [s.episodes for s in found.scenes] == [s.episodes for s in expected.scenes]
+    assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 
 
 def test_a_kill_at_any_moment_loses_only_the_open_cell(tmp_path: Path, played: list[int]) -> None:
