@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from flipperctl import plugins
 from flipperctl.config.words import check_words, key_of
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
@@ -54,24 +55,43 @@ def shipped_suites() -> dict[str, Traversable]:
     return {f.name.removesuffix(_SUFFIX): f for f in found if f.name.endswith(_SUFFIX)}
 
 
+def plugin_suites() -> dict[str, Path]:
+    """Return the suites of plugins by name: the files in ``suite`` beside each plugin.
+
+    Raises:
+        ConfigError: two suites have the same name.
+    """
+    found: dict[str, Path] = {}
+    for folder in plugins.folders():
+        for file in sorted((folder / "suite").glob(f"*{_SUFFIX}")):
+            other = found.setdefault(file.stem, file)
+            if file.stem in shipped_suites():
+                raise ConfigError(f"suite: {file} has the name of a suite of flipperctl; rename it")
+            if other != file:
+                raise ConfigError(f"suite: {other} and {file} have the same name; rename one")
+    return found
+
+
 def find_suite(name: str) -> Suite:
     """Return a suite by its name, or from a file.
 
     Raises:
         ConfigError: there is no such suite, or the file is no suite.
     """
-    known = shipped_suites()
-    if name in known:
-        return _parse(name, known[name].read_text())
-    if not name.endswith((_SUFFIX, ".yml")):
+    shipped, others = shipped_suites(), plugin_suites()
+    if name in shipped:
+        return _parse(name, shipped[name].read_text())
+    if name not in others and not name.endswith((_SUFFIX, ".yml")):
+        known = [*shipped, *others]
         raise ConfigError(
             f"suite: there is no suite {name!r}{close_match(name, known)}; known: "
             f"{', '.join(known)}, or a file as in suite=mine.yaml"
         )
+    file = others.get(name, Path(name))
     try:
-        return _parse(Path(name).stem, Path(name).read_text(encoding="utf-8"), name)
+        return _parse(file.stem, file.read_text(encoding="utf-8"), str(file))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"suite: {name} cannot be read: {error}") from error
+        raise ConfigError(f"suite: {file} cannot be read: {error}") from error
 
 
 def _parse(name: str, text: str, file: str | None = None) -> Suite:

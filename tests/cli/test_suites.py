@@ -1,9 +1,11 @@
 """Every shipped suite composes for controllers and for policies of files."""
 
+import os
 from pathlib import Path
 
 import pytest
 
+from flipperctl import plugins
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.methods import MethodScenes, method_scenes
 from flipperctl.config import EvalConfig, with_overrides
@@ -58,6 +60,21 @@ def test_a_suite_of_ones_own(tmp_path: Path) -> None:
         ["low", "high"],
         ["eval.seed=3"],
     )
+
+
+def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder / "suite").mkdir(parents=True)
+        monkeypatch.setenv(plugins.VARIABLE, str(tmp_path / folder))
+        file = tmp_path / folder / "suite" / "mine.yaml"
+        file.write_text(f"about: of {folder}\nscenes: {{low: terrain=flat}}\n")
+        assert find_suite("mine").about == f"of {folder}"
+    monkeypatch.setenv(plugins.VARIABLE, os.pathsep.join(str(tmp_path / n) for n in "ab"))
+    with pytest.raises(ConfigError, match="have the same name; rename one"):
+        find_suite("mine")
+    file.rename(file.with_name("paper.yaml"))
+    with pytest.raises(ConfigError, match="has the name of a suite of flipperctl"):
+        find_suite("mine")
 
 
 @pytest.mark.parametrize(
