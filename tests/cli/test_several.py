@@ -9,11 +9,13 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Policy
-from flipperctl.config import EnvConfig
+from flipperctl.cli.methods import method_scenes
+from flipperctl.config import EnvConfig, EvalConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
+from flipperctl.runs.methods import entrants
 from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
@@ -95,21 +97,37 @@ def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None
     assert "best known (okada)" in done.out
 
 
-def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(tmp_path: Path) -> None:
+def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shipped = checkpoint.read(checkpoint.shipped_policies()["generalist"])
     for number, seed in enumerate((4, 9)):
         file = tmp_path / "sweep" / f"{number}_seed={seed}" / checkpoint.BEST
         file.parent.mkdir(parents=True)
-        found = shipped.document.model_copy(
+        document = shipped.document.model_copy(
             update={"config": shipped.document.config.model_copy(update={"seed": seed})}
         )
-        checkpoint.write(file, found, shipped.tensors)
+        checkpoint.write(file, document, shipped.tensors)
     (tmp_path / "sweep" / "2_seed=1" / "checkpoints").mkdir(parents=True)
     (tmp_path / "sweep" / "2_seed=1" / "config.yaml").write_text("")
-    done = call("eval", "--checkpoint", "sweep", *FLAT, "--baseline", "none", cwd=tmp_path)
-    assert methods(done) == ["sweep", "sweep"]
-    assert [scene["training_seed"] for scene in json.loads(done.out)["scenes"]] == [4, 9]
-    assert "2_seed=1 is left out" in done.err
+    told: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    found = entrants([Path("sweep"), Path("generalist")], "okada", told.append)
+    own = shipped.document.config.seed
+    assert [(e.method, e.training_seed) for e in found] == [
+        ("sweep", 4),
+        ("sweep", 9),
+        ("generalist", own),
+        ("okada", None),
+    ]
+    assert [line.partition(":")[0] for line in told] == ["sweep/2_seed=1 is left out"]
+    monkeypatch.setattr(
+        "flipperctl.cli.methods._Composer.of",
+        lambda composer, e: [("", EvalConfig(terrain="flat"), PolicySource(e.run))],
+    )
+    names = method_scenes([], found[:2], [], None).names
+    assert [name.method_text for name in names] == ["sweep, seed 4", "sweep, seed 9"]
+    assert names[1].to_dict() == {"method": "sweep", "training_seed": 9}
 
 
 def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
