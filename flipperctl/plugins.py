@@ -59,6 +59,16 @@ def configured_paths() -> list[str]:
     return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
 
 
+def folders() -> list[Path]:
+    """Return the folders of the plugins at ``configured_paths`` and of those that are installed."""
+    found = [path if path.is_dir() else path.parent for path in map(Path, configured_paths())]
+    for entry in entry_points(group=GROUP):
+        file = getattr(sys.modules.get(entry.module), "__file__", None)
+        if file is not None:
+            found.append(Path(file).parent)
+    return list(dict.fromkeys(found))
+
+
 def file_name(cls: type[Plugin]) -> str | None:
     """Return the name of the file that a plugin was loaded from; None for an installed plugin."""
     return _files.get(cls)

@@ -36,19 +36,36 @@ and rules alike), varied, wide, or trained (those of the checkpoint). Overrides 
   flipperctl eval --controller okada terrain=uplift --map terrain.height,sim.friction=0.4:1.0
 
   flipperctl eval --replay evaluated/failure_stair_3.json --film stair.gif
+
+Several policies stand in one table, on the same episodes; the folder of a sweep stands for its
+training seeds. The same words with the same --output play only what is not there yet.
+
+  flipperctl eval --checkpoint runs/sweep --controller okada,mpc terrain=stair,ramp --output judged
+
+  flipperctl eval suite=robustness --controller okada --output judged
 """
 
 
 def run(
     overrides: options.Overrides = None,
-    checkpoint: options.CheckpointFile = None,
-    controller: options.ControllerName = None,
+    checkpoint: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN_OR_FILE",
+            help="A run, a checkpoint, an .onnx file or the folder of a sweep; may be repeated.",
+        ),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Controller plugins, such as okada or okada,mpc."),
+    ] = None,
     baseline: Annotated[
         str | None,
         typer.Option(
             metavar="NAMES",
             help="Controllers, such as okada,level, to compare with on the same episodes "
-            "(mpc and planner: okada,level unless named here; none: no comparison).",
+            "(mpc and planner: okada,level unless named here; several policies: level,okada as "
+            "further rows; none: no comparison).",
         ),
     ] = None,
     passable: Annotated[
@@ -93,6 +110,7 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
+    from flipperctl.cli import several
     from flipperctl.cli.eval_map import run_map
     from flipperctl.cli.eval_replay import run_replay
     from flipperctl.cli.scenes import scenes
@@ -101,7 +119,9 @@ def run(
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
     from flipperctl.runs.interrupts import interrupts
-    from flipperctl.runs.named_policies import controllers, require_one_policy
+    from flipperctl.runs.methods import entrants
+    from flipperctl.runs.named_policies import controllers, only, require_policy
+    from flipperctl.runs.suites import split_suite
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.results import print_result
     from flipperctl.terminal.streams import print_note
@@ -112,23 +132,37 @@ def run(
         "by": by,
         "record": record,
     }
+    files = checkpoint or []
     if replay is not None:
         others |= {"controller": controller, "map": axes, "episodes": episodes, "seed": seed}
         others |= {"jobs": jobs, "overrides": overrides}
-        run_replay(replay, checkpoint, output, film, as_json=as_json, others=others)
+        run_replay(replay, only(files, "--replay"), output, film, as_json=as_json, others=others)
         return
-    require_one_policy(checkpoint, controller, overrides)
-    arguments = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    require_policy(files, controller, overrides)
+    flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     if axes is not None:
         others["film"] = film
-        run_map(axes, arguments, checkpoint, controller, output, as_json=as_json, others=others)
+        checkpoint_of_map = only(files, "--map")
+        run_map(
+            *(axes, flagged, checkpoint_of_map, controller, output), as_json=as_json, others=others
+        )
         return
-    found = scenes(arguments, checkpoint, controller)
+    suite, arguments = split_suite(flagged)
+    outputs = {"folder": output, "film": film, "record": record}
+    policies = entrants(files, controller, print_note)
+    if suite or len(policies) > 1:
+        several.run(
+            *(arguments, policies, suite, baseline, passable, by),
+            outputs=outputs,
+            as_json=as_json,
+        )
+        return
+    (policy,) = policies
+    found = scenes(arguments, policy.run, controller)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
     groups = parse(by, "--by", [config for config, _ in found])
     with ExitStack() as stack:
-        outputs = {"folder": output, "film": film, "record": record}
         written = EvaluationFiles(found, stack, **outputs, tell=print_note)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
@@ -138,10 +172,11 @@ def run(
             progress=episodes_progress,
             record=record is not None,
             stop=stop,
+            store=written.store,
         )
         result = grouped(result, groups)
         # The table shows a run as it was typed; files and JSON show its checkpoint.
-        typed = str(checkpoint) if checkpoint and checkpoint.is_dir() else result.controller
+        typed = str(policy.run) if policy.run and policy.run.is_dir() else result.controller
         try:
             print_result(result, None if as_json else typed)
         finally:  # files are written even if the pipe is closed

@@ -6,7 +6,7 @@ for each scene.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from flipperctl.cli.hydra import compose, config_store
@@ -19,10 +19,16 @@ from flipperctl.runs.inherited import find_policy, policy_notes, read_config
 from flipperctl.terminal.streams import print_note
 
 
-def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None) -> list[Scene]:
+def scenes(
+    words: Sequence[str],
+    checkpoint: Path | None,
+    controller: str | None,
+    tell: Callable[[str], None] = print_note,
+) -> list[Scene]:
     """Return a configuration and the policy's source for each scene.
 
     Exactly one of ``checkpoint`` and ``controller`` must be given; ``words`` are overrides.
+    ``tell`` is called with lines on how the evaluation of a checkpoint differs from its training.
 
     Raises:
         CheckpointError: there is no such policy, its observation layout differs, or the plugin of
@@ -35,21 +41,23 @@ def scenes(words: Sequence[str], checkpoint: Path | None, controller: str | None
         found = compose.compose_eval(overrides)
         made = [(config, PolicySource(settings=settings)) for config, settings in found]
         for note in dict.fromkeys(note for config, source in made for note in source.notes(config)):
-            print_note(note)
+            tell(note)
         return made
-    return _scenes_of_file(checkpoint, words)
+    return _scenes_of_file(checkpoint, words, tell)
 
 
-def _scenes_of_file(checkpoint: Path, words: Sequence[str]) -> list[Scene]:
-    file = find_policy(checkpoint, print_note)
+def _scenes_of_file(
+    checkpoint: Path, words: Sequence[str], tell: Callable[[str], None]
+) -> list[Scene]:
+    file = find_policy(checkpoint, tell)
     overrides = Overrides.parse(words)
     terrains = [c.choice("terrain") for c in overrides.combinations(CHOICES)]
-    trained = read_config(file, terrains, print_note)
+    trained = read_config(file, terrains, tell)
     primary = config_store.register_trained(trained)
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     # This raises for a wrong layout or robot, before the first episode.
     built = [source.build(config) for config in configs]
     for note in policy_notes(checkpoint, built, trained, configs, overrides.typed):
-        print_note(note)
+        tell(note)
     return [(config, source) for config in configs]

@@ -7,13 +7,17 @@ or settings with defaults that a later version adds.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from flipperctl import guard
 from flipperctl.api import Plugin
-from flipperctl.config.resolver import to_dict
+from flipperctl.config.resolver import nested_plugins, to_dict
+
+_OWN = ("flipperctl", "flipperctl_plugins")
+"""Packages whose plugins the version of flipperctl describes."""
 
 
 def identity(plugin: Plugin) -> dict[str, Any]:
@@ -59,6 +63,21 @@ def content_digest(file: Path) -> str | None:
             return hashlib.file_digest(opened, "sha256").hexdigest()
     except OSError:
         return None
+
+
+def foreign_sources(plugins: Iterable[Plugin]) -> list[str | None]:
+    """Return the SHA-256 of the module of each plugin that is not part of flipperctl, in order.
+
+    Plugins within settings are included. Of flipperctl's own, the version tells them apart.
+    """
+    found = []
+    for plugin in plugins:
+        for one in nested_plugins(plugin):
+            module = type(one).__module__
+            if module.partition(".")[0] not in _OWN:
+                file = getattr(sys.modules.get(module), "__file__", None)
+                found.append(content_digest(Path(file)) if file else None)
+    return found
 
 
 def _names_files(value: object, names: set[str]) -> bool:

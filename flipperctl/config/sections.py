@@ -268,6 +268,17 @@ class Eval(Settings):
         description="seed of the terrains and starts, which differ from those of training [-]",
     )
     jobs: int = Field(1, ge=1, le=1024, description="processes that play episodes [-]")
+    cell: int = Field(
+        20,
+        ge=1,
+        le=1_000_000,
+        description="episodes of a cell, which a folder of results keeps as one file [-]",
+    )
+    ray: str | None = Field(
+        None,
+        description="Ray cluster that plays the cells, one task each: its address, or local for "
+        "one of eval.jobs processes [-]",
+    )
     static_bound: bool = Field(
         False,
         description="also compute the static lower bound of θ̂_R on each episode's ground [-]",

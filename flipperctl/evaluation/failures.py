@@ -1,72 +1,38 @@
-"""Records of the failures of an evaluation, each of which can be played again.
-
-In: the scenes and the result of an evaluation, or a map. Out: a file for each of the policy's first
-failures, or for failures near the boundary of the map.
-"""
+"""Policies that could not play all episodes of a scene, and the error that says so at the end."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from flipperctl.config import EvalConfig
-from flipperctl.evaluation.axes import cell_config
-from flipperctl.evaluation.capability import CapabilityMap
-from flipperctl.evaluation.conditions import Conditions, scene_names
-from flipperctl.evaluation.episode_record import EpisodeRecord
-from flipperctl.evaluation.results import EvaluationResult
-from flipperctl.evaluation.scenes import Scene
-from flipperctl.files import write_json
-from flipperctl.policies.source import PolicySource
-
-MOST = 20
-"""Largest number of failures of a scene that are recorded [-]."""
+from flipperctl.errors import FlipperctlError
 
 
-def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResult) -> int:
-    """Write the policy's first ``MOST`` failures of each scene; return the number of files.
+@dataclass(frozen=True)
+class Failure:
+    """A policy that could not play all episodes of a scene."""
 
-    The result may lack the last scenes.
+    controller: str
+    """Label of the policy."""
+    terrain: str
+    """Name of the terrain plugin."""
+    error: FlipperctlError
 
-    Raises:
-        OutputError: a file cannot be written.
-        WriteError: writing failed half way.
-    """
-    records = list(failure_records(scenes, result))
-    for name, record in records:
-        write_json(folder / name, record.model_dump(mode="json"))
-    return len(records)
+    def to_dict(self) -> dict[str, str]:
+        """Return plain data."""
+        return {"controller": self.controller, "terrain": self.terrain, "error": str(self.error)}
 
 
-def write_map_failures(
-    folder: Path, config: EvalConfig, source: PolicySource, found: CapabilityMap
-) -> int:
-    """Write a failure of each of ``MOST`` cells of a map; return the number of files.
-
-    Cells nearest to the boundary come first: those whose success is closest to one half.
+def error_of(failures: Sequence[Failure]) -> FlipperctlError:
+    """Return the error of an evaluation in which policies failed: the first one, and their number.
 
     Raises:
-        OutputError: a file cannot be written.
-        WriteError: writing failed half way.
+        ValueError: there are no failures.
     """
-    cells = sorted(found.failures, key=lambda cell: (abs(found.cells[cell].success - 0.5), cell))
-    for i, j in cells[:MOST]:
-        episode = found.failures[i, j]
-        record = EpisodeRecord.of(cell_config(config, found.axes, (i, j)), source, episode)
-        name = f"failure_map_{i}_{j}_{episode.episode}.json"
-        write_json(folder / name, record.model_dump(mode="json"))
-    return len(cells[:MOST])
-
-
-def failure_records(
-    scenes: Sequence[Scene], result: EvaluationResult
-) -> Iterator[tuple[str, EpisodeRecord]]:
-    """Yield the name of a file and the record of each failure that is recorded."""
-    names = scene_names([(c.terrain.plugin_name, Conditions.of(c)) for c, _ in scenes])
-    for (config, source), name, scene in zip(scenes, names, result.scenes, strict=False):
-        stem = "_".join(["failure", *re.findall(r"\w+", name)])
-        failures = [e for e in scene.episodes if not e.reached]
-        for episode in failures[:MOST]:
-            record = EpisodeRecord.of(config, source, episode)
-            yield f"{stem}_{episode.episode}.json", record
+    if not failures:
+        raise ValueError("there are no failures")
+    first = failures[0]
+    text = f"{first.controller} failed on {first.terrain}: {first.error}"
+    if len(failures) > 1:
+        text += f"; {len(failures) - 1} more failed"
+    return type(first.error)(f"{text}; all other results are complete")

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+_SHOWN = 12
+"""Largest number of scenes that the sentence names."""
+
 
 @dataclass(frozen=True)
 class Interruption:
@@ -21,7 +24,11 @@ class Interruption:
     def text(self) -> str:
         """One sentence for the user."""
         begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
-        return f"{begun}; not begun: {', '.join(self.not_begun)}" if self.not_begun else begun
+        if not self.not_begun:
+            return begun
+        more = len(self.not_begun) - _SHOWN
+        named = ", ".join(self.not_begun[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+        return f"{begun}; not begun: {named}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""

@@ -19,7 +19,7 @@ from flipperctl.evaluation.capability import CapabilityMap, Index, sample_cells
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
-from flipperctl.evaluation.scenes import Progress, no_progress
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 

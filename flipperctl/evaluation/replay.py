@@ -15,7 +15,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.digest import EpisodeDigest
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record
-from flipperctl.evaluation.scenes import Progress, no_progress
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
 

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from flipperctl.api import Outcome
+from flipperctl.evaluation import plain
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
+from flipperctl.evaluation.failures import Failure
 from flipperctl.evaluation.interruption import Interruption
+from flipperctl.evaluation.naming import NAMELESS, SceneName
 from flipperctl.evaluation.sensing import counts
 
 
@@ -127,18 +130,18 @@ class Summary:
             "success_rate": self.success_rate,
             "success": self.success.to_dict(),
             "outcomes": self.outcomes.to_dict(),
-            "t_cost": _data(self.t_cost),
-            "pitch_variation": _data(self.pitch_variation),
-            "pitch_variation_100hz": _data(self.pitch_variation_100hz),
-            "flipper_travel": _data(self.flipper_travel),
+            "t_cost": plain.data(self.t_cost),
+            "pitch_variation": plain.data(self.pitch_variation),
+            "pitch_variation_100hz": plain.data(self.pitch_variation_100hz),
+            "flipper_travel": plain.data(self.flipper_travel),
             **({"static_bound": self.static_bound.to_dict()} if self.static_bound else {}),
-            **{name: _data(found) for name, found in self.further.items()},
+            **{name: plain.data(found) for name, found in self.further.items()},
             **({"passable": self.passable.to_dict()} if self.passable else {}),
             "not_reached": self.not_reached.to_dict() if self.not_reached else None,
             "max_pitch": self.max_pitch.to_dict(),
             "return": self.episode_return.to_dict(),
             **({"search": dict(self.search)} if self.search else {}),
-            **_parts(self.parts),
+            **plain.parts(self.parts),
         }
 
 
@@ -163,11 +166,11 @@ class Differences:
         """Return plain data."""
         return {
             "success": self.success.to_dict(),
-            "t_cost": _data(self.t_cost),
-            "pitch_variation": _data(self.pitch_variation),
-            "pitch_variation_100hz": _data(self.pitch_variation_100hz),
-            **{name: _data(found) for name, found in self.further.items()},
-            **_parts(self.parts),
+            "t_cost": plain.data(self.t_cost),
+            "pitch_variation": plain.data(self.pitch_variation),
+            "pitch_variation_100hz": plain.data(self.pitch_variation_100hz),
+            **{name: plain.data(found) for name, found in self.further.items()},
+            **plain.parts(self.parts),
         }
 
 
@@ -201,7 +204,7 @@ class Group:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         ranges = {n: {"low": low, "high": high} for n, (low, high) in self.ranges.items()}
-        return {"drawn": ranges, **self.summary.to_dict(), **_baselines(self.baselines)}
+        return {"drawn": ranges, **self.summary.to_dict(), **plain.baselines(self.baselines)}
 
 
 @dataclass(frozen=True)
@@ -216,6 +219,8 @@ class SceneResult:
     conditions: Conditions
     baselines: tuple[BaselineResult, ...]
     episodes: tuple[EpisodeResult, ...]
+    name: SceneName = NAMELESS
+    """How the scene and the policy are called among several methods."""
     by: Mapping[str, tuple[Group, ...]] = field(default_factory=dict)
     """Groups of the episodes by a drawn number, such as ``steps``, or several (``steps+up``)."""
 
@@ -223,6 +228,11 @@ class SceneResult:
     def terrain(self) -> str:
         """Name of the terrain plugin."""
         return self.summary.terrain
+
+    @property
+    def method(self) -> str:
+        """Name of the policy for tables: that of its method with the training seed, if known."""
+        return self.name.method_text or self.controller
 
     @property
     def has_identical_episodes(self) -> bool:
@@ -246,8 +256,9 @@ class SceneResult:
             "seed": self.seed,
             "conditions": self.conditions.to_dict(),
             **({"failed_by": failed} if (failed := counts(self.episodes)) else {}),
-            **_baselines(self.baselines),
-            **({"by": _groups(self.by)} if self.by else {}),
+            **self.name.to_dict(),
+            **plain.baselines(self.baselines),
+            **({"by": plain.groups(self.by)} if self.by else {}),
         }
 
 
@@ -259,6 +270,8 @@ class EvaluationResult:
     """Scenes with a finished episode."""
     interruption: Interruption | None = None
     """None if every episode was played."""
+    failures: tuple[Failure, ...] = ()
+    """Policies, baselines and references that failed on a scene; their results are left out."""
 
     @property
     def controller(self) -> str:
@@ -271,29 +284,10 @@ class EvaluationResult:
         return {
             "controller": self.controller,
             **({} if stopped is None else stopped.to_dict()),
+            **({"failed": [f.to_dict() for f in self.failures]} if self.failures else {}),
             "scenes": [scene.to_dict() for scene in self.scenes],
         }
 
     def to_json(self) -> str:
         """Return the document of ``eval --json``."""
         return json.dumps(self.to_dict(), indent=2)
-
-
-def _data(interval: Interval | None) -> dict[str, Any] | None:
-    return None if interval is None else interval.to_dict()
-
-
-def _baselines(baselines: Sequence[BaselineResult]) -> dict[str, Any]:
-    """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
-    found = [baseline.to_dict() for baseline in baselines]
-    first = {"baseline": found[0]} if found else {}
-    return first | ({"baselines": found} if len(found) > 1 else {})
-
-
-def _groups(by: Mapping[str, Sequence[Group]]) -> dict[str, list[dict[str, Any]]]:
-    return {name: [group.to_dict() for group in groups] for name, groups in by.items()}
-
-
-def _parts(parts: Mapping[str, Summary] | Mapping[str, Differences]) -> dict[str, Any]:
-    """Return the entry ``parts``, or nothing if there are no parts."""
-    return {"parts": {label: p.to_dict() for label, p in parts.items()}} if parts else {}

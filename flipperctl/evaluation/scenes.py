@@ -7,35 +7,30 @@ the command line, reports and other programs; nothing is printed or written here
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import suppress
 from dataclasses import replace
+from itertools import repeat
 
 from flipperctl.config import EvalConfig
-from flipperctl.errors import InterruptedRunError
+from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.bounds import static_bounds, with_bounds
 from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.failures import Failure
 from flipperctl.evaluation.interruption import Interruption
+from flipperctl.evaluation.judging import NOT_A_POLICYS, Judge, Progress, no_progress
+from flipperctl.evaluation.naming import NAMELESS, SceneName
+from flipperctl.evaluation.ray_cells import play_over_ray
 from flipperctl.evaluation.results import BaselineResult, EvaluationResult, SceneResult
 from flipperctl.evaluation.sensing import causes
 from flipperctl.evaluation.statistics import differences, summarise
+from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 Scene = tuple[EvalConfig, PolicySource]
 """``config.eval`` holds the number of episodes and the seed."""
-Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
-"""Opens a progress display from a label and a number of episodes. Its context manager yields a
-function of the number of finished episodes, in which a search counts as a fraction of its episode.
-"""
-
-
-@contextmanager
-def no_progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
-    """Show nothing."""
-    yield lambda done: None
 
 
 def evaluate(
@@ -46,68 +41,107 @@ def evaluate(
     progress: Progress = no_progress,
     record: bool = False,
     stop: Callable[[], bool] = lambda: False,
+    store: EpisodeStore | None = None,
+    names: Sequence[SceneName] = (),
+    plan: Callable[[int], None] = lambda episodes: None,
 ) -> EvaluationResult:
     """Evaluate a policy on each scene, in as many processes as the scene asks for.
 
     ``baselines`` play the same episodes for comparison. ``references`` determine which episodes can
     be crossed at all: each tries those that no earlier one crossed, whatever the policy did.
     ``record``: whether the policy's results include decisions. Once ``stop``, called before each
-    episode, returns True, the evaluation ends with the finished episodes.
+    episode, returns True, the evaluation ends with the finished episodes. Episodes that the
+    ``store`` has are not played again; new ones are added to it. A policy that fails on a scene is
+    among the ``failures`` of the result, unless all fail. ``names``: one for each of the scenes of
+    several methods. ``plan`` is called once with the number of episodes that the store lacks.
 
     Raises:
-        FlipperctlError: a policy cannot be built or failed, or an episode killed its workers.
+        FlipperctlError: every policy cannot be built or failed, or an episode killed its workers.
         InterruptedRunError: it was stopped before any episode was finished.
+        OutputError, WriteError: the store cannot be written.
         ValueError: there are no scenes.
     """
     if not scenes:
         raise ValueError("an evaluation needs at least one scene")
+    results: list[SceneResult | None] = []
+    failures: list[Failure] = []
     with EpisodeWorkers(stop=stop) as workers:
-        results = [
-            _evaluate_scene(
-                _SceneEpisodes(config, workers, progress), s, baselines, references, record
-            )
-            for config, s in scenes
-        ]
+        judge = Judge(EpisodeStore() if store is None else store, workers, progress)
+        plan(_lacking(judge, scenes, baselines))
+        if scenes[0][0].eval.ray is not None and not record:
+            every = [(config, who) for config, source in scenes for who in (source, *baselines)]
+            play_over_ray(judge, every, stop)
+        for (config, source), name in zip(scenes, names or repeat(NAMELESS)):  # noqa: B905
+            scene = _SceneEpisodes(config, judge, failures)
+            found = _evaluate_scene(scene, source, baselines, references, record, name)
+            results.append(found)
+    finished = [result for result in results if result is not None]
+    if failures and not finished:
+        raise failures[0].error
     interruption = None
     if workers.interrupted:
-        interruption = _interruption([config for config, _ in scenes], results, 1 + len(baselines))
-    finished = [result for result in results if result is not None]
-    return EvaluationResult(tuple(_corrected(finished)), interruption)
+        interruption = _interruption(scenes, results, 1 + len(baselines))
+    return EvaluationResult(tuple(_corrected(finished)), interruption, tuple(failures))
+
+
+def _lacking(judge: Judge, scenes: Sequence[Scene], baselines: Sequence[PolicySource]) -> int:
+    """Return the number of episodes that the store lacks, without those of references."""
+    found: dict[tuple[str, int], None] = {}
+    for config, source in scenes:
+        for one in (source, *baselines):
+            with suppress(FlipperctlError):  # which judging raises again, where it is noted
+                key = judge.series(config, one).key
+                cells = judge.missing(config, one)
+                found |= dict.fromkeys((key, index) for cell in cells for index in cell)
+    return len(found)
 
 
 def _interruption(
-    configs: Sequence[EvalConfig], results: Sequence[SceneResult | None], players: int
+    scenes: Sequence[Scene], results: Sequence[SceneResult | None], players: int
 ) -> Interruption:
     """Return the finished and planned episodes of the policy and its baselines."""
-    planned = players * sum(config.eval.episodes for config in configs)
+    planned = players * sum(config.eval.episodes for config, _ in scenes)
+    names = [config.terrain.plugin_name for config, _ in scenes]
+    if any(source != scenes[0][1] for _, source in scenes):
+        names = [f"{who.label()} on {name}" for name, (_, who) in zip(names, scenes, strict=True)]
     finished = sum(result.finished for result in results if result is not None)
     if not finished:
         raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
-    pairs = zip(configs, results, strict=True)
-    missing = [config.terrain.plugin_name for config, result in pairs if result is None]
+    missing = [name for name, result in zip(names, results, strict=True) if result is None]
     return Interruption(finished, planned, tuple(missing))
 
 
 class _SceneEpisodes:
     """The episodes of a scene, played by several policies, and by equal ones only once."""
 
-    def __init__(self, config: EvalConfig, workers: EpisodeWorkers, progress: Progress) -> None:
+    def __init__(self, config: EvalConfig, judge: Judge, failures: list[Failure]) -> None:
+        """``failures`` takes each policy that fails on the scene."""
         self.config = config
         self.terrain = config.terrain.plugin_name
-        self._workers, self._progress = workers, progress
-        self._played: list[tuple[PolicySource, list[EpisodeResult]]] = []
+        self._judge, self._failures = judge, failures
 
     def play(
-        self, source: PolicySource, label: str, *, record: bool = False
+        self,
+        source: PolicySource,
+        label: str,
+        indices: Sequence[int] | None = None,
+        *,
+        record: bool = False,
+        config: EvalConfig | None = None,
     ) -> list[EpisodeResult]:
-        """Return all episodes of a policy, or the first ones if the workers were stopped."""
-        known = self._known(source)
-        if known is None:
-            known = play_scene(
-                self.config, source, label, self._workers, self._progress, record=record
-            )
-            self._played.append((source, known))
-        return known
+        """Return the episodes of a policy, or the first ones if the workers were stopped.
+
+        ``config``: another sensing of the same episodes. Those of a policy that fails are left
+        out: the rest would favour it.
+        """
+        try:
+            scene = self.config if config is None else config
+            return self._judge.judge(scene, source, label, indices, record=record)
+        except NOT_A_POLICYS:
+            raise
+        except FlipperctlError as error:
+            self._failures.append(Failure(source.label(), self.terrain, error))
+            return []
 
     def with_causes(
         self, source: PolicySource, episodes: Sequence[EpisodeResult]
@@ -116,20 +150,21 @@ class _SceneEpisodes:
 
         def again(config: EvalConfig, indices: Sequence[int]) -> list[EpisodeResult]:
             label = f"{self.terrain}, failed episodes again"
-            return play_scene(config, source, label, self._workers, self._progress, indices)
+            return self.play(source, label, indices, config=config)
 
         failed = [e for e in episodes if not e.reached]
-        found = {} if self._workers.interrupted else causes(self.config, failed, again)
+        found = {} if self._judge.workers.interrupted else causes(self.config, failed, again)
         known = {index: str(cause) for index, cause in found.items()}
         return [replace(e, failed_by=known.get(e.episode)) for e in episodes]
 
     def static_bounds(self, episodes: Sequence[EpisodeResult]) -> dict[int, float]:
         """Return the static bound of each episode by its seed, if it is asked for."""
-        if not self.config.eval.static_bound or self._workers.interrupted:
+        workers = self._judge.workers
+        if not self.config.eval.static_bound or workers.interrupted:
             return {}
-        with self._progress(f"{self.terrain}, static bounds", len(episodes)) as report:
+        with self._judge.progress(f"{self.terrain}, static bounds", len(episodes)) as report:
             seeds = [e.seed for e in episodes]
-            return static_bounds(self.config, seeds, report, self._workers.stop)
+            return static_bounds(self.config, seeds, report, workers.stop)
 
     def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
         """Return the first reference that crosses each episode, by index; empty if none does.
@@ -139,18 +174,13 @@ class _SceneEpisodes:
         found = dict.fromkeys(range(self.config.eval.episodes), "")
         for reference in references:
             name = reference.label()
-            left = [index for index, label in found.items() if not label]
-            played = self._known(reference)
+            played = self._judge.known(self.config, reference)
             if played is None:
+                left = [index for index, label in found.items() if not label]
                 label = f"{self.terrain}, {name} on episodes not crossed yet"
-                played = play_scene(
-                    self.config, reference, label, self._workers, self._progress, left
-                )
+                played = self.play(reference, label, left)
             found |= {e.episode: name for e in played if e.reached and not found[e.episode]}
-        return None if self._workers.interrupted else found
-
-    def _known(self, source: PolicySource) -> list[EpisodeResult] | None:
-        return next((episodes for who, episodes in self._played if who == source), None)
+        return None if self._judge.workers.interrupted else found
 
 
 def _evaluate_scene(
@@ -159,10 +189,12 @@ def _evaluate_scene(
     baselines: Sequence[PolicySource],
     references: Sequence[PolicySource],
     record: bool,
+    name: SceneName,
 ) -> SceneResult | None:
-    """Return the result of a scene; None if it was stopped before any episode was finished."""
+    """Return the result of a scene; None if no episode was finished before a stop or a failure."""
     terrain = scene.terrain
-    episodes = scene.play(source, terrain, record=record)
+    label = f"{terrain}, {name.method_text}" if name.method else terrain
+    episodes = scene.play(source, label, record=record)
     if not episodes:
         return None
     episodes = scene.with_causes(source, episodes)
@@ -179,6 +211,7 @@ def _evaluate_scene(
         Conditions.of(scene.config),
         tuple(compare(terrain, episodes, label, played) for label, played in others if played),
         tuple(episodes),
+        name,
     )
 
 
@@ -202,45 +235,3 @@ def compare(
     return BaselineResult(
         label, summarise(terrain, theirs), differences(ours, theirs), tuple(theirs)
     )
-
-
-def play_scene(
-    config: EvalConfig,
-    source: PolicySource,
-    label: str,
-    workers: EpisodeWorkers,
-    progress: Progress,
-    indices: Sequence[int] | None = None,
-    *,
-    record: bool = False,
-) -> list[EpisodeResult]:
-    """Let ``config.eval.jobs`` workers play the episodes at ``indices``, or all of them.
-
-    The progress is shown under the label. There are fewer results, and ``workers.interrupted`` is
-    set, if ``workers.stop`` returns True.
-    """
-    settings = config.eval
-    workers.use(settings.jobs)
-    chosen = range(settings.episodes) if indices is None else indices
-    results: list[EpisodeResult] = []
-    if chosen and workers.stop():
-        workers.interrupted = True
-        return results
-    with progress(label, len(chosen)) as report:
-
-        def search(fraction: float) -> None:
-            report(len(results) + fraction)
-
-        for result in play_episodes(
-            config,
-            source,
-            episodes=chosen,
-            seed=settings.seed,
-            workers=workers,
-            report_progress=search,
-            record=record,
-        ):
-            results.append(result)
-            report(len(results))
-    workers.interrupted |= len(results) < len(chosen)
-    return results

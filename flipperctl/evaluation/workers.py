@@ -82,10 +82,14 @@ class EpisodeWorkers:
             self._pool = WorkerPool(self.count, _use_one_thread, ())
         pool = self._pool
         waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
-        for index in indices:
-            if self.stop() and not waiting[0].done():
-                return
-            yield _result(pool, task, waiting.popleft(), index)
+        try:
+            for index in indices:
+                if self.stop() and not waiting[0].done():
+                    return
+                yield _result(pool, task, waiting.popleft(), index)
+        finally:  # after a failure, another policy's episodes come next
+            for job in waiting:
+                job.cancel()
 
     def use(self, count: int) -> None:
         """Change the number of processes; if it differs, running ones are stopped."""

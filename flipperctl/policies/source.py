@@ -61,7 +61,7 @@ class PolicySource:
         """Return the controllers that this policy is compared with by default."""
         if self.checkpoint is not None:
             return ()
-        return self._controller().baselines
+        return self.controller().baselines
 
     def robot(self) -> Robot | None:
         """Return the robot that a file's policy was made for; None for a controller plugin.
@@ -87,7 +87,7 @@ class PolicySource:
             PluginFailedError: the controller's code failed.
         """
         if self.checkpoint is None:
-            return controller_policy(self._controller(), config)
+            return controller_policy(self.controller(), config)
         if is_exported(self.checkpoint):
             return _exported(self.checkpoint, config)
         return _trained(self.checkpoint, config)
@@ -99,9 +99,14 @@ class PolicySource:
             CheckpointError: a file is missing or damaged.
         """
         if self.checkpoint is None:
-            yield from controller_notes(self._controller(), config)
+            yield from controller_notes(self.controller(), config)
 
-    def _controller(self) -> Controller:
+    def controller(self) -> Controller:
+        """Return the controller plugin, for a source without a file.
+
+        Raises:
+            ConfigError: there is no such controller, or its settings are not possible.
+        """
         found = resolver.create("controller", self.settings, "controller")
         assert isinstance(found, Controller)
         return found

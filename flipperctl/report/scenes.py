@@ -8,8 +8,9 @@ from pathlib import Path
 from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.files import picture_names
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.report.drawn_film import film_episode
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save

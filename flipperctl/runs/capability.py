@@ -14,9 +14,10 @@ from flipperctl.config.words import with_default
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.evaluation.axes import parse_axes
 from flipperctl.evaluation.capability import EPISODES, CapabilityMap
-from flipperctl.evaluation.failures import write_map_failures
+from flipperctl.evaluation.failed_episodes import write_map_failures
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.map_cells import capability_map
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_csv, write_json
 from flipperctl.runs.results import ResultFolder, result_folder
 

@@ -13,9 +13,12 @@ from pathlib import Path
 from flipperctl.checkpoint.recording import require_one_layout
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import files
-from flipperctl.evaluation.failures import write_failures
+from flipperctl.evaluation.failed_episodes import write_failures
+from flipperctl.evaluation.failures import error_of
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.results import EvaluationResult
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.evaluation.scenes import Scene
+from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, EpisodeStore, write_view
 from flipperctl.files import check_writable
 from flipperctl.runs.results import result_folder
 
@@ -35,7 +38,8 @@ class EvaluationFiles:
     ) -> None:
         """Check the outputs, and lock the folder until the ``stack`` is closed.
 
-        ``tell`` is called with a line for each output that was written.
+        ``tell`` is called with a line for each output that was written. The folder gets
+        a picture of each scene if there is one policy.
 
         Raises:
             RequestError: the film has several scenes, or the recording several observation layouts.
@@ -43,17 +47,26 @@ class EvaluationFiles:
             RunHeldError: another process is writing results into it.
         """
         self._scenes, self._tell = scenes, tell
+        several = any(source.label() != scenes[0][1].label() for _, source in scenes)
         self._film, self._record = film, record
         if film:
             _check_film(film, len(scenes))
         if record:
             check_writable(record)
+            if several:
+                raise RequestError(
+                    "--record takes one policy, without further ones (--baseline none)"
+                )
             require_one_layout(record, [config for config, _ in scenes])
-        self._pictures = files.picture_names([config for config, _ in scenes])
+        drawn = [] if several else [config for config, _ in scenes]
+        self._pictures = files.picture_names(drawn)
         self._folder = None
+        self.store = EpisodeStore()
+        """Episodes that are not played again: those below the folder, if there is one."""
         if folder is not None:
-            names = [*files.NAMES, *self._pictures]
+            names = [*files.NAMES, VIEW, *self._pictures]
             self._folder = stack.enter_context(result_folder(folder, "eval", names))
+            self.store = CellFolder(folder / FOLDER, tell)
 
     def write(self, result: EvaluationResult) -> None:
         """Write tables and recorded episodes.
@@ -75,10 +88,16 @@ class EvaluationFiles:
 
             self._folder.replace(write, later)
             names = "episodes.csv, summary.json, table.csv and table.tex"
+            write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
             if failures:
                 replay = f"flipperctl eval --replay {self._folder.path}/failure_….json"
                 self._tell(f"recorded {failures} failures; to play one again: {replay}")
+            if self.store.older:
+                self._tell(
+                    f"{self._folder.path / FOLDER}: another version of flipperctl played "
+                    f"{self.store.older} of these cells; another --output plays them again"
+                )
 
     def _write_recording(self, result: EvaluationResult) -> None:
         if self._record is not None:
@@ -95,15 +114,18 @@ class EvaluationFiles:
 
         Raises:
             InterruptedRunError: the evaluation or the drawing was interrupted.
-            FlipperctlError: a picture or the film could not be drawn or written.
+            FlipperctlError: a policy failed on a scene, or a picture or the film could not be drawn
+                or written.
         """
         if result.interruption is not None:
             raise InterruptedRunError(result.interruption.text)
+        if result.failures:
+            raise error_of(result.failures)
         pictures, film = self._draw_scenes, self._draw_film
         _attempt([lambda: pictures(stop, progress), lambda: film(stop, progress)])
 
     def _draw_scenes(self, stop: Callable[[], bool], progress: Progress) -> None:
-        if self._folder is None:
+        if self._folder is None or not self._pictures:
             return
         from flipperctl.report.scenes import draw_scenes
 

@@ -37,6 +37,17 @@ def require_one_policy(
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
+def only(checkpoints: Sequence[Path], option: str) -> Path | None:
+    """Return the only checkpoint, if there is one.
+
+    Raises:
+        RequestError: there are several, and ``option`` takes one.
+    """
+    if len(checkpoints) > 1:
+        raise RequestError(f"{option} takes one policy; --checkpoint is given several times")
+    return next(iter(checkpoints), None)
+
+
 def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
     """Refuse options that have no meaning beside ``option``; ``others`` has their values.
 
@@ -47,6 +58,14 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
         if value:
             name = name if name == "overrides" else f"--{name}"
             raise RequestError(f"{name}: no meaning beside {option}; leave it out")
+
+
+def require_policy(
+    checkpoints: Sequence[Path], controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that a policy is given; several are allowed. See ``require_one_policy``."""
+    if not checkpoints or controller is None:
+        require_one_policy(next(iter(checkpoints), None), controller, overrides)
 
 
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:

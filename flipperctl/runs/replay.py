@@ -10,8 +10,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.replay import Replay, replay
-from flipperctl.evaluation.scenes import Progress, no_progress
 from flipperctl.files import write_json
 from flipperctl.runs.results import ResultFolder, result_folder
 

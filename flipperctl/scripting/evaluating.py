@@ -86,6 +86,7 @@ def evaluate(
             progress=show,
             record=record is not None,
             stop=stop,
+            store=written.store,
         )
         result = grouped(result, groups)
         written.write(result)

@@ -27,7 +27,8 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress
+from flipperctl.evaluation.judging import Progress, no_progress
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds

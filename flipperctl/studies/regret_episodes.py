@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from flipperctl.config import EvalConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.judging import Progress, no_progress, play_scene
 from flipperctl.evaluation.returns import paying_terms
-from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.studies.regret import LEVEL, Played, SceneRegret, regret

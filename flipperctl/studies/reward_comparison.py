@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from flipperctl.api import RewardTerm
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.scenes import Progress, no_progress, play_scene
+from flipperctl.evaluation.judging import Progress, no_progress, play_scene
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.studies.ranking import SceneRanking, common_episodes, decide, measures, rank

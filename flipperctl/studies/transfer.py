@@ -18,8 +18,9 @@ from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import PairedSuccess
+from flipperctl.evaluation.judging import Progress, no_progress, play_scene
 from flipperctl.evaluation.results import Differences, Summary
-from flipperctl.evaluation.scenes import Progress, Scene, no_progress, play_scene
+from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.sensing import SensingCause, causes, on_true_ground
 from flipperctl.evaluation.statistics import differences, summarise
 from flipperctl.evaluation.workers import EpisodeWorkers

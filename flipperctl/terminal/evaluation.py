@@ -6,6 +6,7 @@ baseline.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 from flipperctl.api import Measure
@@ -49,12 +50,25 @@ def table(result: EvaluationResult, label: str) -> Table:
         *("largest pitch [rad]", "flipper travel [rad]"),
         *map(heading, further),
     ]
-    several = len({scene.controller for scene in result.scenes}) > 1
+    methods = has_methods(result)
+    if methods:
+        headings.insert(1, "method")
+    several = not methods and len({scene.controller for scene in result.scenes}) > 1
     found = Table(headings, title, words=["outcomes", _CAUSES])
 
-    def cells(name: str, summary: Summary, failed: Mapping[str, int] | None = None) -> list[str]:
+    def cells(
+        name: str,
+        summary: Summary,
+        failed: Mapping[str, int] | None = None,
+        method: str = "",
+    ) -> list[str]:
         return [
-            *(name, str(summary.episodes), interval_text(summary.success, 3)),
+            *(
+                name,
+                *((method,) if methods else ()),
+                str(summary.episodes),
+                interval_text(summary.success, 3),
+            ),
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
             *((_numbers(failed or {}),) if causes else ()),
@@ -68,12 +82,21 @@ def table(result: EvaluationResult, label: str) -> Table:
             *(interval_text(summary.further.get(m.plugin_name), m.digits) for m in further),
         ]
 
+    last = None
     for name, scene in _named(result):
+        if methods and last not in (None, name):
+            found.end_section()
+        last = name
         row = f"{name}, {scene.controller}" if several else name
-        found.add(*cells(row, scene.summary, counts(scene.episodes)))
+        found.add(*cells(row, scene.summary, counts(scene.episodes), scene.method))
         for part, summary in scene.summary.parts.items():
             found.add(*cells(f"  {part}", summary), dim=True)
     return found
+
+
+def has_methods(result: EvaluationResult) -> bool:
+    """Return whether the result is that of several methods, or of a suite."""
+    return any(scene.name.method for scene in result.scenes)
 
 
 def comparisons(result: EvaluationResult) -> Iterator[Table]:
@@ -133,9 +156,25 @@ def gap_cells(found: PairedSuccess) -> list[str]:
 
 
 def _named(result: EvaluationResult) -> Iterator[tuple[str, SceneResult]]:
-    """Yield each scene and its name."""
+    """Yield each scene and its name; those of several methods on equal episodes share it."""
+    if has_methods(result):
+        yield from zip(_shared_names(result), result.scenes, strict=True)
+        return
     names = scene_names([(scene.terrain, scene.conditions) for scene in result.scenes])
-    return zip(names, result.scenes, strict=True)
+    yield from zip(names, result.scenes, strict=True)
+
+
+def _shared_names(result: EvaluationResult) -> list[str]:
+    """Return the name of each scene: that within its suite, else its terrain and conditions."""
+    keys = [(s.name.scene, s.terrain, s.conditions.label) for s in result.scenes]
+    distinct = dict.fromkeys(keys)
+    terrains = Counter((scene, terrain) for scene, terrain, _ in distinct)
+    several = len({scene for scene, _, _ in distinct}) > 1
+    names = {}
+    for scene, terrain, label in distinct:
+        whole = terrain if terrains[scene, terrain] == 1 else f"{terrain}, {label}"
+        names[scene, terrain, label] = f"{whole}, {scene}" if several else whole
+    return [names[key] for key in keys]
 
 
 def _passable_cells(summary: Summary) -> list[str]:

@@ -41,6 +41,55 @@ def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None
         yield report
 
 
+class EvaluationProgress:
+    """Progress over all episodes of several policies: a bar on a terminal, else a line at times.
+
+    It is called as ``episodes_progress`` is, once for each policy on each scene.
+    """
+
+    def __init__(self, every: float = 30.0) -> None:
+        """``every``: least time between two lines [s]."""
+        self._every = every
+        self._total = self._done = 0
+        self._started = self._last = time.perf_counter()
+
+    def plan(self, total: int) -> None:
+        """Take the number of all episodes that are to be played."""
+        self._total = total
+        self._started = self._last = time.perf_counter()
+
+    def text(self, label: str, done: float) -> str:
+        """Return the state after ``done`` episodes of all."""
+        if done <= 0 or done >= self._total:
+            return f"{done:.0f} of {self._total} episodes, {label}"
+        left = (time.perf_counter() - self._started) * (self._total - done) / done
+        return f"{done:.0f} of {self._total} episodes, {left:.0f} s left, {label}"
+
+    @contextmanager
+    def __call__(self, label: str, episodes: int) -> Iterator[Callable[[float], None]]:
+        """Yield a function to call with the number of finished episodes under the label."""
+        before = self._done
+        console = Console(stderr=True)
+        with Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        ) as bar:
+            task = bar.add_task("", total=max(1, self._total), completed=before)
+
+            def report(done: float) -> None:
+                self._done = before + int(done)
+                text = self.text(label, before + done)
+                bar.update(task, completed=before + done, description=escape(text))
+                if not console.is_terminal and time.perf_counter() - self._last >= self._every:
+                    self._last = time.perf_counter()
+                    print(text, file=sys.stderr, flush=True)
+
+            yield report
+
+
 class Rate:
     """Decisions per second since this object was made, and the time that is left."""
 

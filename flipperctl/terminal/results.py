@@ -14,8 +14,12 @@ from flipperctl.terminal.streams import print_note
 
 def print_result(result: EvaluationResult, label: str | None) -> None:
     """Print the tables with the policy's ``label``, or the JSON document if ``label`` is None."""
+    told: set[str] = set()  # once for all methods
     for scene in result.scenes:
-        if scene.has_identical_episodes:
+        if scene.has_identical_episodes and not (
+            scene.name.method and scene.conditions.hash in told
+        ):
+            told.add(scene.conditions.hash)
             print_note(
                 f"{scene.terrain}: all {len(scene.episodes)} episodes are identical, since nothing "
                 "is random; their intervals are meaningless (episode.start_noise, "

@@ -27,7 +27,7 @@ def options() -> Iterator[tuple[str, ...]]:
 
 def test_the_options_of_all_subcommands_are_found() -> None:
     found = set(options())
-    assert {("eval", "--checkpoint"), ("train", "--resume"), ("inspect", "run", "--output")} < found
+    assert {("eval", "--controller"), ("train", "--resume"), ("inspect", "run", "--output")} < found
     assert all(words[-1] != "--plugins" for words in found)
 
 

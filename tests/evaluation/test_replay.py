@@ -8,9 +8,8 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
-from flipperctl.evaluation import failures
 from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
-from flipperctl.evaluation.failures import write_failures
+from flipperctl.evaluation.failed_episodes import write_failures
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.scenes import evaluate
 from flipperctl.policies.source import PolicySource
@@ -29,7 +28,7 @@ STEP = EvalConfig(
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("failures")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(failures, "MOST", 2)
+        patch.setattr(failed_episodes, "MOST", 2)
         assert write_failures(folder, [(STEP, LEVEL)], evaluate([(STEP, LEVEL)])) == 2
     return folder
 

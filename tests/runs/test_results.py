@@ -18,6 +18,8 @@ from tests.cli.call import Done, call
 
 PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
 TABLES = {"episodes.csv", "summary.json", "table.csv", "table.tex"}
+CELLS = {"cells", "cells.csv"}
+"""The episodes themselves, which no later evaluation removes."""
 
 
 def shown(folder: Path) -> set[str]:
@@ -50,13 +52,13 @@ def test_a_second_evaluation_leaves_no_file_of_the_first_and_all_of_the_users(
 ) -> None:
     assert call(*PLAY, "terrain=flat,step", cwd=tmp_path).code == 0
     out = tmp_path / "out"
-    assert shown(out) == {*TABLES, "flat.png", "step.png"}
+    assert shown(out) == {*TABLES, *CELLS, "flat.png", "step.png"}
     (out / "mine.png").write_bytes(b"mine")
     assert call("transfer", *PLAY[1:], "terrain=flat", "--json", cwd=tmp_path).code == 0
     before = (out / "flat.png").stat().st_mtime_ns
     done = call(*PLAY, "terrain=flat", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert shown(out) == {*TABLES, "flat.png", "mine.png", "transfer.json"}
+    assert shown(out) == {*TABLES, *CELLS, "flat.png", "mine.png", "transfer.json"}
     assert (out / "flat.png").stat().st_mtime_ns > before
     assert "step" not in (out / "table.csv").read_text()
 
@@ -79,7 +81,7 @@ def test_a_full_disk_leaves_the_earlier_files_as_they_were(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert call(*PLAY, "terrain=flat", cwd=tmp_path).code == 0
-    before = {p: p.read_bytes() for p in (tmp_path / "out").iterdir()}
+    before = {p: p.read_bytes() for p in (tmp_path / "out").iterdir() if p.is_file()}
 
     def full(path: Path, data: bytes) -> None:
         raise WriteError(f"{path}: writing failed half way (No space left on device)")
@@ -89,7 +91,8 @@ def test_a_full_disk_leaves_the_earlier_files_as_they_were(
     assert done.code == 1
     assert "step" in done.out
     assert done.err == "error: out/table.tex: writing failed half way (No space left on device)\n"
-    assert {p: p.read_bytes() for p in (tmp_path / "out").iterdir()} == before
+    after = {p: p.read_bytes() for p in (tmp_path / "out").iterdir() if p.is_file()}
+    assert after == before
 
 
 def test_a_full_disk_at_a_picture_costs_only_the_picture(
@@ -106,7 +109,7 @@ def test_a_full_disk_at_a_picture_costs_only_the_picture(
     done = call(*PLAY, "terrain=flat,step", "--record", "mine.safetensors", cwd=tmp_path)
     assert done.code == 1
     assert "reached 2" in done.out
-    assert shown(tmp_path / "out") == {*TABLES, "step.png"}
+    assert shown(tmp_path / "out") == {*TABLES, *CELLS, "step.png"}
     assert (tmp_path / "mine.safetensors").exists()
     (error,) = (line for line in done.err.splitlines() if line.startswith("error: "))
     assert "out/flat.png: writing failed half way (No space left on device)" in error
@@ -122,7 +125,7 @@ def test_the_table_is_there_before_the_film_is_drawn(
     done = call(*PLAY, "terrain=flat", "--film", "film.gif", cwd=tmp_path)
     assert done.code == 1
     assert "reached 2" in done.out
-    assert shown(tmp_path / "out") == {*TABLES, "flat.png"}
+    assert shown(tmp_path / "out") == {*TABLES, *CELLS, "flat.png"}
 
 
 def test_what_a_kill_leaves_is_replaced_whole(

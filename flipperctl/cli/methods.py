@@ -1,0 +1,128 @@
+"""The scenes of several methods, or of a suite, for ``eval``.
+
+In: overrides, methods and a suite. Out: a configuration, a policy's source and names for each
+method on each scene, scene by scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flipperctl.cli.scenes import scenes
+from flipperctl.config import EvalConfig, resolver
+from flipperctl.config.words import key_of
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.naming import SceneName
+from flipperctl.evaluation.scenes import Scene
+from flipperctl.policies.source import PolicySource
+from flipperctl.runs.inherited import Inherited, find_policy, read_config
+from flipperctl.runs.methods import Entrant
+from flipperctl.runs.suites import Suite, SuiteScene
+from flipperctl.terminal.streams import print_note
+
+_Composed = list[tuple[str, EvalConfig]]
+"""The name within the suite, and the configuration, of each scene."""
+
+
+@dataclass(frozen=True)
+class MethodScenes:
+    """What several methods play: scene by scene, with equal scenes of all methods together."""
+
+    scenes: list[Scene]
+    names: list[SceneName]
+
+
+def method_scenes(
+    words: Sequence[str],
+    entrants: Sequence[Entrant],
+    standing: Sequence[Entrant],
+    suite: Suite | None,
+) -> MethodScenes:
+    """Return the scenes of each entrant, and those of the ``standing`` controllers beside them.
+
+    A standing controller plays under the conditions of each entrant.
+
+    Raises:
+        CheckpointError: there is no such policy, or its observation layout differs.
+        ConfigError: an override is wrong.
+    """
+    parts = suite.scenes if suite else (SuiteScene("", ()),)
+    sections = [part.with_words(list(words)) for part in parts]
+    composer = _Composer([part.name for part in parts], sections)
+    found: dict[tuple[str, str, int, int], list[tuple[Scene, SceneName]]] = {}
+    several = {e.method for e in entrants if sum(o.method == e.method for o in entrants) > 1}
+
+    def add(entrant: Entrant, scene: str, config: EvalConfig, source: PolicySource) -> None:
+        numbers = config.eval.seed, config.eval.episodes
+        rows = found.setdefault((scene, Conditions.of(config).hash, *numbers), [])
+        seed = entrant.training_seed if entrant.method in several else None
+        if all(source != other for (_, other), _ in rows):
+            rows.append(((config, source), SceneName(scene, entrant.method, seed)))
+
+    for entrant in entrants:
+        for scene, config, source in composer.of(entrant):
+            add(entrant, scene, config, source)
+    beside = [(e, PolicySource.of_plugin(e.method, "--baseline")) for e in standing]
+    for rows in list(found.values()):
+        (config, _), name = rows[0]
+        if not any(key_of(word).startswith("rewards") for part in sections for word in part):
+            # As when they are asked for by name, so that the same cells serve.
+            config = config.model_copy(
+                update={"rewards": EvalConfig(terrain=config.terrain).rewards}
+            )
+        for entrant, source in beside:
+            add(entrant, name.scene, config, source)
+    every = [row for rows in found.values() for row in rows]
+    return MethodScenes([scene for scene, _ in every], [name for _, name in every])
+
+
+class _Composer:
+    """Composes the scenes of policies, once for those that inherit equal settings."""
+
+    def __init__(self, names: Sequence[str], sections: Sequence[Sequence[str]]) -> None:
+        self._names, self._sections = names, sections
+        self._known: list[tuple[Inherited | None, _Composed]] = []
+        self._told: set[str] = set()
+
+    def _tell(self, line: str) -> None:
+        """Print a line once, however many scenes it is about."""
+        if line not in self._told:
+            self._told.add(line)
+            print_note(line)
+
+    def of(self, entrant: Entrant) -> list[tuple[str, EvalConfig, PolicySource]]:
+        """Return the name, configuration and policy of each scene of an entrant."""
+        if entrant.run is None:
+            return self._of_controller(entrant.method)
+        file = find_policy(entrant.run, self._tell)
+        inherited = Inherited.of(read_config(file, [], lambda text: None))
+        known = next((found for who, found in self._known if who == inherited), None)
+        source = PolicySource(checkpoint=file)
+        if known is None:
+            known = [(name, config) for name, (config, _) in self._scenes(entrant.run, None)]
+            self._known.append((inherited, known))
+        else:
+            for _, config in known:
+                source.build(config)  # it raises before the first episode
+        return [(name, config, source) for name, config in known]
+
+    def _of_controller(self, controller: str) -> list[tuple[str, EvalConfig, PolicySource]]:
+        """Return the scenes of a controller; those without its own settings are composed once."""
+        own = any(word.startswith("controller.") for part in self._sections for word in part)
+        known = next((found for who, found in self._known if who is None), None)
+        if own or known is None:
+            made = self._scenes(None, controller)
+            if not own:
+                self._known.append((None, [(name, config) for name, (config, _) in made]))
+            return [(name, *scene) for name, scene in made]
+        settings = resolver.to_dict(resolver.create("controller", controller, "--controller"))
+        return [(name, config, PolicySource(settings=settings)) for name, config in known]
+
+    def _scenes(self, run: Path | None, controller: str | None) -> list[tuple[str, Scene]]:
+        return [
+            (name, scene)
+            for name, words in zip(self._names, self._sections, strict=True)
+            for scene in scenes(words, run, controller, self._tell)
+        ]

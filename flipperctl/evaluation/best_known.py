@@ -1,0 +1,80 @@
+"""The best of all stored policies on each scene, beside those that a call evaluates.
+
+In: a result, its scenes and a store. Out: the result with a further row for each scene on which
+another stored policy is better than all that were evaluated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.cells import ground
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.naming import SceneName
+from flipperctl.evaluation.results import EvaluationResult, SceneResult
+from flipperctl.evaluation.scenes import Scene
+from flipperctl.evaluation.statistics import summarise
+from flipperctl.evaluation.store import CellFolder, EpisodeStore
+
+BEST_KNOWN = "best known"
+
+
+def with_best_known(
+    result: EvaluationResult, scenes: Sequence[Scene], store: EpisodeStore
+) -> EvaluationResult:
+    """Return the result with a row for the best stored policy, after the rows of each scene.
+
+    The best has the highest success, and of those the smallest mean θ̂_R of the episodes that
+    reached the finish. It must have every episode of the scene, with the same seed. There is no row
+    where one of the evaluated policies is the best, or without a folder of cells.
+    """
+    if not isinstance(store, CellFolder):
+        return result
+    configs = {_key(config, Conditions.of(config)): config for config, _ in scenes}
+    found: list[SceneResult] = []
+    for _, rows in groupby(result.scenes, lambda one: (one.name.scene, one.conditions.hash)):
+        together = list(rows)
+        first = together[0]
+        config = configs.get((first.terrain, first.conditions.hash, first.seed))
+        best = None if config is None else _best(config, first.name.scene, store)
+        found += together
+        if best is not None and all(_rank(best.episodes) > _rank(o.episodes) for o in together):
+            found.append(best)
+    return replace(result, scenes=tuple(found))
+
+
+def _key(config: EvalConfig, conditions: Conditions) -> tuple[str, str, int]:
+    return config.terrain.plugin_name, conditions.hash, config.eval.seed
+
+
+def _best(config: EvalConfig, scene: str, store: CellFolder) -> SceneResult | None:
+    """Return the best stored policy with all episodes of a configuration; None if there is none."""
+    complete = [
+        (label, [episodes[index] for index in range(config.eval.episodes)])
+        for label, episodes in store.stored_on(ground(config))
+        if all(index in episodes for index in range(config.eval.episodes))
+    ]
+    if not complete:
+        return None
+    label, episodes = max(complete, key=lambda one: _rank(one[1]))
+    return SceneResult(
+        label,
+        summarise(config.terrain.plugin_name, episodes),
+        config.eval.seed,
+        Conditions.of(config),
+        (),
+        tuple(episodes),
+        SceneName(scene, f"{BEST_KNOWN} ({label})"),
+    )
+
+
+def _rank(episodes: Sequence[EpisodeResult]) -> tuple[float, float]:
+    """Return what orders policies on equal episodes, the best last."""
+    reached = [e.pitch_variation_100hz for e in episodes if e.reached]
+    if not reached:
+        return 0.0, float("-inf")
+    return len(reached) / len(episodes), -sum(reached) / len(reached)

@@ -1,0 +1,83 @@
+"""What identifies a policy wherever its file lies: its content and the seed of its training.
+
+In: a policy's source. Out: a SHA-256 that is equal for equal policies, and a name for tables.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flipperctl.api import Controller
+from flipperctl.checkpoint import find, read
+from flipperctl.config import identity
+from flipperctl.config.identity import content_digest, foreign_sources
+from flipperctl.errors import CheckpointError
+from flipperctl.policies.abilities import PolicyUser, ValueUser
+from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.source import PolicySource
+
+
+@dataclass(frozen=True)
+class PolicyIdentity:
+    """A policy as its results know it."""
+
+    label: str
+    """Name for tables; two names may stand for one policy."""
+    digest: str
+    """SHA-256 of a file's bytes, or of a controller's name, settings and files. The source of a
+    plugin that is not part of flipperctl is included."""
+    training_seed: int | None
+    """Seed of the training; None for a controller plugin."""
+
+    @classmethod
+    def of(cls, source: PolicySource) -> PolicyIdentity:
+        """Return the identity of a policy.
+
+        Raises:
+            CheckpointError: a file is missing or damaged.
+            PolicyError: the exported file is damaged.
+            ConfigError: there is no such controller, or its settings are not possible.
+        """
+        if source.checkpoint is None:
+            return cls(source.label(), _of_controller(source.controller()), None)
+        file = source.checkpoint
+        if is_exported(file):
+            digest, seed = content_digest(file), ExportedPolicy(file).interface.seed
+            return cls(source.label(), _required(file, digest), seed)
+        config = read(file).policy_config()
+        digest = _required(file, content_digest(file))
+        if sources := foreign_sources([config.network]):  # its code acts as well
+            digest = _digest([digest, *sources])
+        return cls(source.label(), digest, config.seed)
+
+
+def _of_controller(controller: Controller) -> str:
+    document: dict[str, Any] = identity(controller)
+    for name, named in _policies(controller):  # their content counts, not their place
+        document["settings"].pop(name, None)
+        file = find(Path(named))
+        document[name] = _required(file, content_digest(file))
+    return _digest([document, *foreign_sources([controller])])
+
+
+def _policies(controller: Controller) -> Iterator[tuple[str, str]]:
+    """Yield each setting that names a policy's file, and its value."""
+    if isinstance(controller, PolicyUser) and controller.policy:
+        yield "policy", controller.policy
+    if isinstance(controller, ValueUser) and controller.value:
+        yield "value", controller.value
+
+
+def _required(file: Path, digest: str | None) -> str:
+    if digest is None:
+        raise CheckpointError(f"{file} cannot be read")
+    return digest
+
+
+def _digest(document: object) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,128 @@
+"""The methods of one evaluation: controllers, and policies that differ in their training seeds.
+
+In: names of controllers, and runs, files or folders of sweeps. Out: methods in the order in which
+they were given, each with its policies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flipperctl import checkpoint as checkpoints
+from flipperctl.config import resolver
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.policies.exported import ExportedPolicy, is_exported
+
+STANDING = ("level", "okada")
+"""Controllers that stand in a table of several methods unless others are named."""
+_PLACES = ("seed", "device", "collector", "logger")
+"""Settings in which the trainings of one method may differ."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A policy of an evaluation of several."""
+
+    method: str
+    """Name of the method; policies of equal methods differ in their training seeds."""
+    run: Path | None = None
+    """A run, a file or a shipped policy; None for a controller."""
+    training_seed: int | None = None
+    """Seed of the training; None for a controller."""
+
+
+def entrants(
+    given: Sequence[Path], controllers: str | None, tell: Callable[[str], None]
+) -> list[Entrant]:
+    """Return the policies of all methods, each once.
+
+    A folder with the runs of a sweep stands for them all: for one method, if they differ in their
+    seeds alone. ``tell`` is called with a line for each run that has no checkpoint.
+
+    Raises:
+        RequestError: a name is empty, or a folder has no run with a checkpoint.
+        ConfigError: there is no such controller.
+        CheckpointError: a checkpoint is missing or damaged.
+    """
+    found: dict[Entrant, None] = {}
+    for path in given:
+        found |= dict.fromkeys(_of_path(path, tell))
+    names = [] if controllers is None else [name.strip() for name in controllers.split(",")]
+    if not all(names):
+        raise RequestError(f"--controller: names between commas are allowed; got {controllers!r}")
+    for name in names:
+        resolver.get("controller", name, "--controller")
+        found[Entrant(name)] = None
+    return list(found)
+
+
+def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
+    """Return the controllers that stand beside the methods; ``baseline`` names others, or none.
+
+    Raises:
+        RequestError: a name is empty.
+        ConfigError: there is no such controller.
+    """
+    if baseline == "none":
+        return []
+    names = STANDING if baseline is None else tuple(baseline.split(","))
+    if not all(names):
+        text = f"names between commas, or none, are allowed; got {baseline!r}"
+        raise RequestError(f"--baseline: {text}")
+    for name in names:
+        resolver.get("controller", name.strip(), "--baseline")
+    return [e for e in (Entrant(name.strip()) for name in names) if e not in present]
+
+
+def runs_below(folder: Path) -> list[Path]:
+    """Return the runs in a folder of a sweep; none for a run, a file or any other folder."""
+    if not folder.is_dir() or _holds_checkpoint(folder):
+        return []
+    inner = sorted((f for f in folder.iterdir() if f.is_dir()), key=_number)
+    return inner if any(map(_holds_checkpoint, inner)) else []
+
+
+def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
+    runs = runs_below(path)
+    if not runs:
+        file = checkpoints.find(path)
+        yield Entrant(str(path), path, _trained(file)[0])
+        return
+    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    for run in runs:
+        if not (run / "config.yaml").exists() and not _holds_checkpoint(run):
+            continue  # no run at all
+        try:
+            seed, settings = _trained(checkpoints.find(run))
+        except FlipperctlError as error:
+            tell(f"{run} is left out: {error}")
+            continue
+        groups.setdefault(repr(settings), []).append((run, seed))
+    if not groups:
+        raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
+    for members in groups.values():
+        name = str(path) if len(groups) == 1 else str(members[0][0])
+        for run, seed in members:
+            yield Entrant(name, run, seed)
+
+
+def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
+    """Return the seed of a training, and the settings that name its method."""
+    if is_exported(file):
+        return ExportedPolicy(file).interface.seed, {"file": str(file)}
+    config = checkpoints.read(file).policy_config()
+    plain = resolver.to_dict(config)
+    return config.seed, {name: value for name, value in plain.items() if name not in _PLACES}
+
+
+def _holds_checkpoint(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (checkpoints.BEST, checkpoints.LAST))
+
+
+def _number(run: Path) -> tuple[int, str]:
+    """Order runs by the number with which their names begin."""
+    first = run.name.partition("_")[0]
+    return (int(first) if first.isdigit() else 2**31, run.name)

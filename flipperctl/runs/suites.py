@@ -1,0 +1,136 @@
+"""Suites: named lists of scenes, on which any method is evaluated with one command.
+
+In: a name, or a file in YAML. Out: the suite's scenes, each with the overrides that make it.
+"""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from flipperctl import plugins
+from flipperctl.config.words import check_words, key_of
+from flipperctl.errors import ConfigError
+from flipperctl.messages import close_match
+
+_SUFFIX = ".yaml"
+_ALLOWED = (
+    "about: TEXT and scenes: {NAME: OVERRIDES} are allowed, as in scenes: {low: sim.friction=0.6}"
+)
+
+
+@dataclass(frozen=True)
+class SuiteScene:
+    """A scene of a suite, or several, if its overrides have lists."""
+
+    name: str
+    words: tuple[str, ...]
+    """Overrides, ``key=value``."""
+
+    def with_words(self, words: list[str]) -> list[str]:
+        """Return the overrides, of which the user's ``words`` replace those of the same keys."""
+        typed = {key_of(word) for word in words}
+        return [*(word for word in self.words if key_of(word) not in typed), *words]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Scenes that are evaluated together."""
+
+    name: str
+    about: str
+    scenes: tuple[SuiteScene, ...]
+
+
+def shipped_suites() -> dict[str, Traversable]:
+    """Return the files of the suites that come with flipperctl, by name."""
+    folder = files("flipperctl.configs.suite")
+    found = sorted(folder.iterdir(), key=lambda file: file.name)
+    return {f.name.removesuffix(_SUFFIX): f for f in found if f.name.endswith(_SUFFIX)}
+
+
+def plugin_suites() -> dict[str, Path]:
+    """Return the suites of plugins by name: the files in ``suite`` beside each plugin.
+
+    Raises:
+        ConfigError: two suites have the same name.
+    """
+    found: dict[str, Path] = {}
+    for folder in plugins.folders():
+        for file in sorted((folder / "suite").glob(f"*{_SUFFIX}")):
+            other = found.setdefault(file.stem, file)
+            if file.stem in shipped_suites():
+                raise ConfigError(f"suite: {file} has the name of a suite of flipperctl; rename it")
+            if other != file:
+                raise ConfigError(f"suite: {other} and {file} have the same name; rename one")
+    return found
+
+
+def find_suite(name: str) -> Suite:
+    """Return a suite by its name, or from a file.
+
+    Raises:
+        ConfigError: there is no such suite, or the file is no suite.
+    """
+    shipped, others = shipped_suites(), plugin_suites()
+    if name in shipped:
+        return _parse(name, shipped[name].read_text())
+    if name not in others and not name.endswith((_SUFFIX, ".yml")):
+        known = [*shipped, *others]
+        raise ConfigError(
+            f"suite: there is no suite {name!r}{close_match(name, known)}; known: "
+            f"{', '.join(known)}, or a file as in suite=mine.yaml"
+        )
+    file = others.get(name, Path(name))
+    try:
+        return _parse(file.stem, file.read_text(encoding="utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"suite: {file} cannot be read: {error}") from error
+
+
+def _parse(name: str, text: str, file: str | None = None) -> Suite:
+    where = f"suite {file or name}"
+    try:
+        document: Any = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{where} is not YAML: {' '.join(str(error).split())}") from error
+    scenes = document.get("scenes") if isinstance(document, dict) else None
+    if not isinstance(scenes, dict) or not scenes or not set(document) <= {"about", "scenes"}:
+        raise ConfigError(f"{where}: {_ALLOWED}")
+    return Suite(
+        name,
+        str(document.get("about", "")),
+        tuple(_scene(where, str(scene), words) for scene, words in scenes.items()),
+    )
+
+
+def _scene(where: str, name: str, overrides: object) -> SuiteScene:
+    if not isinstance(overrides, str):
+        raise ConfigError(f"{where}: scenes.{name}: {_ALLOWED}; the value is {overrides!r}")
+    try:
+        words = shlex.split(overrides)
+        check_words(words)
+    except (ValueError, ConfigError) as error:
+        raise ConfigError(f"{where}: scenes.{name}: {error}") from error
+    return SuiteScene(name, tuple(words))
+
+
+def split_suite(words: list[str]) -> tuple[Suite | None, list[str]]:
+    """Return the suite that ``suite=NAME`` among the words chooses, and the other words.
+
+    Raises:
+        ConfigError: there is no such suite, or several are given.
+    """
+    chosen = [word for word in words if key_of(word) == "suite" and "=" in word]
+    if not chosen:
+        return None, words
+    if len(chosen) > 1:
+        raise ConfigError(f"suite is given twice: {chosen[0]} and {chosen[1]}; one is allowed")
+    name = chosen[0].partition("=")[2]
+    return find_suite(name), [word for word in words if word != chosen[0]]

@@ -1,0 +1,175 @@
+"""``eval`` of several policies: one table, the same episodes, and only what is not there yet."""
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.api import Policy
+from flipperctl.cli.methods import method_scenes
+from flipperctl.config import EnvConfig, EvalConfig
+from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.policies.source import PolicySource
+from flipperctl.runs.methods import entrants
+from tests.cli.call import Done, call
+
+FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """The number of episodes that each policy plays."""
+    found: Counter[str] = Counter()
+    play, build = EpisodeRunner.play, PolicySource.build
+    newest: list[str] = []
+
+    def noted(self: PolicySource, config: EnvConfig) -> Policy:
+        newest.append(self.label())
+        return build(self, config)
+
+    def counted(self: EpisodeRunner, index: int) -> EpisodeResult:
+        found[newest[-1]] += 1
+        return play(self, index)
+
+    monkeypatch.setattr(PolicySource, "build", noted)
+    monkeypatch.setattr(EpisodeRunner, "play", counted)
+    return found
+
+
+CLIMBER = """
+from flipperctl.api import Controller, Perception, controller
+
+@controller("climber")
+class Climber(Controller):
+    \"\"\"Raises both pairs.\"\"\"
+
+    def act(self, p: Perception) -> int:
+        return 8
+"""
+
+
+def methods(done: Done) -> list[str]:
+    assert done.code == 0, done.err
+    return [scene["method"] for scene in json.loads(done.out)["scenes"]]
+
+
+def test_a_further_controller_is_the_only_one_that_plays(
+    tmp_path: Path, played: Counter[str]
+) -> None:
+    done = call("eval", "--controller", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
+    assert methods(done) == ["random", "okada", "level"]
+    assert played == {"random": 3, "okada": 3, "level": 3}
+    one = json.loads(done.out)["scenes"][1]
+    alone = json.loads(call("eval", "--controller", "okada", *FLAT, cwd=tmp_path).out)["scenes"][0]
+    assert {key: one[key] for key in alone} == alone
+    with (tmp_path / "out" / "episodes.csv").open(newline="") as file:
+        seeds = [row["seed"] for row in csv.DictReader(file)]
+    assert seeds[:3] == seeds[3:6] == seeds[6:]
+
+    played.clear()
+    (tmp_path / "climber.py").write_text(CLIMBER)
+    more = ("eval", "--controller", "okada,climber", "--plugins", "climber.py", *FLAT)
+    done = call(*more, "--output", "out", cwd=tmp_path)
+    assert methods(done) == ["okada", "climber", "level"]
+    assert played == {"climber": 3}
+    played.clear()
+    done = call(*more, "--baseline", "none", "--output", "out", cwd=tmp_path)
+    assert methods(done) == ["okada", "climber"]
+    assert not played
+
+
+def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None:
+    step = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "2")
+    suite = tmp_path / "mine.yaml"
+    suite.write_text(f"scenes: {{one: '{' '.join(step[:3])}'}}\n")
+    to = ("--output", "out")
+    done = call("eval", "--controller", "okada", *step, *to, cwd=tmp_path)
+    assert done.code == 0, done.err
+    suited = ("eval", "suite=mine.yaml", "--controller", "random", "--baseline", "level")
+    done = call(*suited, *step[3:], *to, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "suite mine: random" in done.out
+    assert "best known (okada)" in done.out
+
+
+def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = checkpoint.read(checkpoint.shipped_policies()["generalist"])
+    for number, seed in enumerate((4, 9)):
+        file = tmp_path / "sweep" / f"{number}_seed={seed}" / checkpoint.BEST
+        file.parent.mkdir(parents=True)
+        document = shipped.document.model_copy(
+            update={"config": shipped.document.config.model_copy(update={"seed": seed})}
+        )
+        checkpoint.write(file, document, shipped.tensors)
+    (tmp_path / "sweep" / "2_seed=1" / "checkpoints").mkdir(parents=True)
+    (tmp_path / "sweep" / "2_seed=1" / "config.yaml").write_text("")
+    told: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    found = entrants([Path("sweep"), Path("generalist")], "okada", told.append)
+    own = shipped.document.config.seed
+    assert [(e.method, e.training_seed) for e in found] == [
+        ("sweep", 4),
+        ("sweep", 9),
+        ("generalist", own),
+        ("okada", None),
+    ]
+    assert [line.partition(":")[0] for line in told] == ["sweep/2_seed=1 is left out"]
+    monkeypatch.setattr(
+        "flipperctl.cli.methods._Composer.of",
+        lambda composer, e: [("", EvalConfig(terrain="flat"), PolicySource(e.run))],
+    )
+    names = method_scenes([], found[:2], [], None).names
+    assert [name.method_text for name in names] == ["sweep, seed 4", "sweep, seed 9"]
+    assert names[1].to_dict() == {"method": "sweep", "training_seed": 9}
+
+
+def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build = PolicySource.build
+
+    def failing(self: PolicySource, config: EnvConfig) -> Policy:
+        if self.label() == "random":
+            raise CheckpointError("random: gone")
+        return build(self, config)
+
+    monkeypatch.setattr(PolicySource, "build", failing)
+    files = ("--controller", "random,okada")
+    done = call("eval", *files, *FLAT, "--output", "out", cwd=tmp_path)
+    assert done.code == CheckpointError.exit_code
+    error = "error: random failed on flat: random: gone; all other results are complete"
+    assert done.err.splitlines()[-1] == error
+    document = json.loads(done.out)
+    assert [scene["method"] for scene in document["scenes"]] == ["okada", "level"]
+    assert document["failed"] == [
+        {"controller": "random", "terrain": "flat", "error": "random: gone"}
+    ]
+    monkeypatch.setattr(PolicySource, "build", build)
+    again = call("eval", *files, *FLAT, "--output", "out", cwd=tmp_path)
+    assert methods(again) == ["random", "okada", "level"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--controller", "okada,"], "--controller: names between commas"),
+        (["--controller", "okada,levle"], "did you mean 'level'?"),
+        (["--controller", "okada,level", "--baseline", ",x"], "--baseline: names between commas"),
+        (["--controller", "okada,level", "--record", "e.safetensors"], "--record takes one policy"),
+        (["--controller", "okada,level", "--film", "e.gif"], "--film shows one scene"),
+        (["--controller", "okada", "suite=familes"], "did you mean 'families'?"),
+        (["suite=families"], "give either --checkpoint"),
+    ],
+)
+def test_a_wrong_request_is_one_line(tmp_path: Path, words: list[str], expected: str) -> None:
+    done = call("eval", *words, *([] if "suite" in words[-1] else ["terrain=flat"]), cwd=tmp_path)
+    assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1), done.err
+    assert expected in done.err
+    assert list(tmp_path.iterdir()) == []

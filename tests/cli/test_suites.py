@@ -1,0 +1,104 @@
+"""Every shipped suite composes for controllers and for policies of files."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.methods import MethodScenes, method_scenes
+from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.runs.methods import Entrant
+from flipperctl.runs.suites import find_suite, shipped_suites, split_suite
+
+
+def composed(name: str, *words: str) -> MethodScenes:
+    return method_scenes(list(words), [Entrant("okada")], [Entrant("level")], find_suite(name))
+
+
+def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:
+    """Without Hydra, which takes ten times as long."""
+    assert list(shipped_suites()) == ["families", "held_out", "numerics", "paper", "robustness"]
+    for name in shipped_suites():
+        hashes = []
+        for scene in find_suite(name).scenes:
+            for chosen in Overrides.parse(scene.words).combinations():
+                groups = {key: chosen.choice(key) for key in ("terrain", "sim", "conditions")}
+                plain = {k: v for k, v in chosen.values().items() if k not in groups}
+                named = {key: choice for key, choice in groups.items() if choice}
+                found = with_overrides(EvalConfig(**named), plain)
+                assert isinstance(found, EvalConfig)
+                number = found.eval.episodes if name == "paper" else 0
+                hashes.append((Conditions.of(found).hash, number, groups["conditions"]))
+        assert len(set(hashes)) == len(hashes) >= 9, name
+
+
+def test_methods_stand_scene_by_scene() -> None:
+    made = composed("families", "terrain=step,flat")
+    names = [config.terrain.plugin_name for config, _ in made.scenes]
+    assert names == ["step", "step", "flat", "flat"]
+    assert [name.method for name in made.names] == ["okada", "level"] * 2
+    assert {name.scene for name in made.names} == {"families"}
+
+
+def test_overrides_replace_those_of_the_suite() -> None:
+    made = composed("families", "terrain=flat", "eval.episodes=3")
+    assert [config.terrain.plugin_name for config, _ in made.scenes] == ["flat", "flat"]
+    assert {config.eval.episodes for config, _ in made.scenes} == {3}
+
+
+def test_a_suite_of_ones_own(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("scenes:\n  low: terrain=flat sim.friction=0.6\n  high: terrain=flat\n")
+    suite, rest = split_suite([f"suite={file}", "eval.seed=3"])
+    assert suite is not None
+    assert (suite.name, [scene.name for scene in suite.scenes], rest) == (
+        "mine",
+        ["low", "high"],
+        ["eval.seed=3"],
+    )
+
+
+def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder / "suite").mkdir(parents=True)
+        monkeypatch.setenv(plugins.VARIABLE, str(tmp_path / folder))
+        file = tmp_path / folder / "suite" / "mine.yaml"
+        file.write_text(f"about: of {folder}\nscenes: {{low: terrain=flat}}\n")
+        assert find_suite("mine").about == f"of {folder}"
+    monkeypatch.setenv(plugins.VARIABLE, os.pathsep.join(str(tmp_path / n) for n in "ab"))
+    with pytest.raises(ConfigError, match="have the same name; rename one"):
+        find_suite("mine")
+    file.rename(file.with_name("paper.yaml"))
+    with pytest.raises(ConfigError, match="has the name of a suite of flipperctl"):
+        find_suite("mine")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("scenes: []", "about: TEXT and scenes"),
+        ("scene: {a: terrain=flat}", "about: TEXT and scenes"),
+        ("scenes: {a: [terrain=flat]}", "scenes.a: about: TEXT"),
+        ("scenes: {a: flat}", "scenes.a: 'flat' is no override"),
+        ("scenes: {a: 'x", "is not YAML"),
+    ],
+)
+def test_a_file_that_is_no_suite_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=expected) as refused:
+        find_suite(str(file))
+    assert str(file) in str(refused.value)
+
+
+def test_an_unknown_suite_is_named_with_a_close_match() -> None:
+    with pytest.raises(ConfigError, match="no suite 'robustnes'; did you mean 'robustness'"):
+        find_suite("robustnes")
+    with pytest.raises(ConfigError, match=r"gone\.yaml cannot be read"):
+        find_suite("gone.yaml")
+    with pytest.raises(ConfigError, match="suite is given twice"):
+        split_suite(["suite=paper", "suite=families"])

@@ -1,0 +1,237 @@
+"""Cells in a folder: written whole, read back bit for bit, never played twice."""
+
+import csv
+import json
+import os
+import signal
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from flipperctl import files
+from flipperctl.api import Policy
+from flipperctl.checkpoint import shipped_policies
+from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.errors import PluginFailedError, WriteError
+from flipperctl.evaluation.cells import Series, cut
+from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.scenes import evaluate
+from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, write_view
+from flipperctl.policies.identity import PolicyIdentity
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout import ray_cluster
+
+LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
+
+
+def config(episodes: int = 5, terrain: str = "flat", **more: object) -> EvalConfig:
+    """A scene whose cells have two episodes."""
+    numbers = {"episodes": episodes, "seed": 4, "cell": 2, **more}
+    return EvalConfig(terrain={"name": terrain, "length": 0.2}, eval=numbers)
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The indices of the episodes that are played."""
+    found: list[int] = []
+    play = EpisodeRunner.play
+
+    def counted(self: EpisodeRunner, index: int) -> EpisodeResult:
+        found.append(index)
+        return play(self, index)
+
+    monkeypatch.setattr(EpisodeRunner, "play", counted)
+    return found
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def test_cells_end_at_multiples_and_at_gaps() -> None:
+    assert list(cut([0, 1, 2, 3, 4], 2)) == [[0, 1], [2, 3], [4]]
+    assert list(cut([1, 2, 3, 7, 9, 10], 4)) == [[1, 2, 3], [7], [9, 10]]
+    assert list(cut([], 4)) == []
+
+
+def test_more_episodes_play_only_the_further_ones(tmp_path: Path, played: list[int]) -> None:
+    first = evaluate([(config(3), OKADA)], store=CellFolder(tmp_path))
+    assert played == [0, 1, 2]
+    again = evaluate([(config(3), OKADA)], store=CellFolder(tmp_path))
+    assert played == [0, 1, 2]
+    assert again == first
+    longer = evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+    assert played == [0, 1, 2, 3, 4]
+    assert longer.scenes[0].episodes[:3] == first.scenes[0].episodes
+    assert longer == evaluate([(config(5), OKADA)])
+    ends = sorted(name.split(".")[-2] for name in contents(tmp_path))
+    assert ends == ["000000-000001", "000002-000002", "000003-000003", "000004-000004"]
+
+
+def test_another_policy_or_other_conditions_are_other_cells(
+    tmp_path: Path, played: list[int]
+) -> None:
+    def judged(changed: dict[str, object], who: PolicySource = LEVEL) -> int:
+        played.clear()
+        chosen = with_overrides(config(1), changed)
+        assert isinstance(chosen, EvalConfig)
+        evaluate([(chosen, who)], store=CellFolder(tmp_path))
+        return len(played)
+
+    assert judged({}) == 1
+    assert judged({"eval.jobs": 2}) == 0
+    assert [judged({}, OKADA), judged({}, OKADA)] == [1, 0]
+    for changed in ({"sim.friction": 0.7}, {"eval.seed": 5}, {"rewards.end.weight": 2.0}):
+        assert [judged(dict(changed)), judged(dict(changed))] == [1, 0]
+
+
+def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
+    shipped = PolicySource(checkpoint=shipped_policies()["generalist"])
+    assert shipped.checkpoint is not None
+    copy = tmp_path / "mine.safetensors"
+    copy.write_bytes(shipped.checkpoint.read_bytes())
+    one, other = PolicyIdentity.of(shipped), PolicyIdentity.of(PolicySource(checkpoint=copy))
+    assert (one.digest, one.training_seed) == (other.digest, other.training_seed)
+    assert one.training_seed is not None
+
+
+class FakeRay:
+    """Ray's calls, answered in this process, the newest task first."""
+
+    exceptions = SimpleNamespace(RayError=RuntimeError)
+
+    def __init__(self) -> None:
+        self.tasks: list[Callable[[], object]] = []
+
+    def is_initialized(self) -> bool:
+        return True
+
+    def remote(self, function: Callable[..., object]) -> SimpleNamespace:
+        def send(*arguments: object, **more: object) -> int:
+            self.tasks.append(lambda: function(*arguments, **more))
+            return len(self.tasks) - 1
+
+        return SimpleNamespace(remote=send)
+
+    def wait(self, references: list[int], timeout: float) -> tuple[list[int], list[int]]:
+        return [references[-1]], references[:-1]
+
+    def get(self, reference: int) -> object:
+        if reference == 0:  # its worker is lost
+            raise RuntimeError
+        return self.tasks[reference]()
+
+
+def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenes = [(OKADA, "flat"), (LEVEL, "flat")]
+    plain = [(config(5, name), who) for who, name in scenes]
+    expected = evaluate(plain, store=CellFolder(tmp_path / "here"))
+    fake = FakeRay()
+    monkeypatch.setattr(ray_cluster, "import_ray", lambda: fake)
+    over = [(config(5, name, ray="any"), who) for who, name in scenes]
+    found = evaluate(over, store=CellFolder(tmp_path / "ray"))
+    assert len(fake.tasks) == 6
+    assert [s.episodes for s in found.scenes] == [s.episodes for s in expected.scenes]
+    assert contents(tmp_path / "ray") == contents(tmp_path / "here")
+
+
+def test_a_kill_at_any_moment_loses_only_the_open_cell(tmp_path: Path, played: list[int]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # other tests have left threads
+        child = os.fork()
+    if child == 0:  # the kill comes in the fourth episode
+        play = EpisodeRunner.play
+
+        def killed(self: EpisodeRunner, index: int) -> EpisodeResult:
+            if index == 3:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return play(self, index)
+
+        EpisodeRunner.play = killed  # type: ignore[method-assign]
+        evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == signal.SIGKILL
+    before = contents(tmp_path)
+    assert [name.split(".")[-2] for name in before] == ["000000-000001"]
+    found = evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+    assert played == [2, 3, 4]
+    assert found == evaluate([(config(5), OKADA)])
+    assert before.items() <= contents(tmp_path).items()
+
+
+def test_a_full_disk_ends_the_evaluation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, chunks: object) -> None:
+        raise WriteError(f"{path}: writing failed half way (No space left on device)")
+
+    store = CellFolder(tmp_path)
+    monkeypatch.setattr(files, "write_chunks", full)
+    with pytest.raises(WriteError, match="No space left"):
+        evaluate([(config(5), OKADA), (config(5, seed=9), LEVEL)], store=store)
+    assert contents(tmp_path) == {}
+
+
+def test_a_policy_that_fails_is_noted_and_the_others_are_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play, build = EpisodeRunner.play, PolicySource.build
+    built: list[PolicySource] = []
+
+    def noted(self: PolicySource, config: EvalConfig) -> Policy:
+        built.append(self)
+        return build(self, config)
+
+    def failing(self: EpisodeRunner, index: int) -> EpisodeResult:
+        if index == 3 and built[-1] == LEVEL:
+            raise PluginFailedError("level: gone")
+        return play(self, index)
+
+    monkeypatch.setattr(PolicySource, "build", noted)
+    monkeypatch.setattr(EpisodeRunner, "play", failing)
+    scenes = [(config(5), LEVEL), (config(5), OKADA)]
+    found = evaluate(scenes, store=CellFolder(tmp_path))
+    assert [scene.controller for scene in found.scenes] == ["okada"]
+    assert [(f.controller, f.terrain, str(f.error)) for f in found.failures] == [
+        ("level", "flat", "level: gone")
+    ]
+    assert found.to_dict()["failed"][0]["error"] == "level: gone"
+    (note,) = tmp_path.glob("*.failed.json")
+    assert json.loads(note.read_text())["text"] == "level: gone"
+    assert note.name.split(".")[-3] == "000003-000003"
+    monkeypatch.setattr(EpisodeRunner, "play", play)
+    assert len(evaluate(scenes, store=CellFolder(tmp_path)).scenes) == 2
+    assert list(tmp_path.glob("*.failed.json")) == []
+
+
+def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[int]) -> None:
+    first = evaluate([(config(4), OKADA)], store=CellFolder(tmp_path))
+    before = contents(tmp_path)
+    cell = sorted(tmp_path.iterdir())[1]
+    cell.write_text(cell.read_text()[:-40])
+    played.clear()
+    told: list[str] = []
+    assert evaluate([(config(4), OKADA)], store=CellFolder(tmp_path, told.append)) == first
+    assert played == [2, 3]
+    assert told == [f"{cell} is damaged; its episodes are played again"]
+    assert contents(tmp_path) == before
+
+
+def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
+    cells = tmp_path / FOLDER
+    evaluate([(config(3), OKADA), (config(3), LEVEL)], store=CellFolder(cells))
+    write_view(tmp_path)
+    with (tmp_path / VIEW).open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["controller"] for row in table] == ["okada"] * 3 + ["level"] * 3
+    assert len({row["seed"] for row in table}) == 3
+    (first,) = cells.glob(f"{Series.of(config(), PolicyIdentity.of(OKADA)).key}.000000-*")
+    header, *rows = [json.loads(line) for line in first.read_text().splitlines()]
+    assert (header["record"], header["controller"], header["engine"]) == ("cell", "okada", "planar")
+    assert {row["record"] for row in rows} == {"episode"}
+    mine = [row for row in table if row["cell"] == header["cell"]]
+    assert [str(row["max_pitch"]) for row in rows] == [row["max_pitch"] for row in mine]
