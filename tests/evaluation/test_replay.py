@@ -8,6 +8,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
+from flipperctl.evaluation import failed_episodes
 from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
 from flipperctl.evaluation.failed_episodes import write_failures
 from flipperctl.evaluation.replay import replay
