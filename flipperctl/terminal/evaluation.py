@@ -59,7 +59,7 @@ def table(result: EvaluationResult, label: str) -> Table:
     def cells(
         name: str,
         summary: Summary,
-        failed: Mapping[str, int] | None = None,
+        because: Mapping[str, int] | None = None,
         method: str = "",
     ) -> list[str]:
         return [
@@ -71,7 +71,7 @@ def table(result: EvaluationResult, label: str) -> Table:
             ),
             *(_passable_cells(summary) if passable else ()),
             _outcomes(summary),
-            *((_numbers(failed or {}),) if causes else ()),
+            *((_numbers(because or {}),) if causes else ()),
             interval_text(summary.pitch_variation_100hz),
             *((interval_text(summary.static_bound),) if bound else ()),
             interval_text(summary.pitch_variation),

@@ -111,7 +111,7 @@ def test_trained_needs_a_checkpoint(tmp_path: Path) -> None:
     for command in (["eval", "--controller", "okada"], ["inspect", "reward"]):
         done = call(*command, "conditions=trained", cwd=tmp_path)
         assert done.code == 2
-        assert "need --checkpoint; known: nominal, varied" in done.err
+        assert "need --checkpoint; known: nominal, paper, varied" in done.err
     linear.write(tmp_path / "p.onnx", terrain="flat", terrain_config={"name": "flat"})
     done = call("eval", "--checkpoint", "p.onnx", "conditions=trained", cwd=tmp_path)
     assert done.code == 2
