@@ -47,7 +47,7 @@ FIXED = {
     "episode.slack": 2.0,
     "terrain.length": 0.5,
 }
-"""What makes the base short; all but the first two are drawn as well."""
+"""What makes the base short, beside searches of little depth; all but the first two are drawn as well."""
 Overrides = dict[str, Any]
 PATHS = tuple(f"{section}." for section in PATH_SECTIONS)
 """Sections whose settings are sampled by path."""
@@ -73,12 +73,18 @@ def overrides(draw: st.DrawFn) -> Overrides:
         found[section] = {"name": name}
         if name == "flat" and "terrain.length" not in names:
             found["terrain"]["length"] = FIXED["terrain.length"]
+        if name == "lidar" and "perception.azimuths" not in names:
+            found["perception"]["azimuths"] = 8  # of a slow robot's decision, hundreds of scans
     for term in terms:
         found[f"rewards.{term}"] = {"name": term}
     for term in draw(st.sets(st.sampled_from(["flipper", "pitch", "end"]), max_size=3)):
         found.setdefault(f"rewards.{term}", None)
     if teacher is not None:
         found["teacher.controller"] = {"name": teacher}
+        for name in ("horizon", "beam"):  # a search predicts each decision, however long it is
+            path = f"teacher.controller.{name}"
+            if path in known and path not in names:
+                found["teacher.controller"][name] = 2
     for name in names:
         found[name] = draw(known[name])
     for name, section in sorted(SECTION_OF.items()):

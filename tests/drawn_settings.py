@@ -22,12 +22,14 @@ NOT_DRAWN = {
     "collector": "mode exact plays episodes in the learner's process",
     "teacher.episodes": "a file",
     "terrain.path": "a file",
+    "eval.ray": "the address of a cluster",
 }
 COSTLY = {
     "train.validation_episodes": 2,
     "train.regret_episodes": 2,
     "train.threads": 2,
     "agent.batch_size": 256,
+    "perception.azimuths": 16,
     "episode.slack": 5,
     "episode.run_up": 4,
     "episode.run_out": 4,

@@ -207,9 +207,27 @@ def test_the_robots_loop_runs(folder: Path) -> None:
     assert all(abs(angle) <= math.pi / 6 + 1e-9 for angle in names["targets"])
 
 
+def test_the_controllers_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    with contextlib.chdir(folder):
+        exec(example("RobotSetup("), names)
+    answer = names["answer"]
+    assert answer.state == "driving"
+    assert answer.action is not None
+    assert "driving" in capsys.readouterr().out
+
+
 def test_every_python_example_is_tried() -> None:
     library = ("flipperctl.train", "flipperctl.load")  # tests/scripting/test_interface.py
-    tried = (*library, "mound.npy", "rgb_array", "stair.onnx", "class StandIn", "Conformance")
+    tried = (
+        *library,
+        "mound.npy",
+        "rgb_array",
+        "stair.onnx",
+        "class StandIn",
+        "Conformance",
+        "RobotSetup(",
+    )
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     assert others == set()
 
@@ -229,9 +247,11 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
-        "python -m benchmarks.coverage evaluated/episodes.csv",  # tests/benchmarks/test_coverage.py
-        "python -m benchmarks.odometry",  # tests/benchmarks/test_odometry.py
-        "python -m benchmarks.estimator_fuzz",  # tests/benchmarks/test_estimator_fuzz.py
+        "python -m flipperctl.runtime --self-test messages.jsonl --signs rep103",  # runtime
+        # tests/benchmarks
+        "python -m benchmarks.coverage evaluated/episodes.csv",
+        "python -m benchmarks.odometry",
+        "python -m benchmarks.estimator_fuzz",
         "python -m benchmarks.tables --check",  # tests/benchmarks/test_tables.py
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
