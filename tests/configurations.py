@@ -47,7 +47,7 @@ FIXED = {
     "episode.slack": 2.0,
     "terrain.length": 0.5,
 }
-"""What makes the base short, beside searches of little depth; all but the first two are drawn as well."""
+"""What makes the base short, beside searches of little depth; all but the first two are drawn."""
 Overrides = dict[str, Any]
 PATHS = tuple(f"{section}." for section in PATH_SECTIONS)
 """Sections whose settings are sampled by path."""

@@ -223,7 +223,7 @@ def test_every_python_example_is_tried() -> None:
         *library,
         "mound.npy",
         "rgb_array",
-        "stair.onnx",
+        'OnnxPolicy("stair.onnx")',
         "class StandIn",
         "Conformance",
         "RobotSetup(",
