@@ -227,7 +227,7 @@ def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterat
     for one in measurements:
         time, value = one.time, one.value
         if isinstance(value, Scan):
-            yield Stamped(time, CLOUD, make.cloud(time, LIDAR, value.points))
+            yield Stamped(time, CLOUD, make.cloud(time, LIDAR, value.points, value.ages))
         elif isinstance(value, Inertial):
             message = make.imu(time, (value.roll, value.pitch, 0.0), (0.0, 0.0, value.yaw_rate))
             yield Stamped(time, IMU, message)

@@ -29,6 +29,8 @@ JOINTS = (
     "rear_right_flipper",
 )
 """Joints in the order of all messages; ``export urdf`` has the same."""
+TIME = "time"
+"""Field of a cloud with the time of each point relative to the stamp [s]."""
 EPOCH = 1_000_000_000
 """Stamp of an episode's start [s]; not 0, which in ROS means that there is no stamp."""
 _NOT_MEASURED = -1.0
@@ -159,13 +161,22 @@ class Messages:
         one = self._transform(self.header(0.0, BASE), LIDAR, place, mounting(axis))
         return self._make("tf2_msgs/msg/TFMessage", transforms=[one])
 
-    def cloud(self, time: float, frame: str, points: FloatArray) -> Any:
-        """Return points, (P, 3) [m], as a ``PointCloud2`` of single precision."""
+    def cloud(
+        self, time: float, frame: str, points: FloatArray, ages: FloatArray | None = None
+    ) -> Any:
+        """Return points, (P, 3) [m], as a ``PointCloud2`` of single precision.
+
+        ``ages``: how long before ``time`` each was measured, (P,) [s]; they make a field ``time``
+        of negative seconds relative to the stamp, as drivers of turning LiDARs write it.
+        """
+        names = "xyz" if ages is None else ("x", "y", "z", TIME)
+        columns = points if ages is None else np.column_stack([points, -ages])
         fields = [
             self._make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
-            for i, name in enumerate("xyz")
+            for i, name in enumerate(names)
         ]
-        data = np.ascontiguousarray(points, "<f4")
+        data = np.ascontiguousarray(columns, "<f4")
+        step = 4 * len(names)
         return self._make(
             "sensor_msgs/msg/PointCloud2",
             header=self.header(time, frame),
@@ -173,8 +184,8 @@ class Messages:
             width=len(points),
             fields=fields,
             is_bigendian=False,
-            point_step=12,
-            row_step=12 * len(points),
+            point_step=step,
+            row_step=step * len(points),
             data=data.view(np.uint8).reshape(-1),
             is_dense=True,
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 from flipperctl.bags.episode import typestore
-from flipperctl.bags.messages import require_rosbags
+from flipperctl.bags.messages import TIME, require_rosbags
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
@@ -27,6 +27,10 @@ _FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
 _NUMBERS = {7: "f4", 8: "f8"}
 """Datatype of a field → type of numpy."""
+_SLICE = 0.01
+"""Points of a turning LiDAR are taken for simultaneous within this time [s]."""
+_LONGEST_TURN = 1.0
+"""Largest time of a point before or after the stamp of its cloud [s]."""
 _DAMAGED = (
     *(ArithmeticError, AssertionError, EOFError, LookupError, MemoryError, OSError, RuntimeError),
     *(TypeError, ValueError),
@@ -70,7 +74,7 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
         for connection, _, data in reader.messages():
             kind = connection.msgtype
             if connection.topic == chosen:
-                clouds.append(_cloud(f"{path}: {chosen}", reader.deserialize(data, kind)))
+                clouds += _clouds(f"{path}: {chosen}", reader.deserialize(data, kind))
             elif kind in _FRAMES:
                 static = connection.topic.rstrip("/").endswith(_STATIC)
                 for one in reader.deserialize(data, kind).transforms:
@@ -124,7 +128,8 @@ def _chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
     return found
 
 
-def _cloud(where: str, message: Any) -> Cloud:
+def _clouds(where: str, message: Any) -> list[Cloud]:
+    """Return the points of a message, those of about one instant as one cloud."""
     time, frame = _seconds(message.header.stamp), message.header.frame_id.lstrip("/")
     if time == 0:
         raise RequestError(
@@ -138,12 +143,14 @@ def _cloud(where: str, message: Any) -> Cloud:
         if name not in fields or fields[name].datatype not in _NUMBERS:
             known = ", ".join(fields) or "none"
             raise RequestError(f"{where}: a cloud needs x, y and z as floats; fields: {known}")
+    timed = TIME in fields and fields[TIME].datatype in _NUMBERS
+    names = [*"xyz", *([TIME] if timed else [])]
     order = ">" if message.is_bigendian else "<"
     layout = np.dtype(
         {
-            "names": list("xyz"),
-            "formats": [order + _NUMBERS[fields[name].datatype] for name in "xyz"],
-            "offsets": [fields[name].offset for name in "xyz"],
+            "names": names,
+            "formats": [order + _NUMBERS[fields[name].datatype] for name in names],
+            "offsets": [fields[name].offset for name in names],
             "itemsize": message.point_step,
         }
     )
@@ -151,7 +158,15 @@ def _cloud(where: str, message: Any) -> Cloud:
     data = rows[:, : message.width * message.point_step].tobytes()
     found = np.frombuffer(data, layout)
     points = np.column_stack([found[name].astype(np.float64) for name in "xyz"])
-    return Cloud(time, frame, points[np.isfinite(points).all(axis=1)])
+    kept = np.isfinite(points).all(axis=1)
+    if not timed:
+        return [Cloud(time, frame, points[kept])]
+    shift = found[TIME].astype(np.float64)
+    kept &= np.abs(shift) <= _LONGEST_TURN  # others are of another unit or clock
+    slices = np.round(shift[kept] / _SLICE).astype(np.int64)
+    return [
+        Cloud(time + _SLICE * one, frame, points[kept][slices == one]) for one in np.unique(slices)
+    ]
 
 
 def _pose(place: Any, turn: Any) -> Pose:

@@ -127,14 +127,16 @@ def test_the_mount_of_a_lidar_is_its_rotation(axis):
 def test_measurements_of_a_lidar_take_the_place_of_the_truth():
     cloud = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     measured = [
-        Measured("scan", 0.1, Scan(cloud)),
+        Measured("scan", 0.1, Scan(cloud, np.array([0.08, 0.0]))),
         Measured("inertial", 0.2, Inertial(roll=0.0, pitch=0.2, yaw_rate=0.3)),
         Measured("belts", 0.3, Belts(0.19)),
     ]
     scan, imu, belts = episode._of_measurements(Messages(typestore()), measured)
     assert scan.message.header.frame_id == "lidar"
     assert scan.message.width == 2
-    assert scan.message.data.view("<f4").tolist() == [1, 2, 3, 4, 5, 6]
+    assert [field.name for field in scan.message.fields] == ["x", "y", "z", "time"]
+    rows = scan.message.data.view("<f4").reshape(2, 4)
+    assert rows.tolist() == pytest.approx(np.array([[1, 2, 3, -0.08], [4, 5, 6, 0]]))
     assert imu.message.orientation.y == pytest.approx(-math.sin(0.1))
     assert imu.message.angular_velocity.z == 0.3
     assert belts == Stamped(0.3, "/belt_speed", belts.message)

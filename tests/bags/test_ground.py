@@ -59,6 +59,25 @@ def messages(shift=0.0):
         yield Stamped(time, "/points", make.cloud(time + shift, LIDAR, points))
 
 
+def test_the_points_of_a_turn_have_the_poses_of_their_times(tmp_path):
+    """Half of each turn is 0.5 s older than its stamp, in which the robot drives 15 cm."""
+
+    def turning():
+        yield from (m for m in messages() if m.topic != "/points")
+        make = Messages(typestore())
+        for time in TIMES[1:].tolist():
+            old, new = ((in_chassis(t) - MOUNT) @ mounting(AXIS) for t in (time - 0.5, time))
+            ages = np.repeat([0.5, 0.0], [len(old), len(new)])
+            cloud = make.cloud(time, LIDAR, np.vstack([old, new]), ages)
+            yield Stamped(time, "/points", cloud)
+
+    write_bag(tmp_path / "drive", list(turning()))
+    done = call("convert", "drive", "--output", "ground.xyz", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
+    check_step({**found, "output": str(tmp_path / "ground.xyz")})
+
+
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags") / "drive"
