@@ -68,8 +68,13 @@ class FlipperController:
         setup: RobotSetup | None = None,
         limits: Limits | None = None,
         log: Callable[[str], object] | None = None,
+        *,
+        shadow: bool = False,
     ) -> None:
         """``log`` receives a line of JSON for each decision and each change of state.
+
+        ``shadow``: someone else moves the flippers, and the answers only tell what the policy would
+        do; that flippers do not follow is then no fault.
 
         Raises:
             MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
@@ -77,7 +82,7 @@ class FlipperController:
         """
         self.policy = OnnxPolicy(path)
         self._setup, self._limits = setup or RobotSetup(), limits or Limits()
-        self._log = log
+        self._log, self._shadow = log, shadow
         interface = self.policy.interface
         self._period, self._rule = interface.decision_period, interface.targets
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
@@ -154,7 +159,7 @@ class FlipperController:
 
     def _stall_fault(self, now: float) -> Fault | None:
         joints = self._intake.joints
-        if joints is None or self._targets is None:
+        if joints is None or self._targets is None or self._shadow:
             return None
         angles = joints.front, joints.rear
         stalled = self._following.stalled(now, self._targets, angles)

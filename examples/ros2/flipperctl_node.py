@@ -1,0 +1,187 @@
+"""A ROS 2 node around ``FlipperController``: from the topics of a robot to targets of its flippers.
+
+It needs rclpy, the standard messages and ``flipperctl`` (which needs numpy and onnxruntime alone):
+
+    python flipperctl_node.py --ros-args -p policy:=stair.onnx
+
+In: ``points`` (PointCloud2), ``imu/data`` (Imu), ``joint_states`` (JointState of the four flippers)
+and ``belt_speed`` (Float64, optional). Out: ``flipper_controller/commands`` (Float64MultiArray, as
+forward_command_controller takes it), ``belts_may_run`` (Bool) and ``/diagnostics``. The place of
+the LiDAR comes from tf. With ``-p shadow:=true`` nothing is commanded: the log shows what would be.
+"""
+
+import math
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import Imu, JointState, PointCloud2
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from tf2_ros import Buffer, TransformException, TransformListener
+
+from flipperctl.runtime import (
+    REP_103,
+    Attitude,
+    Cloud,
+    FlipperController,
+    JointAngles,
+    Mount,
+    Odometry,
+    RobotSetup,
+)
+
+BASE = "base_link"
+FRONT = ("front_left_flipper", "front_right_flipper")
+REAR = ("rear_left_flipper", "rear_right_flipper")
+TYPES = {7: "f4", 8: "f8"}  # of PointField.datatype
+MOUNT = Mount(x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05)  # clouds come in base_link
+LEVELS = {"driving": b"\x00", "waiting": b"\x01", "holding": b"\x01", "stopped": b"\x02"}
+
+
+def seconds(stamp):
+    """Return a stamp as one number [s]; NaN without a stamp, which the controller refuses."""
+    return stamp.sec + 1e-9 * stamp.nanosec if stamp.sec or stamp.nanosec else math.nan
+
+
+def columns(message, names):
+    """Return fields of a PointCloud2 as an array, (P, len(names)); None if one is missing."""
+    fields = {field.name: field for field in message.fields}
+    if not all(name in fields and fields[name].datatype in TYPES for name in names):
+        return None
+    order = ">" if message.is_bigendian else "<"
+    layout = np.dtype(
+        {
+            "names": list(names),
+            "formats": [order + TYPES[fields[name].datatype] for name in names],
+            "offsets": [fields[name].offset for name in names],
+            "itemsize": message.point_step,
+        }
+    )
+    found = np.frombuffer(bytes(message.data), layout)
+    return np.column_stack([found[name].astype(float) for name in names])
+
+
+def rotation(q):
+    """Return the rotation matrix of a quaternion, (3, 3)."""
+    x, y, z, w = q.x, q.y, q.z, q.w
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+class FlipperNode(Node):
+    """Hands every message to the controller, and its answer to the flippers."""
+
+    def __init__(self):
+        super().__init__("flipperctl")
+        setup = RobotSetup(
+            signs=REP_103,
+            cloud_frame=BASE,
+            attitude_frame=BASE,
+            mount=MOUNT,
+            pose=self.declare_parameter("pose", "belts").value,
+        )
+        policy = self.declare_parameter("policy", "policy.onnx").value
+        self.shadow = self.declare_parameter("shadow", False).value
+        log = self.get_logger().info
+        self.controller = FlipperController(policy, setup, log=log, shadow=self.shadow)
+        self.cloud = self.joints = self.odometry = self.transform = None
+        self.tf = Buffer()
+        self.listener = TransformListener(self.tf, self)
+        self.create_subscription(PointCloud2, "points", self.on_cloud, qos_profile_sensor_data)
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(Imu, "imu/data", self.on_imu, best_effort)
+        self.create_subscription(JointState, "joint_states", self.on_joints, 10)
+        self.create_subscription(Float64, "belt_speed", self.on_belts, 10)
+        self.commands = self.create_publisher(Float64MultiArray, "flipper_controller/commands", 10)
+        self.may_run = self.create_publisher(Bool, "belts_may_run", 10)
+        self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(0.05, self.step)  # without messages too: age is a fault
+
+    def now(self):
+        """Return the node's clock [s]; it must be that of the stamps."""
+        return self.get_clock().now().nanoseconds * 1e-9
+
+    def on_cloud(self, message):
+        """Move a cloud to base_link; one whose frame is unknown goes on and is refused there."""
+        frame, points = message.header.frame_id, columns(message, "xyz")
+        if points is None:
+            points = np.empty((0, 3))
+        times = columns(message, ["time"])
+        if frame != BASE and self.place_of(frame):
+            turn, place = self.transform[1:]
+            points, frame = points @ turn.T + place, BASE
+        ages = None if times is None else -times[:, 0]
+        self.cloud = Cloud(seconds(message.header.stamp), frame, points, ages)
+
+    def place_of(self, frame):
+        """Return whether tf knows the place of the device, which is fixed to the chassis."""
+        if self.transform is None or self.transform[0] != frame:
+            try:
+                found = self.tf.lookup_transform(BASE, frame, rclpy.time.Time()).transform
+            except TransformException as error:
+                self.get_logger().warning(f"no transform from {frame} to {BASE}: {error}")
+                return False
+            place = found.translation
+            self.transform = (
+                frame,
+                rotation(found.rotation),
+                np.array([place.x, place.y, place.z]),
+            )
+        return True
+
+    def on_joints(self, message):
+        """Average the left and the right flipper of each pair."""
+        angles = dict(zip(message.name, message.position, strict=False))
+        front, rear = (np.mean([angles.get(n, math.nan) for n in pair]) for pair in (FRONT, REAR))
+        self.joints = JointAngles(seconds(message.header.stamp), float(front), float(rear))
+
+    def on_belts(self, message):
+        """Take the speed of the belts; the message has no stamp of its own."""
+        self.odometry = Odometry(self.now(), message.data)
+
+    def on_imu(self, message):
+        """Step with each attitude: it moves the pose on."""
+        time, q = seconds(message.header.stamp), message.orientation
+        rate = message.angular_velocity.z
+        frame = message.header.frame_id
+        self.step(Attitude.from_quaternion(time, frame, q.x, q.y, q.z, q.w, rate))
+
+    def step(self, attitude=None):
+        """Hand over what has arrived, and publish the answer."""
+        answer = self.controller.step(self.now(), self.cloud, attitude, self.joints, self.odometry)
+        self.cloud = self.joints = self.odometry = None
+        if not self.shadow:
+            self.may_run.publish(Bool(data=answer.drive))
+            if answer.targets is not None:
+                front, rear = answer.targets
+                self.commands.publish(Float64MultiArray(data=[front, front, rear, rear]))
+        values = [KeyValue(key="fault", value=answer.fault)]
+        status = DiagnosticStatus(
+            level=LEVELS[answer.state],
+            name="flipperctl",
+            message=answer.reason or answer.state,
+            values=values,
+        )
+        self.diagnostics.publish(DiagnosticArray(status=[status]))
+
+
+def main():
+    """Run the node until it is stopped."""
+    rclpy.init()
+    try:
+        rclpy.spin(FlipperNode())
+    except KeyboardInterrupt:
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

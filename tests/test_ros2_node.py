@@ -1,0 +1,232 @@
+"""``examples/ros2``: the node on bags of ours, with a stand-in for rclpy; no middleware runs."""
+
+import importlib.util
+import math
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from flipperctl.bags.episode import export_bag, typestore
+from flipperctl.config import EvalConfig
+from flipperctl.policies.source import PolicySource
+from tests.runtime.linear import write
+from tests.runtime.test_controller import ROBOT, RULE
+
+FILE = Path(__file__).parents[1] / "examples" / "ros2" / "flipperctl_node.py"
+Stream = list[tuple[float, str, Any]]
+
+
+class Message(SimpleNamespace):
+    """Any message: what it is given."""
+
+
+class StandIn:
+    """``rclpy.node.Node`` without middleware: what is published lies in ``published``."""
+
+    parameters: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, name: str) -> None:
+        self.callbacks: dict[str, Callable[[Any], None]] = {}
+        self.published: dict[str, list[Any]] = {}
+        self.warnings: list[str] = []
+        self.time = 0.0
+
+    def declare_parameter(self, name: str, default: Any) -> Any:
+        return SimpleNamespace(value=self.parameters.get(name, default))
+
+    def create_subscription(self, kind: Any, topic: str, callback: Any, qos: Any) -> None:
+        self.callbacks[topic] = callback
+
+    def create_publisher(self, kind: Any, topic: str, depth: int) -> Any:
+        return SimpleNamespace(publish=self.published.setdefault(topic, []).append)
+
+    def create_timer(self, period: float, callback: Any) -> None:
+        self.timer = callback
+
+    def get_logger(self) -> Any:
+        return SimpleNamespace(info=lambda text: None, warning=self.warnings.append)
+
+    def get_clock(self) -> Any:
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.time * 1e9))
+
+
+class TransformException(Exception):  # noqa: N818  # its name in tf2_ros
+    """No transform."""
+
+
+class Buffer:
+    """The static transforms of the bag."""
+
+    static: ClassVar[dict[str, Any]] = {}
+
+    def lookup_transform(self, target: str, source: str, time: Any) -> Any:
+        if source not in self.static:
+            raise TransformException(source)
+        return self.static[source]
+
+
+@pytest.fixture(scope="module")
+def stream(tmp_path_factory: pytest.TempPathFactory) -> Stream:
+    """The messages of an episode with a LiDAR, in their order."""
+    folder = tmp_path_factory.mktemp("bags") / "step"
+    config = EvalConfig(
+        terrain="step",
+        perception={"name": "lidar", "pose": "belts", "azimuths": 60},
+        episode={"run_up": 0.8, "run_out": 0.4},
+    )
+    export_bag(config, PolicySource(settings={"name": "okada"}), folder)
+    types, found = typestore(), []
+    with Reader(folder) as reader:
+        for connection, time, data in reader.messages():
+            message = types.deserialize_cdr(data, connection.msgtype)
+            found.append((time * 1e-9, connection.topic.lstrip("/"), message))
+    return found[: len(found) // 2]
+
+
+@pytest.fixture
+def node(
+    request: pytest.FixtureRequest,
+    stream: Stream,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Any:
+    """A node with a policy whose action follows the heights, and further parameters."""
+    file = write(tmp_path_factory.mktemp("policy") / "p.onnx", robot=ROBOT, targets=RULE)
+    kinds = {
+        "sensor_msgs": ("Imu", "JointState", "PointCloud2"),
+        "std_msgs": ("Bool", "Float64", "Float64MultiArray"),
+        "diagnostic_msgs": ("DiagnosticArray", "DiagnosticStatus", "KeyValue"),
+    }
+    modules = {f"{name}.msg": dict.fromkeys(found, Message) for name, found in kinds.items()}
+    modules |= {name: {} for name in kinds}
+    modules |= {
+        "rclpy": {"time": SimpleNamespace(Time=lambda: None)},
+        "rclpy.node": {"Node": StandIn},
+        "rclpy.qos": {
+            "QoSProfile": Message,
+            "ReliabilityPolicy": SimpleNamespace(BEST_EFFORT=2),
+            "qos_profile_sensor_data": None,
+        },
+        "tf2_ros": {
+            "Buffer": Buffer,
+            "TransformListener": lambda buffer, node: None,
+            "TransformException": TransformException,
+        },
+    }
+    for name, names in modules.items():
+        module = ModuleType(name)
+        module.__dict__.update(names)
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setattr(
+        StandIn, "parameters", {"policy": str(file), **getattr(request, "param", {})}
+    )
+    statics = [m for _, topic, m in stream if topic == "tf_static"]
+    frames = {t.child_frame_id: t for message in statics for t in message.transforms}
+    monkeypatch.setattr(Buffer, "static", frames)
+    spec = importlib.util.spec_from_file_location("flipperctl_node", FILE)
+    found = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(found)
+    return found.FlipperNode()
+
+
+def play(node: Any, stream: Stream) -> list[tuple[float, str, str]]:
+    """Hand over the messages; return time, level and text of each diagnosis."""
+    told = node.published["/diagnostics"]
+    found: list[tuple[float, str, str]] = []
+    for time, topic, message in stream:
+        node.time = time
+        if topic in node.callbacks:
+            node.callbacks[topic](message)
+        for one in told[len(found) :]:
+            (status,) = one.status
+            found.append((time, status.message, status.values[0].value))
+    commands = node.published["flipper_controller/commands"]
+    assert all(np.abs(c.data).max() <= math.pi / 3 + 1e-9 for c in commands)
+    return found
+
+
+def faults(told: list[tuple[float, str, str]]) -> set[str]:
+    return {fault for _, _, fault in told if fault}
+
+
+def test_it_drives_an_episode_of_a_bag(node: Any, stream: Stream) -> None:
+    told = play(node, stream)
+    first = next(i for i, (_, text, _) in enumerate(told) if text == "driving")
+    assert first < 3
+    assert faults(told[first:]) <= {"stall"}  # the bag's flippers follow another policy
+    commands = np.array([c.data for c in node.published["flipper_controller/commands"]])
+    assert len(np.unique(commands, axis=0)) > 3
+    assert (commands[:, 0] == commands[:, 1]).all()
+    assert node.published["belts_may_run"][first].data
+
+
+def drops(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    begun = stream[0][0]
+    yield from (m for m in stream if m[1] != "points" or m[0] < begun + 1)
+
+
+def late(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    yield from ((time + 0.3, topic, message) for time, topic, message in stream)
+
+
+def jumps(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    begun = stream[0][0]
+    yield from ((t + (60 if t > begun + 1 else 0), topic, m) for t, topic, m in stream)
+
+
+def blind(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    for time, topic, message in stream:
+        if topic == "points":
+            data = np.full(len(message.data) // 4, np.nan, "<f4").view(np.uint8)
+            message = Message(**{**vars(message), "data": data})
+        yield time, topic, message
+
+
+def elsewhere(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    for time, topic, message in stream:
+        if topic == "points":
+            header = Message(**{**vars(message.header), "frame_id": "camera"})
+            message = Message(**{**vars(message), "header": header})
+        yield time, topic, message
+
+
+def unstamped(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    for time, topic, message in stream:
+        if topic == "joint_states":
+            header = Message(stamp=Message(sec=0, nanosec=0), frame_id="base_link")
+            message = Message(**{**vars(message), "header": header})
+        yield time, topic, message
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (drops, "cloud_age"),
+        (late, "joints_age"),
+        (jumps, "clock_jump"),
+        (blind, "cloud_points"),
+        (elsewhere, "cloud_frame"),
+        (unstamped, "joints_value"),
+    ],
+)
+def test_a_bag_with_faults_is_refused_with_the_reason(
+    node: Any, stream: Stream, change: Callable[..., Any], fault: str
+) -> None:
+    told = play(node, list(change(stream)))
+    assert fault in faults(told)
+    assert all(text for _, text, name in told if name)
+    assert not node.published["belts_may_run"][-1].data
+
+
+@pytest.mark.parametrize("node", [{"shadow": True}], indirect=True)
+def test_shadow_mode_commands_nothing(node: Any, stream: Stream) -> None:
+    told = play(node, stream)
+    assert [text for _, text, _ in told[3:]] == ["driving"] * len(told[3:])
+    assert node.published["flipper_controller/commands"] == []
+    assert node.published["belts_may_run"] == []
