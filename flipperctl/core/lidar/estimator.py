@@ -19,6 +19,7 @@ from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinn
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+from flipperctl.core.lidar.mixed import without_mixed
 from flipperctl.core.lidar.odometry import advanced, moved_to
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.lidar.trail import Trail
@@ -95,7 +96,7 @@ class LidarEstimator:
         time, value = message.time, message.value
         self._newest = time
         if isinstance(value, Scan):
-            value = thinned(value, _MOST_POINTS)
+            value = without_mixed(thinned(value, _MOST_POINTS))
             self._start()
             self._calibrate(value, time)
             self._add(without_bias(value, self._errors.distance), time)
