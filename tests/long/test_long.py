@@ -12,8 +12,8 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
-        ["kills", "--count", "3", "--early", "2", "--fast", "0"],
-        ["races", "--count", "3", "--fast", "0"],
+        ["kills", "--count", "2", "--early", "1", "--fast", "0"],
+        ["races", "--count", "2", "--fast", "0"],
         ["killed_sweeps", "--count", "1", "--joblib", "0", "--stops", "SIGKILL"],
     ],
     ids=["kills", "races", "killed sweeps"],
