@@ -15,8 +15,7 @@ from rosbags.rosbag2 import Reader
 from flipperctl.bags.episode import export_bag, typestore
 from flipperctl.config import EvalConfig
 from flipperctl.policies.source import PolicySource
-from tests.runtime.linear import write
-from tests.runtime.test_controller import ROBOT, RULE
+from tests.runtime.linear import ROBOT, RULE, write
 
 FILE = Path(__file__).parents[1] / "examples" / "ros2" / "flipperctl_node.py"
 Stream = list[tuple[float, str, Any]]

@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from flipperctl.core.targets import TargetRule
     from flipperctl.runtime.controller import Answer, FlipperController
     from flipperctl.runtime.interface import Interface, Quantity
-    from flipperctl.runtime.limits import Ages, Limits, RobotSetup
+    from flipperctl.runtime.limits import Ages, Limits
     from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
     from flipperctl.runtime.policy import OnnxPolicy
+    from flipperctl.runtime.robot_setup import RobotSetup
     from flipperctl.runtime.signs import OURS, REP_103, Signs
 
 __all__ = [
@@ -45,7 +46,7 @@ _MODULES = {
     "Odometry": "flipperctl.runtime.messages",
     "Ages": "flipperctl.runtime.limits",
     "Limits": "flipperctl.runtime.limits",
-    "RobotSetup": "flipperctl.runtime.limits",
+    "RobotSetup": "flipperctl.runtime.robot_setup",
     "Signs": "flipperctl.runtime.signs",
     "OURS": "flipperctl.runtime.signs",
     "REP_103": "flipperctl.runtime.signs",

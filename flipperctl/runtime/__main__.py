@@ -83,7 +83,7 @@ def _main(words: list[str]) -> int:
 
 
 def _self_test(words: list[str]) -> int:
-    from flipperctl.runtime.limits import RobotSetup
+    from flipperctl.runtime.robot_setup import RobotSetup
     from flipperctl.runtime.self_test import run
     from flipperctl.runtime.signs import CONVENTIONS
 

@@ -21,9 +21,10 @@ from flipperctl.core.sensing import Measured, SensedGround
 from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.following import Following
 from flipperctl.runtime.intake import Accepted, Fault, Intake
-from flipperctl.runtime.limits import Limits, RobotSetup
+from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.policy import OnnxPolicy
+from flipperctl.runtime.robot_setup import RobotSetup
 
 Pair = tuple[float, float]
 State = Literal["waiting", "driving", "holding", "stopped"]
@@ -105,6 +106,7 @@ class FlipperController:
         self._held_until = -math.inf
         self._stall = ""
         self._decided = False
+        self._undecided: Fault | None = None  # why the last try to decide failed
         self._answer = Answer(None, None, False, "waiting")
 
     def step(
@@ -132,24 +134,27 @@ class FlipperController:
                 self._perceive(device, time, message)
             fault = self._intake.fault(now) or self._stall_fault(now)
             if fault is None and now >= self._due - _ON_TIME:
-                action, fault = self._decide(now)
+                action = self._decide(now)
         except Exception as error:  # noqa: BLE001 - a robot must get an answer, whatever was wrong
-            fault = Fault("inference", " ".join(str(error).split()) or type(error).__name__)
+            fault = self._undecided = Fault(
+                "inference", " ".join(str(error).split()) or type(error).__name__
+            )
         self._advance(elapsed)
-        return self._say(now, fault, action)
+        return self._say(now, fault or self._undecided, action)
 
     def _clock_fault(self, now: object) -> Fault | None:
         """Return a fault if the clock is no clock; after a jump nothing old is of use."""
         if isinstance(now, bool) or not isinstance(now, int | float) or not math.isfinite(now):
-            return Fault("clock", f"the time is {str(now)[:40]}; a finite number is allowed")
+            text = f"the time is {str(now)[:40]}; a finite number is allowed"
+            return Fault("clock", text, at_once=True)
         if self._last is None:
             return None
         elapsed = now - self._last
         if 0 <= elapsed <= self._limits.clock_jump:
             return None
-        targets = self._targets
+        held = self._targets, self._setpoints
         self.reset()
-        self._targets = self._setpoints = targets
+        self._targets, self._setpoints = held
         self._last = float(now)
         return Fault(
             "clock_jump",
@@ -182,16 +187,19 @@ class FlipperController:
             self._estimator.update(Measured("odometry", time, Belts(speed)))
         self._estimator.update(Measured(device, time, message))
 
-    def _decide(self, now: float) -> tuple[int | None, Fault | None]:
-        """Return the action, or why there is none."""
+    def _decide(self, now: float) -> int | None:
+        """Return the action; None if there is none, and ``_undecided`` says why.
+
+        It is tried once in a period, since an estimate also corrects the map.
+        """
+        late = now - self._due > self._period  # or the first decision
+        self._due = now + self._period if late else self._due + self._period
         ground, angles = self._estimator.estimate(now)
-        covered = _covered(ground)
-        if covered < self._limits.coverage:
-            return None, Fault(
-                "coverage",
-                f"ground was seen in {covered:.0%} of the bins; "
-                f"{self._limits.coverage:.0%} or more is allowed",
-            )
+        covered, least = _covered(ground), self._limits.coverage
+        if covered < least:
+            text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
+            self._undecided = Fault("coverage", text)
+            return None
         measured = angles.front, angles.rear
         seen = layout.assemble(
             ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
@@ -202,10 +210,8 @@ class FlipperController:
         self._targets = self._within((front, rear))
         if self._setpoints is None:
             self._setpoints = self._within(measured)
-        late = now - self._due > self._period  # or the first decision
-        self._due = now + self._period if late else self._due + self._period
-        self._decided = True
-        return action, None
+        self._decided, self._undecided = True, None
+        return action
 
     def _within(self, angles: Pair) -> Pair:
         limit = self._rule.limit
@@ -224,35 +230,37 @@ class FlipperController:
         self._setpoints = front, rear
 
     def _say(self, now: float, fault: Fault | None, action: int | None) -> Answer:
-        """Return the answer: hold at a fault, and stop if it lasts."""
-        drive, state = True, "driving"
-        if fault is None:
-            self._faulty_since = None
-        else:
-            if self._faulty_since is None:
-                self._faulty_since = self._last if self._last is not None else 0.0
-                self._hold()
-            lasted = (self._last or 0.0) - self._faulty_since
-            drive = self._decided and not fault.at_once and lasted < self._limits.stop_after
-            state = "holding" if drive else "stopped" if self._decided else "waiting"
-            if fault.at_once or fault.name == "clock":
-                drive, state = False, "stopped"
+        """Return the answer, and log it if it is a decision or another state."""
+        state = self._state(fault)
         answer = Answer(
             self._theirs(self._targets),
             self._theirs(self._setpoints),
-            drive,
-            state,  # type: ignore[arg-type]  # one of State, by the lines above
+            state in ("driving", "holding"),
+            state,
             "" if fault is None else fault.name,
             "" if fault is None else fault.reason,
             action,
         )
-        if self._log is not None and (
-            action is not None
-            or (answer.state, answer.fault) != (self._answer.state, self._answer.fault)
-        ):
+        before, self._answer = self._answer, answer
+        changed = (answer.state, answer.fault) != (before.state, before.fault)
+        if self._log is not None and (changed or action is not None):
             self._log(json.dumps({"time": _number(now), **asdict(answer)}))
-        self._answer = answer
         return answer
+
+    def _state(self, fault: Fault | None) -> State:
+        """Return what to do: hold at a fault, and stop if it lasts."""
+        if fault is None:
+            self._faulty_since = None
+            return "driving"
+        now = self._last or 0.0
+        if self._faulty_since is None:
+            self._faulty_since = now
+            self._hold()
+        if fault.at_once:
+            return "stopped"
+        if not self._decided:
+            return "waiting"
+        return "holding" if now - self._faulty_since < self._limits.stop_after else "stopped"
 
     def _hold(self) -> None:
         """Hold the flippers where they are; the policy forgets its earlier observations."""

@@ -12,7 +12,7 @@ from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.interface import Interface
-from flipperctl.runtime.limits import RobotSetup
+from flipperctl.runtime.robot_setup import RobotSetup
 
 _LENGTHS = "chassis_length", "flipper_length", "track_radius"
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.runtime.limits import Limits, RobotSetup
+from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.robot_setup import RobotSetup
 
 Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20

@@ -30,6 +30,9 @@ METADATA = {
     "seed": 7,
 }
 """Metadata as ``flipperctl export onnx`` writes them."""
+ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_speed": 0.436}
+RULE = {"window": STEP, "limit": math.pi / 3}
+"""What a file for the controller also has: all of the robot, and the rule of its targets."""
 FORMAT_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
 """Arguments of ``write`` for a file of format 1."""
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -29,10 +30,8 @@ from flipperctl.runtime import (
     RobotSetup,
     Signs,
 )
-from tests.runtime.linear import METADATA, STEP, write
+from tests.runtime.linear import ROBOT, RULE, write
 
-ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_speed": 0.436}
-RULE = {"window": STEP, "limit": math.pi / 3}
 RELAXED = Limits(ages=Ages(joints=0.2))  # the simulated encoders report with each scan
 LEVEL = np.stack(np.meshgrid(np.linspace(-1, 2, 61), np.linspace(-0.5, 0.5, 11)), -1).reshape(-1, 2)
 GROUND = np.column_stack([LEVEL, np.full(len(LEVEL), -0.1)])
@@ -169,6 +168,20 @@ def test_a_clock_that_jumps_stops_and_what_was_known_is_forgotten(
         now += jump
         assert controller.step(now + 0.05).fault == "joints_missing"
         assert controller.step(now + 0.1, **good(now + 0.1)).state == "driving"
+
+
+def test_too_little_ground_holds_and_is_looked_at_once_in_a_period(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller = FlipperController(file, IN_CHASSIS, replace(RELAXED, coverage=1.1))
+    tried = []
+    estimate = LidarEstimator.estimate
+    monkeypatch.setattr(
+        LidarEstimator, "estimate", lambda self, t: (tried.append(t), estimate(self, t))[1]
+    )
+    answers = [controller.step(0.05 * i, **good(0.05 * i)) for i in range(25)]
+    assert {answer.fault for answer in answers} == {"coverage"}
+    assert tried == pytest.approx([0.0, 0.6, 1.2])
 
 
 def test_a_network_that_gives_no_number_holds(tmp_path: Path) -> None:
