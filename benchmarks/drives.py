@@ -101,7 +101,7 @@ class _Recording(LidarSensor):
             if not isinstance(measured.value, Belts | Inertial):
                 receive(measured)
 
-        found.update = update  # type: ignore[method-assign]
+        found.update = update  # type: ignore[method-assign]  # of this estimator alone
         return found
 
 

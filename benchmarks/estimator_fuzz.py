@@ -58,7 +58,7 @@ def fuzz(count: int, seed: int) -> Counter[str]:
             warnings.simplefilter("error")
             try:
                 results.update(_sequence(number, min(SEQUENCE, count - begin)))
-            except Exception as error:
+            except Exception as error:  # any other one is what this command looks for
                 text = f"--seed {number}: {type(error).__name__}: {error}"
                 raise UnexpectedResultError(text) from error
     return results
@@ -105,7 +105,7 @@ def _message(rng: np.random.Generator, odd: float) -> object:
         numbers = [_value(rng, odd, lambda: scale * rng.standard_normal()) for _ in range(count)]
         return made(*numbers)
     if rng.random() < odd / 2:
-        return Scan(ODD[rng.integers(len(ODD))])  # type: ignore[arg-type]
+        return Scan(ODD[rng.integers(len(ODD))])  # type: ignore[arg-type]  # malformed on purpose
     points = _cloud(rng)
     if rng.random() < odd:
         bad = rng.random(points.shape) < rng.choice([0.01, 1.0])

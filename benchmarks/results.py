@@ -17,7 +17,7 @@ from pathlib import Path
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.stored import rows_of
+from flipperctl.evaluation.result_rows import rows_of
 from flipperctl.files import write_bytes
 
 FOLDER = Path(__file__).parents[1] / "docs" / "results"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from flipperctl import entry
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.stored import StoredRow
+from flipperctl.evaluation.result_rows import StoredRow
 from flipperctl.files import write_bytes
 from flipperctl.report.result_table import markdown_table
 

@@ -79,7 +79,7 @@ def _points(file: Path) -> FloatArray:
         else:
             import trimesh
 
-            points = trimesh.load(file).vertices  # type: ignore[attr-defined]
+            points = trimesh.load(file).vertices  # type: ignore[attr-defined]  # of a cloud
     except ImportError as error:
         raise MissingExtraError(
             f"{file}: {error.name} is not installed; run pip install 'flipperctl[profiles]'"

@@ -17,7 +17,7 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.stored import summary_file
+from flipperctl.evaluation.result_rows import summary_file
 from flipperctl.runs.inherited import read_config
 
 _KINDS = ("sim", "perception")

@@ -16,7 +16,7 @@ from flipperctl.evaluation import plain
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference, PairedSuccess
-from flipperctl.evaluation.failures import Failure
+from flipperctl.evaluation.failed_policies import Failure
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.naming import NAMELESS, SceneName
 from flipperctl.evaluation.sensing import counts

@@ -17,7 +17,7 @@ from flipperctl.evaluation.bounds import static_bounds, with_bounds
 from flipperctl.evaluation.comparisons import correct_together
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.failures import Failure
+from flipperctl.evaluation.failed_policies import Failure
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.judging import NOT_A_POLICYS, Judge, Progress, no_progress
 from flipperctl.evaluation.naming import NAMELESS, SceneName

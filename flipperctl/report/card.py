@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from flipperctl.evaluation.stored import StoredRow
+from flipperctl.evaluation.result_rows import StoredRow
 from flipperctl.report.result_table import ends_text, markdown_table
 
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.stored import Ends, StoredRow
+from flipperctl.evaluation.result_rows import Ends, StoredRow
 from flipperctl.messages import close_match
 
 NONE = "–"

@@ -20,7 +20,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.stored import StoredRow, read_rows
+from flipperctl.evaluation.result_rows import StoredRow, read_rows
 from flipperctl.policies.source import PolicySource
 from flipperctl.report.card import CardFacts
 from flipperctl.runs.folder import HYDRA, SUMMARY

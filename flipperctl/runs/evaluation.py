@@ -14,7 +14,7 @@ from flipperctl.checkpoint.recording import require_one_layout
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import files
 from flipperctl.evaluation.failed_episodes import write_failures
-from flipperctl.evaluation.failures import error_of
+from flipperctl.evaluation.failed_policies import error_of
 from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene

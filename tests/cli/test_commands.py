@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli.inspect import VIEWS
-from flipperctl.cli.main import COMMANDS
 from flipperctl.training.events import read_rows
 from tests.cli.call import RUN, call
 
@@ -273,29 +271,3 @@ class Ridge(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         return Profile([(0, 0), (0.3, self.height), (0.6, 0)])
 '''
-
-
-@pytest.mark.parametrize(
-    "command",
-    [[], *([name] for name in COMMANDS), *(["inspect", name] for name in VIEWS)],
-)
-def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None:
-    done = call(*command, "--help", cwd=tmp_path)
-    assert done.code == 0
-    if command and command != ["inspect"]:
-        assert f"flipperctl {' '.join(command)}" in done.out.split("Examples")[1]
-
-
-@pytest.mark.parametrize(
-    "command",
-    [[name] for name in COMMANDS if name != "inspect"] + [["inspect", name] for name in VIEWS],
-)
-def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
-    needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
-    needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
-    needed |= {"transfer": ["--controller", "level"]}
-    needed |= {"checkpoint": ["x"], "run": ["x"]}
-    arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
-    done = call(*arguments, cwd=tmp_path)
-    assert done.code == 2
-    assert "nowhere.py does not exist" in done.err

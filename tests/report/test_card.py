@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import yaml
 
-from flipperctl.evaluation.stored import MEASURES, StoredRow
+from flipperctl.evaluation.result_rows import MEASURES, StoredRow
 from flipperctl.report.card import CardFacts, card_text
 
 ENDS = (1.25, 1.0, 1.5)

@@ -4,6 +4,6 @@ The fields are in ``settings``, the instruments in ``instruments``; what a robot
 their messages is ``flipperctl.core.lidar``.
 """
 
-from flipperctl.sim.lidar.settings import LidarSensor
+from flipperctl.sim.lidar.sensor import LidarSensor
 
 __all__ = ["LidarSensor"]

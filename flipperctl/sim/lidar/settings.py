@@ -1,55 +1,21 @@
-"""``perception=lidar``: the ground by a map that grows from the scans of a LiDAR.
+"""The fields of ``perception=lidar``: errors of the devices, mount, body and map.
 
-In: settings. Out: the instruments that measure in simulation and the estimator that uses them.
+Errors and angles are those of a RoboSense RS-Bpearl.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from flipperctl.api import (
-    Estimator,
-    Instrument,
-    Mounting,
-    Robot,
-    RobotGeometry,
-    Sensor,
-    sensor,
-)
-from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.cells import Grid
-from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
-from flipperctl.core.lidar.estimator import LidarEstimator, Mount
-from flipperctl.core.lidar.ground import MapSettings
-from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.errors import MissingExtraError
-from flipperctl.sim.lidar.inertial import (
-    Accelerometer,
-    BeltEncoders,
-    InertialErrors,
-    InertialUnit,
-)
-from flipperctl.sim.lidar.instruments import Encoders, Tracking
-from flipperctl.sim.lidar.returns import RangeErrors
-from flipperctl.sim.lidar.scanner import Scanner
-from flipperctl.sim.planar.sensing import PlanarSensor
-
-_LEAST_NOISE = 0.01
-"""The map takes points for no more accurate than this, because slopes and edges spread them [m]."""
+from flipperctl.api import Settings
 
 
-@sensor("lidar")
-class LidarSensor(Sensor):
-    """Maps the ground by a LiDAR of 32 rings, as in the paper's experiment; the map remembers.
+class LidarSettings(Settings):
+    """Settings of the devices, of their places on the robot, and of the map."""
 
-    It needs an engine that casts rays. Errors and angles are those of a RoboSense RS-Bpearl.
-    """
-
-    not_sampled = Sensor.not_sampled | {"azimuths", "deskew", "pose", "scan_parts"}
     pose: Literal["true", "belts", "matched"] = Field(
         "true",
         description="pose at which scans enter the map: the true one; belts is odometry by belt "
@@ -244,100 +210,10 @@ class LidarSensor(Sensor):
         return "true" if value is True else value  # as YAML reads pose=true
 
     @model_validator(mode="after")
-    def _flippers_outside(self) -> LidarSensor:
+    def _flippers_outside(self) -> LidarSettings:
         if self.overall_width <= self.chassis_width:
             raise ValueError(
                 f"overall_width ({self.overall_width:g} m) must exceed chassis_width "
                 f"({self.chassis_width:g} m), since the flippers are beside the chassis"
             )
         return self
-
-    def instruments(self, mounting: Mounting) -> Mapping[str, Instrument]:
-        """Return the instruments of one episode, those of one time in the order of use."""
-        rng = mounting.rng
-        errors = RangeErrors(
-            noise=self.noise,
-            bias=self.range_bias * rng.uniform(-1.0, 1.0),
-            resolution=self.resolution,
-            dropout=self.dropout,
-            mixed=self.mixed,
-            mixed_gap=self.mixed_gap,
-            grazing=self.grazing,
-            grazing_width=self.grazing_width,
-        )
-        body = self._body(mounting.robot)
-        scanner = Scanner(
-            self.azimuths, self.far, errors, self._mount, body, mounting.rays, self.scan_parts
-        )
-        scanning = {"encoders": Encoders(scanner.period), "lidar": scanner}
-        at_decision: dict[str, Instrument] = {"encoders_at_decision": Encoders(None)}
-        if self.pose != "true":
-            return {**self._odometry(mounting), **scanning, **at_decision}
-        at_decision["tracking_at_decision"] = Tracking(None)
-        return {"tracking": Tracking(scanner.period), **scanning, **at_decision}
-
-    def _odometry(self, mounting: Mounting) -> dict[str, Instrument]:
-        rng, robot = mounting.rng, mounting.robot
-        assert isinstance(robot, Robot)  # a RobotGeometry has no speed
-        errors = InertialErrors(
-            tilt_wander=self.tilt_wander,
-            wander_time=self.wander_time,
-            tilt_noise=self.tilt_noise,
-            yaw_rate_noise=self.yaw_rate_noise,
-            yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),
-        )
-        belts = BeltEncoders(robot.track_speed, self.belt_error * rng.uniform(-1.0, 1.0))
-        unit = InertialUnit(errors, rng)
-        bias = self.accelerometer_bias * rng.standard_normal(3)
-        force = Accelerometer(self.accelerometer_noise, bias, mounting.gravity)
-        return {"belts": belts, "inertial": unit, "accelerometer": force}
-
-    def estimator(self, robot: RobotGeometry) -> Estimator:
-        """Return a new estimator for the nominal ``robot``.
-
-        Raises:
-            MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
-        """
-        grid = Grid(cell=self.cell, lane=self.lane, keep=self.keep)
-        settings = MapSettings(
-            bins=self.bins,
-            bin_width=self.bin_width,
-            grid=grid,
-            half_width=self.half_width,
-            fewest=self.fewest,
-            noise=max(_LEAST_NOISE, self.noise),
-            accuracy=self._accuracy,
-        )
-        matcher = self._matcher() if self.pose == "matched" else None
-        return LidarEstimator(self._body(robot), self._mount, settings, matcher, self.deskew)
-
-    def _matcher(self) -> ScanMatcher:
-        try:
-            return ScanMatcher()
-        except ImportError as error:
-            raise MissingExtraError(
-                "perception.pose=matched needs small_gicp, which is not installed; "
-                "run pip install 'flipperctl[lidar]'"
-            ) from error
-
-    def exact(self) -> PlanarSensor:
-        """Return the sensor of the true ground."""
-        return PlanarSensor(**self.layout.model_dump())
-
-    @property
-    def _accuracy(self) -> Accuracy:
-        tilt = math.hypot(self.tilt_wander, self.tilt_noise)
-        return accuracy_of(self.pose, self.range_bias, tilt)
-
-    @property
-    def _mount(self) -> Mount:
-        return Mount(self.mount_x, self.mount_z, self.mount_axis, self.near, self.filter_margin)
-
-    def _body(self, robot: RobotGeometry) -> Body:
-        return Body(
-            chassis_length=robot.chassis_length,
-            flipper_length=robot.flipper_length,
-            track_radius=robot.track_radius,
-            chassis_width=self.chassis_width,
-            overall_width=self.overall_width,
-        )
