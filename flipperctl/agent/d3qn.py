@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.adam import Adam
+from flipperctl.agent.baseline import Baselines
 from flipperctl.agent.building import (
     TRAINING_COPIES,
     build_network,
     naming_network,
     record_plugin,
 )
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.groups import GroupBatch
 from flipperctl.agent.heads import choose_head
 from flipperctl.agent.losses import (
@@ -50,9 +52,9 @@ def _persistent_buffers(module: torch.nn.Module) -> list[str]:
     return [name for name, _ in module.named_buffers() if name in saved]
 
 
-def _flatten_parameters(module: torch.nn.Module) -> torch.Tensor:
-    """Move a module's parameters into one vector, (P,); they become views of it."""
-    parameters = list(module.parameters())
+def _flatten_parameters(modules: Sequence[torch.nn.Module]) -> torch.Tensor:
+    """Move the modules' parameters into one vector, (P,); they become views of it."""
+    parameters = [p for module in modules for p in module.parameters()]
     vector = torch.cat([p.detach().reshape(-1) for p in parameters])
     parts = torch.split(vector, [p.numel() for p in parameters])
     for parameter, part in zip(parameters, parts, strict=True):
@@ -73,13 +75,22 @@ class D3qn:
         seed: int,
         device: str = "cpu",
         teacher: Teacher | None = None,
+        privileged: int = 0,
     ) -> None:
-        """``teacher``: settings of the imitation of the batches' labels; None without labels."""
+        """``teacher``: settings of the imitation of the batches' labels; None without labels.
+
+        ``privileged``: length of the batches' privileged states, 0 without them.
+        """
         self.settings, self._teacher = settings, teacher
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
+            self.baselines = (
+                Baselines(input_size(network, layout), privileged).to(self.device)
+                if privileged
+                else None
+            )
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(
                 network, "build", "built a network without trainable parameters", ConfigError
@@ -89,12 +100,15 @@ class D3qn:
             self.target = copy.deepcopy(self.online).requires_grad_(False)
             # Each network's parameters lie in one vector, so that the optimiser, the clipping and
             # the soft update are one operation each instead of one per layer.
-            self._online = _flatten_parameters(self.online)
-            self._target = _flatten_parameters(self.target)
+            online, target = [self.online], [self.target]
+            if self.baselines is not None:
+                online.append(self.baselines.online)
+                target.append(self.baselines.target)
+            self._online, self._target = _flatten_parameters(online), _flatten_parameters(target)
             self._buffers = _persistent_buffers(self.online)
         for module in (self.online, self.target):
             record_plugin(module, network)
-        self._parameters = list(self.online.parameters())
+        self._parameters = [p for module in online for p in module.parameters()]
         self.optimiser = Adam(self._online)
         self._head = choose_head(self.online)
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
@@ -142,6 +156,8 @@ class D3qn:
                 if only_imitates
                 else self._head.targets(reward, batch, self.online, self.target)
             )
+            if self.baselines is not None:
+                targets = self.baselines.with_next(targets, batch)
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
@@ -154,15 +170,22 @@ class D3qn:
                 )
         return value
 
+    def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
+        """Return the loss of the temporal difference."""
+        if self.baselines is None:
+            return self._head.loss(self.online, batch.observation, batch.action, target)
+        left, pull = self.baselines.without_present(target, batch)
+        return self._head.loss(self.online, batch.observation, batch.action, left) + pull
+
     def _loss(
         self, batch: Batch, target: torch.Tensor, fraction: float, groups: GroupBatch | None
     ) -> torch.Tensor:
         """Return the temporal-difference loss, plus the loss of what a teacher says."""
         s = self._teacher
         if s is None:
-            return self._head.loss(self.online, batch.observation, batch.action, target)
+            return self._difference_loss(batch, target)
         if s.loss == "values":
-            td = self._head.loss(self.online, batch.observation, batch.action, target)
+            td = self._difference_loss(batch, target)
             if groups is None:
                 return s.td_weight * td
             scale = self.settings.reward_scale
@@ -180,8 +203,7 @@ class D3qn:
         loss = linear(s.weight, s.weight_end, fraction) * imitation
         if not s.td_weight:
             return loss + mean_value_penalty(values)
-        td = self._head.loss(self.online, batch.observation, batch.action, target)
-        return s.td_weight * td + loss
+        return s.td_weight * self._difference_loss(batch, target) + loss
 
     def _step(
         self,
@@ -220,17 +242,22 @@ class D3qn:
         """Return the learner's state: both networks and the optimiser's moments."""
         found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
         found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
+        if self.baselines is not None:
+            found |= {f"baselines.{k}": v for k, v in self.baselines.state_dict().items()}
         return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
 
     def restore(self, tensors: dict[str, torch.Tensor], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        parts: dict[str, dict[str, torch.Tensor]] = {"online": {}, "target": {}, "optimiser": {}}
+        names = ("online", "target", "baselines", "optimiser")
+        parts: dict[str, dict[str, torch.Tensor]] = {name: {} for name in names}
         for name, tensor in tensors.items():
             part, _, key = name.partition(".")
             if part in parts:
                 parts[part][key] = tensor
         self.online.load_state_dict(parts["online"])
         self.target.load_state_dict(parts["target"])
+        if self.baselines is not None:
+            self.baselines.load_state_dict(parts["baselines"])
         for name, moment in self.optimiser.moments.items():
             moment.copy_(parts["optimiser"][name])
         self.optimiser.steps = steps

@@ -22,11 +22,12 @@ def check_demand(
     decisions: int,
     *,
     labelled: bool = False,
+    privileged: int = 0,
 ) -> None:
     """Check that the network, the replay and the batches of a training fit into memory.
 
     ``decisions``: the run's budget, which also limits the transitions in the replay; they have
-    labels if the run is ``labelled``.
+    labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
 
     Raises:
         ConfigError: they do not fit; the message says how much memory is needed and free.
@@ -37,7 +38,7 @@ def check_demand(
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)
     memory.require(
-        rows * row_bytes(inputs, n_actions if labelled else 0),
+        rows * row_bytes(inputs, n_actions if labelled else 0, privileged),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "lower it, or use fewer bins or frames",
     )

@@ -7,7 +7,7 @@ of n rewards, observation n decisions later, discount of its value).
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from flipperctl.agent.memory import gigabytes
 from flipperctl.errors import ConfigError
 
-_Label = NDArray[np.float32] | None
+_Row = NDArray[np.float32] | None
 
 
-def row_bytes(size: int, labels: int = 0) -> int:
+def row_bytes(size: int, labels: int = 0, privileged: int = 0) -> int:
     """Return the memory of one transition [B].
 
-    ``size``: length of an input row; ``labels``: length of a label, 0 without one.
+    ``size``: length of an input row; ``labels``: length of a label, 0 without one;
+    ``privileged``: length of a privileged state, 0 without one.
     """
-    return 2 * 4 * size + 8 + 4 + 4 + 4 * labels
+    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,24 @@ class Batch:
     """Factors of the next value: γⁿ, or 0 without bootstrapping, (B,) float32 [-]."""
     label: torch.Tensor | None = None
     """The teacher's distribution over actions, (B, 9) float32; zeros without a label."""
+    privileged: torch.Tensor | None = None
+    """Privileged states at ``observation``, (B, P) float32, if the training has them."""
+    next_privileged: torch.Tensor | None = None
+    """Privileged states at ``next_observation``, (B, P) float32."""
 
     def rows(self, part: slice) -> Batch:
         """Return a part of the batch."""
-        found = {name: getattr(self, name)[part] for name in Replay.FIELDS}
-        return Batch(**found, label=None if self.label is None else self.label[part])
+        return Batch(**{name: tensor[part] for name, tensor in self._tensors().items()})
 
     def to(self, device: torch.device) -> Batch:
         """Return the batch on ``device``."""
         if device.type == "cpu":
             return self
-        found = {name: getattr(self, name).to(device) for name in Replay.FIELDS}
-        return Batch(**found, label=None if self.label is None else self.label.to(device))
+        return Batch(**{name: tensor.to(device) for name, tensor in self._tensors().items()})
+
+    def _tensors(self) -> dict[str, torch.Tensor]:
+        found = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: tensor for name, tensor in found.items() if tensor is not None}
 
 
 class Replay:
@@ -71,11 +78,13 @@ class Replay:
         gamma: float,
         labels: int = 0,
         *,
+        privileged: int = 0,
         cut_at_random: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
-        ``cut_at_random``: whether a sum of rewards ends before the next random action.
+        ``privileged``: length of the privileged states, 0 without them. ``cut_at_random``: whether
+        a sum of rewards ends before the next random action.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -91,8 +100,11 @@ class Replay:
             }
             if labels:
                 self.arrays["label"] = np.zeros((capacity, labels), np.float32)
+            if privileged:
+                for name in ("privileged", "next_privileged"):
+                    self.arrays[name] = np.zeros((capacity, privileged), np.float32)
         except MemoryError as error:
-            needed = gigabytes(capacity * row_bytes(size, labels))
+            needed = gigabytes(capacity * row_bytes(size, labels, privileged))
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
                 f"{needed} of memory, more than is available; lower it"
@@ -101,7 +113,7 @@ class Replay:
         self.kept = 0
         """Number of first transitions, which are never overwritten."""
         self._gamma = gamma
-        self._pending: deque[tuple[NDArray[np.float32], int, float, _Label]] = deque()
+        self._pending: deque[tuple[NDArray[np.float32], int, float, _Row, _Row]] = deque()
         self._n_step, self._cut_at_random = n_step, cut_at_random
 
     def __len__(self) -> int:
@@ -117,29 +129,34 @@ class Replay:
         over: bool,
         bootstrap: bool,
         explored: bool = False,
-        label: _Label = None,
+        label: _Row = None,
+        privileged: _Row = None,
+        next_privileged: _Row = None,
     ) -> None:
         """Add one decision.
 
         ``over``: whether it ended the episode; ``bootstrap``: whether the target still includes the
         value after that end; ``explored``: whether the action was random; ``label``: the teacher's
-        distribution over actions, if any.
+        distribution over actions, if any; ``privileged`` and ``next_privileged``: the privileged
+        states at both observations, if the training has them.
         """
         while self._cut_at_random and explored and self._pending:
-            self._flush(observation, 1.0)
-        self._pending.append((observation, action, reward, label))
+            self._flush(observation, privileged, 1.0)
+        self._pending.append((observation, action, reward, label, privileged))
         continues = 1.0 if bootstrap or not over else 0.0
         if len(self._pending) == self._n_step:
-            self._flush(next_observation, continues)
+            self._flush(next_observation, next_privileged, continues)
         while over and self._pending:
-            self._flush(next_observation, continues)
+            self._flush(next_observation, next_privileged, continues)
 
-    def _flush(self, next_observation: NDArray[np.float32], continues: float) -> None:
+    def _flush(
+        self, next_observation: NDArray[np.float32], next_privileged: _Row, continues: float
+    ) -> None:
         total = 0.0
-        for _, _, reward, _ in reversed(self._pending):
+        for _, _, reward, _, _ in reversed(self._pending):
             total = reward + self._gamma * total
         length = len(self._pending)
-        observation, action, _, label = self._pending.popleft()
+        observation, action, _, label, privileged = self._pending.popleft()
         row = self.added
         if row >= self.capacity:
             row = self.kept + (row - self.kept) % (self.capacity - self.kept)
@@ -148,6 +165,9 @@ class Replay:
             self.arrays[name][row] = value
         if "label" in self.arrays:
             self.arrays["label"][row] = 0.0 if label is None else label
+        if "privileged" in self.arrays:
+            self.arrays["privileged"][row] = privileged
+            self.arrays["next_privileged"][row] = next_privileged
         self.added += 1
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:

@@ -182,6 +182,13 @@ class TrainConfig(EnvConfig):
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
+    @property
+    def learns_privileged_value(self) -> bool:
+        """Whether the learner needs privileged states: only the temporal difference uses them."""
+        return self.agent.privileged_value and not (
+            self.teacher.teaches and not self.teacher.td_weight
+        )
+
     @model_validator(mode="after")
     def _check_collector(self) -> TrainConfig:
         if self.train.mode == "exact" and self.collector.name != "local":
@@ -210,6 +217,15 @@ class TrainConfig(EnvConfig):
                     f"teacher.controller.gamma: {gamma} is not agent.gamma ({self.agent.gamma}); "
                     f"set teacher.controller.gamma={self.agent.gamma}"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _check_recorded(self) -> TrainConfig:
+        if self.teacher.episodes is not None and self.learns_privileged_value:
+            raise ConfigError(
+                "agent.privileged_value: the recorded episodes of teacher.episodes hold no "
+                "privileged states; set agent.privileged_value=false"
+            )
         return self
 
     @model_validator(mode="after")

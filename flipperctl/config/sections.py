@@ -120,6 +120,11 @@ class Agent(Settings):
         description="end a sum of n_step rewards before the next random action, so that it rates "
         "the policy instead of its exploration [-]",
     )
+    privileged_value: bool = Field(
+        False,
+        description="let a second network, which sees the ground ahead and the distance to the "
+        "finish, learn what they change in all actions' values alike; policies do without it [-]",
+    )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"

@@ -84,8 +84,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             plugins.load()
             config = with_overrides(EnvConfig(terrain=terrain), overrides)
         self.config = config
-        self.robot = config.robot
-        """The robot with the values sampled for the episode."""
+        self.robot, self.engine = config.robot, config.sim
+        """The robot and the engine with the values sampled for the episode."""
         self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward, self._measures = RewardSum(config.rewards), measures()
@@ -126,7 +126,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         config, episode = self.config, self.config.episode
         sampled = config.sample(randomise_rng)
         sections = config.with_sampled_values(sampled)
-        self.robot = sections[1]
+        self.engine, self.robot, _ = sections
         self.profile = self._generate(terrain_rng, float(difficulty))
         shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
             [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]

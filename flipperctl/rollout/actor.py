@@ -15,6 +15,7 @@ from flipperctl.agent.frames import stacked
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import LabellingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
@@ -44,6 +45,7 @@ class Actor:
         self._frames = settings.network.frames
         self._seed = settings.seed
         self._teaching, self._agent = settings.teacher, settings.agent
+        self._privileged = settings.learns_privileged_value
         teacher = settings.teacher.controller
         self._teacher = None
         if teacher is not None:
@@ -72,9 +74,12 @@ class Actor:
             policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
         labelling = policy if isinstance(policy, LabellingPolicy) else None
         episode, labels, explored = [], [], []
+        privileged = PrivilegedStates(self._env) if self._privileged else None
         for decision in decisions(self._env, policy, request.seed, difficulty=request.difficulty):
             episode.append(decision)
             explored.append(policy.explored)
+            if privileged is not None:
+                privileged.add(decision.transition)
             if labelling is not None:
                 labels.append(labelling.label)
         observations = [stacked(episode[0].perception.recent, self._frames)]
@@ -91,6 +96,7 @@ class Actor:
             labels=labelled,
             groups=None if labelling is None else labelling.groups,
             explored=np.array(explored),
+            privileged=None if privileged is None else np.array(privileged.rows),
         )
 
     def _load(self, weights: Weights) -> None:

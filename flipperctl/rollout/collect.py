@@ -14,6 +14,7 @@ from typing import Protocol
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.policies.abilities import LabellingPolicy, TrainingPolicy
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.pool import WorkerDiedError
@@ -90,12 +91,15 @@ class InProcessCollector:
         difficulty: Callable[[], float] = lambda: 1.0,
         frames: int = 1,
         stop: Stop = lambda: False,
+        *,
+        privileged: bool = False,
     ) -> None:
         """``next_seed`` and ``difficulty`` are called before each episode.
 
         ``frames``: number of observations that the network takes as one input. ``stop`` can end an
-        evaluation between two episodes.
+        evaluation between two episodes. ``privileged``: whether the steps have privileged states.
         """
+        self._privileged = privileged
         self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
         self._labelling = policy if isinstance(policy, LabellingPolicy) else None
         self._exploring = policy if isinstance(policy, TrainingPolicy) else None
@@ -104,12 +108,15 @@ class InProcessCollector:
     def episode(self) -> Iterator[Step]:
         """Yield the steps of one episode; each is made on request of the iterator."""
         seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
+        states = PrivilegedStates(self._env) if self._privileged else None
         for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
             ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
             observation = stacked(d.perception.recent, frames)
             next_observation = stacked(d.next_perception.recent, frames)
             label = None if self._labelling is None else self._labelling.label
             valued = self._labelling if ending is not None else None
+            if states is not None:
+                states.add(d.transition)
             yield Step(
                 observation=observation,
                 action=d.action,
@@ -119,6 +126,8 @@ class InProcessCollector:
                 label=label,
                 groups=None if valued is None else valued.groups,
                 explored=self._exploring is not None and self._exploring.explored,
+                privileged=None if states is None else states.rows[-2],
+                next_privileged=None if states is None else states.rows[-1],
             )
 
     def evaluate(

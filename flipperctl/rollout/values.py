@@ -38,6 +38,10 @@ class Step:
     """After the last step, the states that the teacher valued on the episode's ground."""
     explored: bool = False
     """Whether the action was random."""
+    privileged: NDArray[np.float32] | None = None
+    """Privileged state at ``observation``, (P,), if the training has them."""
+    next_privileged: NDArray[np.float32] | None = None
+    """Privileged state at ``next_observation``, (P,)."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,8 @@ class Rollout:
     """States of the episode's ground that the teacher valued."""
     explored: NDArray[np.bool_] | None = None
     """Whether each action was random, (T,); None if none was."""
+    privileged: NDArray[np.float32] | None = None
+    """Privileged states at the observations, (T + 1, P), if the training has them."""
 
     def steps(self) -> Iterator[Step]:
         """Yield the steps in their order."""
@@ -93,4 +99,6 @@ class Rollout:
                 label=label,
                 groups=None if ending is None else self.groups,
                 explored=self.explored is not None and bool(self.explored[t]),
+                privileged=None if self.privileged is None else self.privileged[t],
+                next_privileged=None if self.privileged is None else self.privileged[t + 1],
             )

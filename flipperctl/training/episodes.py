@@ -101,7 +101,8 @@ class EpisodeSource:
                 self._rng,
             )
         return InProcessCollector(
-            env, policy, self._next_seed, lambda: self._progress.difficulty, frames, stop
+            *(env, policy, self._next_seed, lambda: self._progress.difficulty, frames, stop),
+            privileged=self._config.learns_privileged_value,
         )
 
     def _next_seed(self) -> int:

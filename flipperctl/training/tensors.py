@@ -41,6 +41,7 @@ def run_arrays(
         **{"online": network, "target": network},
         **{"optimiser": agent.optimiser.moments, "replay": blank},
         **{f"weights{version}": network for version in versions},
+        **({} if agent.baselines is None else {"baselines": agent.baselines.state_dict()}),
     }
     for part, tensors in expected.items():
         try:

@@ -19,8 +19,6 @@ import torch
 
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
-from flipperctl.agent.frames import input_size
-from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
@@ -28,10 +26,11 @@ from flipperctl.config import TrainConfig
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
+from flipperctl.env.privileged import SIZE
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
-from flipperctl.rollout.values import RolloutRequest, Step
+from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.progress import Progress
@@ -39,6 +38,7 @@ from flipperctl.training.recorded import fill, read_teacher
 from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
+from flipperctl.training.storing import new_replay, store
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
 from flipperctl.training.valued import ValuedStates
@@ -56,8 +56,11 @@ class Trainer:
         env = FlipperEnv(config=config.environment())
         layout, agent = env.layout, config.agent
         taught = config.teacher.teaches
+        privileged = SIZE if config.learns_privileged_value else 0
         check_demand(
-            *(config.network, layout, len(ACTIONS), agent, config.train.decisions), labelled=taught
+            *(config.network, layout, len(ACTIONS), agent, config.train.decisions),
+            labelled=taught,
+            privileged=privileged,
         )
         init, explore, sample = np.random.SeedSequence(config.seed).spawn(3)
         seed = int(init.generate_state(1)[0])
@@ -66,12 +69,9 @@ class Trainer:
             seed=seed,
             device=config.device,
             teacher=config.teacher if taught else None,
+            privileged=privileged,
         )
-        self.replay = Replay(
-            *(agent.replay_size, input_size(config.network, layout), agent.n_step, agent.gamma),
-            labels=len(ACTIONS) if taught else 0,
-            cut_at_random=agent.cut_at_random,
-        )
+        self.replay = new_replay(config, layout, privileged)
         self.valued = ValuedStates(config.teacher)
         generators = {
             "explore": np.random.default_rng(explore),
@@ -170,7 +170,8 @@ class Trainer:
         ending: Row | None = None
         for step in collector.episode():
             ending = step.ending
-            self._store(step)
+            store(self.replay, step, self.config)
+            self.valued.add(step)
             self._recorder.add(step, self.progress.episode)
             self.progress.decision += 1
             self._learn()
@@ -181,20 +182,6 @@ class Trainer:
             self._recorder.drop()
         else:
             self._end_episode(ending)
-
-    def _store(self, step: Step) -> None:
-        ending, bootstrapped = step.ending, self.config.agent.bootstrap_outcomes
-        self.replay.add(
-            step.observation,
-            step.action,
-            step.reward,
-            step.next_observation,
-            over=ending is not None,
-            bootstrap=ending is not None and ending["outcome"] in bootstrapped,
-            explored=step.explored,
-            label=step.label,
-        )
-        self.valued.add(step)
 
     def _learn(self) -> None:
         """Update the agent if an update is due at this decision.
