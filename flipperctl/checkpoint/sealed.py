@@ -50,7 +50,9 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     except OSError as error:
         raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
     # A safetensors file begins with the length of its header, 8 bytes of any value, and "{".
-    if start[8:] != b"{" and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
+    # Of a shorter one nothing can be said but that it is damaged.
+    other = len(start) == 9 and start[8:] != b"{"
+    if other and (start[:1] == b"\x80" or start[:4] == b"PK\x03\x04"):
         raise CheckpointError(
             f"{path} is a pickle or a zip archive, not a safetensors file; "
             "flipperctl never loads these, since they can run code"

@@ -1,4 +1,4 @@
-"""A run with greedy episodes and sums that are cut resumes bit for bit, whoever plays."""
+"""A run of ``experiment=precise`` resumes bit for bit, whoever plays: its learner's settings."""
 
 from pathlib import Path
 
@@ -6,11 +6,20 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
+from flipperctl.env.privileged import SIZE
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
 
-SETTINGS = {"agent.exploring_share": 0.5, "agent.cut_at_random": True, "train.decisions": 400}
+SETTINGS = {
+    "agent.exploring_share": 0.5,
+    "agent.cut_at_random": True,
+    "agent.privileged_value": True,
+    "train.decisions": 400,
+}
+
+TIME_LEFT = 38
+"""Column of the share of the time limit that is left."""
 
 
 @pytest.mark.parametrize("mode", ["exact", "fast"])
@@ -31,3 +40,8 @@ def test_a_resumed_run_equals_the_uninterrupted_one(mode: str, tmp_path: Path) -
     # Sums of three rewards that were cut bootstrap after one or two decisions.
     discounts = {round(float(d), 3) for d in expected["replay.discount"].unique()}
     assert {0.99, 0.98, 0.97} <= discounts
+    # Every decision has the privileged states before and after; the share of the time falls.
+    before, after = expected["replay.privileged"], expected["replay.next_privileged"]
+    assert before.shape == after.shape == (len(expected["replay.discount"]), SIZE)
+    assert bool((after[:, TIME_LEFT] < before[:, TIME_LEFT]).all())
+    assert any(name.startswith("baselines.target.") for name in expected)

@@ -143,6 +143,14 @@ def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
         assert np.array_equal(array, own[name].numpy()[begin : begin + len(array)]), name
 
 
+def test_recorded_episodes_have_no_privileged_states(file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"agent\.privileged_value: .* hold no privileged states"):
+        short_config(**{"teacher.episodes": str(file), "agent.privileged_value": True})
+    imitates = {"teacher.td_weight": 0.0, "agent.privileged_value": True}
+    config = short_config(**{"teacher.episodes": str(file), **imitates})
+    assert not config.learns_privileged_value  # nothing would use it
+
+
 def test_without_a_teacher_the_recorded_decisions_have_no_labels(tmp_path: Path) -> None:
     trainer(short_config(**{"train.record": True, "train.decisions": 200}), tmp_path).run()
     found = recording.read(tmp_path / EPISODES)
