@@ -2,6 +2,9 @@
 
 import gc
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # read once, by numpy and torch; children inherit it
+
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -17,6 +17,8 @@ from flipperctl.cli.inspect import VIEWS
 from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
 
+pytestmark = pytest.mark.slow  # it begins early: Sphinx takes long
+
 ROOT = Path(__file__).parents[1]
 BASES = {
     "CommonSettings",

@@ -1,6 +1,7 @@
 """Updates of both learners."""
 
 import sys
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -13,12 +14,21 @@ from tests.bench.small import check, check_ratio
 from tests.benchmarks.small import small_benchmark
 
 
-def test_every_batch_size_is_measured_on_both_sides() -> None:
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """More threads than the measure uses, so that it has something to put back."""
     threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_every_batch_size_is_measured_on_both_sides() -> None:
     found = updates.measure(small_benchmark(batch_sizes=(16, 32)))
     check(found)
     assert found["missing"] == []
-    assert torch.get_num_threads() == threads
+    assert torch.get_num_threads() == 2
     for size in (16, 32):
         for name in ("sb3", "sb3_fused"):
             key = f"flipperctl / {name}, updates of {size}"

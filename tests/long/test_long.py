@@ -9,19 +9,9 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["kills", "--count", "2", "--early", "1", "--fast", "0"],
-        ["races", "--count", "2", "--fast", "0"],
-        ["killed_sweeps", "--count", "1", "--joblib", "0", "--stops", "SIGKILL"],
-    ],
-    ids=["kills", "races", "killed sweeps"],
-)
-def test_kills_and_races_change_nothing(command: list[str]) -> None:
-    name, *options = command
+def test_kills_races_and_stopped_sweeps_change_nothing() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", f"tests.long.{name}", *options, "--seed", "5"],
+        [sys.executable, "-m", "tests.long.few"],
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,
@@ -29,4 +19,4 @@ def test_kills_and_races_change_nothing(command: list[str]) -> None:
         timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "0 violations" in done.stdout
+    assert done.stdout.count("0 violations") == 3
