@@ -157,6 +157,16 @@ class LidarEstimator:
         ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
 
+    @property
+    def pose(self) -> Pose:
+        """Pose of the robot by the latest messages."""
+        return self._pose
+
+    def map_points(self) -> FloatArray:
+        """Return the points of the map along the robot, (P, 3) in frame L [m], for pictures."""
+        pose = self._pose
+        return self._ground.points_around(np.array([pose.x, pose.y, pose.z]), pose.yaw)
+
     def _age(self, time: float) -> float:
         """Return the time since the newest message, 0 or more [s]."""
         now = number(time, "the time of an estimate")

@@ -183,6 +183,13 @@ class GroundSeen:
             ),
         )
 
+    def points_around(self, position: FloatArray, yaw: float) -> FloatArray:
+        """Return the points of the map that ``sensed`` uses, (P, 3) in frame L [m]."""
+        x, y, z = position.tolist()
+        near = self._cells.around(x, y, yaw, (-self._reach, self._reach), self._settings.half_width)
+        near[:, 2] += (self._lift or 0.0) - z
+        return near
+
     def _since(self, x: float, y: float, yaw: float) -> FloatArray:
         """Return the way that the robot has gone since it saw each bin, (N,) [m]."""
         s, half = self._settings, self._reach
