@@ -16,8 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flipperctl.api import FloatArray
-from flipperctl.bags.episode import BELTS
-from flipperctl.bags.messages import BASE, JOINTS, ODOM
 from flipperctl.bags.reading import (
     FRAMES,
     ODOMETRY,
@@ -28,40 +26,14 @@ from flipperctl.bags.reading import (
     read_points,
     seconds,
 )
+from flipperctl.bags.topics import OF_ANGLES, Names, first, found_topics
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.robot_setup import RobotSetup
-from flipperctl.runtime.signs import OURS, REP_103, Signs
+from flipperctl.runtime.signs import REP_103, Signs
 
 Message = Cloud | Attitude | JointAngles | Odometry
-_IMU, _JOINTS, _NUMBER = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
-_OF_ANGLES = {"rep103": REP_103, "flipperctl": OURS}
-SIGNS = tuple(_OF_ANGLES)
-"""Conventions of flipper angles."""
-
-
-@dataclass(frozen=True)
-class Names:
-    """What the topics, frames and joints of a bag are called."""
-
-    clouds: str | None = None
-    """Topic of the clouds; None: the only one."""
-    imu: str | None = None
-    """Topic of the inertial unit; None: the only one, if there is one."""
-    belts: str | None = None
-    """Topic of the belts' speed, a ``Float64`` or an ``Odometry``; None: the only one of them."""
-    fixed: str = ODOM
-    """Frame in which the ground is at rest."""
-    base: str = BASE
-    """Frame of the chassis."""
-    front: Sequence[str] = JOINTS[:2]
-    """Joints of the front flippers."""
-    rear: Sequence[str] = JOINTS[2:]
-    """Joints of the rear flippers."""
-    signs: str = SIGNS[0]
-    """Convention of the flippers' angles."""
 
 
 class Step(NamedTuple):
@@ -90,7 +62,7 @@ class Recording:
     @property
     def setup(self) -> RobotSetup:
         """Frames and signs of the messages, with all else by default."""
-        angles = _OF_ANGLES[self.names.signs]
+        angles = OF_ANGLES[self.names.signs]
         # Attitudes are made of quaternions, whose signs are always those of REP-103.
         signs = Signs(front=angles.front, rear=angles.rear, pitch=REP_103.pitch)
         return RobotSetup(signs, cloud_frame=self.names.base, attitude_frame=self.names.base)
@@ -172,7 +144,7 @@ class Recording:
         return Attitude.from_quaternion(time, self.names.base, x, y, z, w, float(rate[2]))
 
 
-def read_recording(path: Path, names: Names = Names()) -> Recording:
+def read_recording(path: Path, names: Names) -> Recording:
     """Return what a bag holds; its messages are not read yet.
 
     Raises:
@@ -190,87 +162,15 @@ def read_recording(path: Path, names: Names = Names()) -> Recording:
             else:
                 add_transforms(transforms, connection.topic, message)
         add_odometry(transforms, odometry)
-        cloud = _first(reader, topics["cloud"])
+        cloud = first(reader, topics["cloud"])
         if cloud is None:
             raise RequestError(f"{path}: there is no message on {topics['cloud']}")
-        topics |= _found_topics(path, reader, names, remarks)
+        topics |= found_topics(path, reader, names, remarks)
     found = read_points(f"{path}: {topics['cloud']}", cloud)
     recording = Recording(path, names, topics, transforms, np.zeros(3), remarks)
     mount = _placed(recording, found.frame, found.time)
     lidar = np.zeros(3) if mount is None else mount.place
     return Recording(path, names, topics, transforms, lidar, remarks)
-
-
-def _found_topics(path: Path, reader: Any, names: Names, remarks: list[str]) -> dict[str, str]:
-    """Return the topics of the devices other than the LiDAR that can be used."""
-    found = {}
-    imu = _only(path, reader, names.imu, (_IMU,), "--imu")
-    if imu is not None and (reason := _no_attitude(_first(reader, imu))):
-        remarks.append(f"{imu} is not used: {reason}")
-    elif imu is not None:
-        found["attitude"] = imu
-    joints = _only(path, reader, None, (_JOINTS,), "", names)
-    if joints is not None:
-        found["joints"] = joints
-    else:
-        wanted = ", ".join([*names.front, *names.rear])
-        remarks.append(f"no JointState has the joints {wanted}: the flippers are taken for level")
-    belts = names.belts
-    if belts is None and any(c.topic == BELTS for c in reader.connections):
-        belts = BELTS
-    belts = _only(path, reader, belts, (_NUMBER, ODOMETRY) if belts else (ODOMETRY,), "--belts")
-    if belts is not None:
-        found["odometry"] = belts
-    return found
-
-
-def _only(
-    path: Path,
-    reader: Any,
-    topic: str | None,
-    kinds: Sequence[str],
-    option: str,
-    joints: Names | None = None,
-) -> str | None:
-    """Return the topic, or the only one of these kinds; None if there is none.
-
-    ``joints``: the names of the joints that its messages must have.
-
-    Raises:
-        RequestError: there is no such topic, or there are several.
-    """
-    known = sorted({c.topic for c in reader.connections if c.msgtype in kinds})
-    if topic is not None:
-        if topic not in known:
-            kind = " or ".join(one.rpartition("/")[2] for one in kinds)
-            hint = close_match(topic, known)
-            topics = ", ".join(known) or "none"
-            raise RequestError(f"{path}: no {kind} is on {topic!r}{hint}; topics: {topics}")
-        return topic
-    if joints is not None:
-        wanted = {*joints.front, *joints.rear}
-        known = [one for one in known if wanted <= {*getattr(_first(reader, one), "name", ())}]
-    if len(known) > 1 and option:
-        raise RequestError(f"{path}: {option} chooses one of {', '.join(known)}")
-    return known[0] if known else None
-
-
-def _first(reader: Any, topic: str) -> Any:
-    """Return the first message of a topic; None if there is none."""
-    chosen = [c for c in reader.connections if c.topic == topic]
-    for connection, _, data in reader.messages(connections=chosen):
-        return reader.deserialize(data, connection.msgtype)
-    return None
-
-
-def _no_attitude(imu: Any) -> str:
-    """Return why an ``Imu`` tells no attitude; nothing if it does."""
-    if imu is None:
-        return "it has no message"
-    q = imu.orientation
-    if imu.orientation_covariance[0] == -1 or not any((q.x, q.y, q.z, q.w)):
-        return "it tells no orientation (a filter such as imu_filter_madgwick adds one)"
-    return ""
 
 
 def _placed(recording: Recording, frame: str, time: float) -> Pose | None:

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import FloatArray, Robot, Sensor
-from flipperctl.bags.devices import Names, Recording, Step, read_recording
+from flipperctl.bags.devices import Recording, Step, read_recording
 from flipperctl.bags.drift import Drift
 from flipperctl.bags.folder import POSES, read_folder, read_stamps
+from flipperctl.bags.topics import Names
 from flipperctl.bags.transforms import Pose as FramePose
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Pose, Scan

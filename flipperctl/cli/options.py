@@ -70,7 +70,7 @@ BeltTopic = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Belt speeds, Float64 or Odometry [/belt_speed, or the only Odometry].",
+        help="Belt speeds, Float64 or Odometry; /belt_speed or the only Odometry if not given.",
     ),
 ]
 FixedFrame = Annotated[

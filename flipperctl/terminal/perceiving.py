@@ -55,3 +55,19 @@ def _drift(drift: dict[str, float | None]) -> str:
         f"{1000 * (drift['horizontal'] or 0.0):.0f} mm{share}, height "
         f"{1000 * (drift['height'] or 0.0):+.0f} mm, heading {heading:+.1f}° against the recording"
     )
+
+
+def print_shadow(found: dict[str, Any]) -> None:
+    """Print how a policy fared on a recording in shadow mode, and where its log is."""
+    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
+    print(f"{found['policy']} on {found['source']}: {found['seconds']:.1f} s; {topics}")
+    table = Table(["what", "found"], "shadow mode", words=["found"])
+    table.add("decisions", str(found["decisions"]))
+    for state, seconds in found["states"].items():
+        table.add(state, f"{seconds:.1f} s")
+    for name, fault in found["faults"].items():
+        table.add(f"  {name}", f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}")
+    table.print(console())
+    for remark in found["remarks"]:
+        print(remark)
+    print(f"log: {found['output']}")

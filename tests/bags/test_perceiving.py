@@ -10,11 +10,12 @@ import pytest
 from PIL import Image
 
 from flipperctl.api import Robot
-from flipperctl.bags.devices import Names, read_recording
+from flipperctl.bags.devices import read_recording
 from flipperctl.bags.drift import Drift
 from flipperctl.bags.episode import Stamped, typestore, write_bag
 from flipperctl.bags.messages import Messages
 from flipperctl.bags.perceiving import replay
+from flipperctl.bags.topics import Names
 from flipperctl.core.lidar.messages import Pose
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.report.perceiving import draw, faces
@@ -133,7 +134,7 @@ def without_orientation(message):
         (lambda: changed("/points", stamped(None)), "a cloud has no stamp"),
         (lambda: driving(clouds=False), "the PointCloud2 of one topic is needed"),
         (lambda: (m for m in driving() if m.topic[:3] != "/tf"), "no frame 'base_link'"),
-        (lambda: changed("/points", stamped(60)), "0.* × cloud is stamped 60.000 s ahead"),
+        (lambda: changed("/points", stamped(60)), r"19 × cloud is stamped 60\.000 s ahead"),
     ],
 )
 def test_a_bag_that_cannot_be_used_is_one_error(tmp_path, messages, error):
@@ -212,7 +213,7 @@ def test_an_inertial_unit_may_be_mounted_in_any_way(tmp_path):
         yield Stamped(0.0, "/imu/data", dataclasses.replace(message, header=header))
 
     write_bag(tmp_path / "bag", list(turned()))
-    recording = read_recording(tmp_path / "bag")
+    recording = read_recording(tmp_path / "bag", Names())
     (told,) = [s.messages["attitude"] for s in recording.steps() if "attitude" in s.messages]
     assert (told.roll, REP_103.pitch * told.pitch) == pytest.approx((0.0, up), abs=1e-9)
     assert told.yaw_rate == pytest.approx(0.4)

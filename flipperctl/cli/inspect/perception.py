@@ -47,9 +47,8 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.bags.devices import Names
-    from flipperctl.bags.messages import JOINTS
     from flipperctl.bags.perceiving import replay
+    from flipperctl.bags.topics import names_of
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.terminal.document import show
@@ -60,8 +59,7 @@ def run(
         from flipperctl.report.perceiving import check_output, draw
 
         check_output(output or Path(), at)
-    front, rear = front or list(JOINTS[:2]), rear or list(JOINTS[2:])
-    names = Names(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
+    names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
     parsed = Overrides.parse(["perception=lidar", *(overrides or ())])
     config = compose_environment(parsed)
     chosen = "perception.pose" in parsed.typed
