@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from flipperctl.api import FloatArray
 from flipperctl.bags.reading import (
     FRAMES,
     ODOMETRY,
@@ -28,6 +27,7 @@ from flipperctl.bags.reading import (
 )
 from flipperctl.bags.topics import OF_ANGLES, Names, first, found_topics
 from flipperctl.bags.transforms import Pose, Transforms
+from flipperctl.core.lidar.rotations import mounting
 from flipperctl.errors import RequestError
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.robot_setup import RobotSetup
@@ -54,10 +54,16 @@ class Recording:
     topics: dict[str, str]
     """Device → topic, for the devices that the bag has."""
     transforms: Transforms
-    lidar: FloatArray
-    """(3,) where the sensor of the clouds is on the chassis [m]."""
+    mount: Pose
+    """The sensor of the clouds on the chassis."""
     remarks: list[str] = field(default_factory=list)
     """What a reader of the result should know."""
+
+    @property
+    def axis(self) -> float:
+        """Elevation of the z axis of the clouds' frame, about which a LiDAR turns [rad]."""
+        x, _, z = self.mount.directions(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
+        return math.atan2(z, x)
 
     @property
     def setup(self) -> RobotSetup:
@@ -79,8 +85,8 @@ class Recording:
     def steps(self) -> Iterator[Step]:
         """Yield the messages in the order in which they were recorded, those of one time at once.
 
-        The points of clouds come with the axes of the chassis, from the place of the sensor ahead
-        of and above its centre, (x, 0, z).
+        The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
+        chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
 
         Raises:
             RequestError: a cloud has no stamp, or its frame is unknown.
@@ -125,8 +131,8 @@ class Recording:
             time, ages = found.time + end, end - found.shifts
         if mount is None:  # refused by its frame
             return Cloud(time, found.frame, found.points, ages)
-        points = mount.apply(found.points) - self.lidar * (1.0, 0.0, 1.0)
-        return Cloud(time, self.names.base, points, ages)
+        points = mount.apply(found.points) - self.mount.place * (1.0, 0.0, 1.0)
+        return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
     def _attitude(self, message: Any) -> Attitude:
         frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
@@ -139,7 +145,7 @@ class Recording:
                 return Attitude(time, frame, 0.0, 0.0, 0.0)  # refused by its frame
             # The chassis in the world is the unit in the world after the chassis in the unit.
             turn = Pose(np.zeros(3), turn).after(mount.inverse()).turn
-            rate = mount.apply(rate[None])[0] - mount.place
+            rate = mount.directions(rate[None])[0]
         x, y, z, w = turn.tolist()
         return Attitude.from_quaternion(time, self.names.base, x, y, z, w, float(rate[2]))
 
@@ -167,10 +173,9 @@ def read_recording(path: Path, names: Names) -> Recording:
             raise RequestError(f"{path}: there is no message on {topics['cloud']}")
         topics |= found_topics(path, reader, names, remarks)
     found = read_points(f"{path}: {topics['cloud']}", cloud)
-    recording = Recording(path, names, topics, transforms, np.zeros(3), remarks)
+    recording = Recording(path, names, topics, transforms, Pose.none(), remarks)
     mount = _placed(recording, found.frame, found.time)
-    lidar = np.zeros(3) if mount is None else mount.place
-    return Recording(path, names, topics, transforms, lidar, remarks)
+    return recording if mount is None else replace(recording, mount=mount)
 
 
 def _placed(recording: Recording, frame: str, time: float) -> Pose | None:

@@ -24,7 +24,7 @@ from flipperctl.bags.topics import Names
 from flipperctl.bags.transforms import Pose as FramePose
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Pose, Scan
-from flipperctl.core.lidar.rotations import attitude
+from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.errors import RequestError
 from flipperctl.runtime.intake import Intake
@@ -95,8 +95,8 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
         return run.finish(source, {"cloud": "files"}, [])
     recording = read_recording(source, names)
     found = _pose(recording, pose)
-    x, _, z = recording.lidar.tolist()
-    place = {"mount_x": x, "mount_z": z, "mount_axis": math.pi / 2}
+    x, _, z = recording.mount.place.tolist()
+    place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
     run = _Run(sensor.model_copy(update={**place, "pose": found}), robot, recording.setup)
     for step in recording.steps():
         cloud = step.messages.get("cloud")
@@ -136,6 +136,7 @@ class _Run:
         self._estimator, self._sensor = estimator, sensor
         self._tracked = sensor.pose == "true"
         self._mount = np.array([sensor.mount_x, 0.0, sensor.mount_z])
+        self._turn = mounting(sensor.mount_axis)
         self._limits, self._period = Limits(), robot.decision_period
         self._intake = Intake(setup, self._limits)
         self._result = Replay(sensor.bin_width, sensor.half_width)
@@ -194,7 +195,7 @@ class _Run:
         self._result.instants.append(
             Instant(
                 now - self._begun,
-                _shown(cloud + self._mount, pose),
+                _shown(cloud @ self._turn.T + self._mount, pose),
                 self._estimator.map_points(),
                 ground,
                 angles,

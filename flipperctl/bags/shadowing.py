@@ -78,10 +78,10 @@ def shadow(
 
 def setup_of(recording: Recording, sensor: LidarSensor, pose: str | None) -> RobotSetup:
     """Return the devices of a recorded robot, with the widths and errors of ``sensor``."""
-    x, _, z = recording.lidar.tolist()
+    x, _, z = recording.mount.place.tolist()
     return replace(
         recording.setup,
-        mount=Mount(x, z, math.pi / 2, sensor.near, sensor.filter_margin),
+        mount=Mount(x, z, recording.axis, sensor.near, sensor.filter_margin),
         chassis_width=sensor.chassis_width,
         overall_width=sensor.overall_width,
         pose="matched" if pose == "matched" else "belts",

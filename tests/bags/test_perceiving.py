@@ -22,7 +22,18 @@ from flipperctl.report.perceiving import draw, faces
 from flipperctl.runtime.signs import REP_103
 from flipperctl.sim.lidar.sensor import LidarSensor
 from flipperctl.terminal.perceiving import print_perception
-from tests.bags.driving import EDGE, FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points
+from tests.bags.driving import (
+    AXIS,
+    EDGE,
+    FRONT,
+    HEIGHT,
+    MOUNT,
+    REAR,
+    SECONDS,
+    SPEED,
+    driving,
+    points,
+)
 from tests.cli.call import call
 
 CLOUDS = round(10 * SECONDS) + 1
@@ -189,6 +200,13 @@ def test_a_folder_of_clouds_needs_stamps(tmp_path):
     np.savetxt(tmp_path / "poses.txt", np.ones((3, 12)))
     with pytest.raises(RequestError, match="the clouds have no stamps; 8 numbers a line"):
         replayed(tmp_path)
+
+
+def test_rings_of_a_tilted_lidar_stay_rings(bag):
+    recording = read_recording(bag, Names())
+    assert recording.axis == pytest.approx(AXIS)
+    cloud = next(s.messages["cloud"] for s in recording.steps() if "cloud" in s.messages)
+    assert cloud.points == pytest.approx(points(0.0), abs=1e-5)
 
 
 def test_an_inertial_unit_may_be_mounted_in_any_way(tmp_path):
