@@ -24,6 +24,8 @@ from flipperctl.bags.topics import Names
 from flipperctl.runtime import Cloud, FlipperController, RobotSetup
 from flipperctl.sim.lidar.sensor import LidarSensor
 
+_TURN = 0.1
+"""Time of a turn of the LiDAR [s]."""
 _WARM_UP = 20
 """Steps at the beginning that do not count; the first ones load what Python needs [-]."""
 
@@ -79,10 +81,9 @@ def denser(steps: list[Step], times: int) -> list[Step]:
 def _parts(step: Step, cloud: Cloud, parts: int) -> Iterator[Step]:
     points = np.asarray(cloud.points, np.float64)
     ages = np.zeros(len(points)) if cloud.ages is None else np.asarray(cloud.ages, np.float64)
-    turn = 0.1
     order = np.argsort(-ages, kind="stable")
     for index, chosen in enumerate(np.array_split(order, parts)):
-        newest = float(ages[chosen].min()) if ages.any() else turn * (parts - 1 - index) / parts
+        newest = _TURN * (parts - 1 - index) / parts  # a controller skips equal stamps
         own: NDArray[np.float64] = np.maximum(ages[chosen] - newest, 0.0)
         part = replace(cloud, time=cloud.time - newest, points=points[chosen], ages=own)
         yield Step(step.now - newest, {"cloud": part})
