@@ -3,10 +3,14 @@
 import json
 import math
 import re
+from pathlib import Path
 
 import pytest
+from rosbags.rosbag2 import Reader
 
-from flipperctl.bags.episode import write_bag
+from flipperctl.bags.episode import ACTION, export_bag, typestore, write_bag
+from flipperctl.config import EvalConfig
+from flipperctl.policies.source import PolicySource
 from tests.bags.driving import FRONT, REAR, SECONDS, driving
 from tests.cli.call import call
 from tests.runtime.linear import ROBOT, RULE, write
@@ -47,6 +51,27 @@ def test_what_a_robot_would_refuse_is_in_the_log_with_the_reason(folder):
     lines = [json.loads(line) for line in (folder / "blind.jsonl").read_text().splitlines()]
     assert [line["fault"] for line in lines if line["state"] == "holding"] == ["cloud_age"]
     assert lines[-1]["reason"].endswith("at most 0.5 s is allowed")
+
+
+def test_an_episode_s_own_policy_proposes_what_it_did(folder):
+    file = str(folder / "p.onnx")
+    config = EvalConfig(
+        terrain="step",
+        perception={"name": "lidar", "pose": "belts", "azimuths": 60},
+        episode={"run_up": 0.8, "run_out": 0.2},
+    )
+    export_bag(config, PolicySource(Path(file)), folder / "own")
+    done = call("shadow", file, "own", "--output", "own.jsonl", cwd=folder)
+    assert done.code == 0, done.err
+    lines = [json.loads(line) for line in (folder / "own.jsonl").read_text().splitlines()]
+    proposed = [line["action"] for line in lines if line["action"] is not None]
+    types, did = typestore(), []
+    with Reader(folder / "own") as reader:
+        (actions,) = [c for c in reader.connections if c.topic == ACTION]
+        for _, _, data in reader.messages(connections=[actions]):
+            did.append(types.deserialize_cdr(data, actions.msgtype).data)
+    assert proposed[: len(did)] == did
+    assert len(set(did)) > 1
 
 
 @pytest.mark.parametrize(

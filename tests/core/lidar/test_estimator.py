@@ -150,7 +150,7 @@ def test_the_sectors_of_a_turn_share_its_points(monkeypatch: pytest.MonkeyPatch)
         GroundSeen, "add", lambda self, p, x, y: (used.append(len(p)), add(self, p, x, y))
     )
     robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
-    beyond = ahead().points + (0.8, 0.0, 0.0)  # none of the robot's own
+    beyond = ahead().points + np.array([0.8, 0.0, 0.0])  # none of the robot's own
     scan = Scan(np.repeat(beyond, 15, axis=0))
     for time in (1.0, 1.1, 1.1125, 1.1125):
         robot.update(Measured("device", time, scan))
