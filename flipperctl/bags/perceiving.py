@@ -22,6 +22,7 @@ from flipperctl.bags.drift import Drift
 from flipperctl.bags.folder import POSES, read_folder, read_stamps
 from flipperctl.bags.topics import Names
 from flipperctl.bags.transforms import Pose as FramePose
+from flipperctl.core.lidar.checks import PerceptionError
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Pose, Scan
 from flipperctl.core.lidar.rotations import attitude, mounting
@@ -35,8 +36,8 @@ from flipperctl.sim.lidar.sensor import LidarSensor
 
 _SIDE = 1.0
 """Points of a scan farther from the robot's middle plane are not shown [m]."""
-_MOST_SHOWN = 4000
-"""Points of a scan that are kept for a picture [-]."""
+_MOST_SHOWN = 6000
+"""Points of a scan, and of the map, that are kept for a picture [-]."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,11 @@ class _Run:
 
     def _estimate(self, now: float, cloud: FloatArray) -> None:
         begun = perf_counter()
-        ground, angles = self._estimator.estimate(now)
+        try:
+            ground, angles = self._estimator.estimate(now)
+        except PerceptionError as error:  # all stamps are far behind the recording's clock
+            self._refuse("estimate", str(error))
+            return
         self._estimates.append(1000 * (perf_counter() - begun))
         pose = self._estimator.pose
         assert self._begun is not None
@@ -196,7 +201,7 @@ class _Run:
             Instant(
                 now - self._begun,
                 _shown(cloud @ self._turn.T + self._mount, pose),
-                self._estimator.map_points(),
+                _thinned(self._estimator.map_points()),
                 ground,
                 angles,
                 self._held(now, ground),
@@ -272,8 +277,11 @@ def _tracked(pose: FramePose) -> Pose:
 def _shown(points: FloatArray, pose: Pose) -> FloatArray:
     """Return points in frame R near the robot, in frame L, (P, 3) [m]."""
     level = points @ attitude(pose.roll, pose.pitch, 0.0).T
-    near = level[np.abs(level[:, 1]) <= _SIDE]
-    return near[:: 1 + len(near) // _MOST_SHOWN]
+    return _thinned(level[np.abs(level[:, 1]) <= _SIDE])
+
+
+def _thinned(points: FloatArray) -> FloatArray:
+    return points[:: 1 + len(points) // _MOST_SHOWN]
 
 
 def _median(values: FloatArray) -> float | None:

@@ -41,13 +41,15 @@ _WORST = 100.0
 _FACES, _FILLED = "#CC3311", "#EE9922"
 
 
-def check_output(path: Path, at: float | None) -> None:
+def check_output(path: Path | None, at: float | None) -> None:
     """Check, before the replay, that a film or a picture can be written to ``path``.
 
     Raises:
-        RequestError: a film has no ``--at``, or a picture lacks it.
+        RequestError: a film has ``--at``, or a picture lacks it; or there is no path for it.
         OutputError: the suffix is unknown, or the path cannot be written.
     """
+    if path is None:
+        raise RequestError("--at: a picture needs --output FILE.png")
     suffix = path.suffix.lower()
     if suffix not in (SUFFIX, *SUFFIXES):
         allowed = ", ".join(SUFFIXES)

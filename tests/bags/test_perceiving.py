@@ -93,6 +93,7 @@ def test_one_instant_is_drawn_and_a_table_printed(bag, tmp_path, capsys):
     ("words", "error"),
     [
         (["--output", "a.mp4"], "a film is a .gif file"),
+        (["--at", "2"], "a picture needs --output FILE.png"),
         (["--output", "a.png"], "a picture needs --at SECONDS"),
         (["--output", "a.gif", "--at", "2"], "a picture ends in .png"),
         (["--base-frame", "base_lnk"], "there is no frame 'base_lnk'; did you mean 'base_link'"),
@@ -151,6 +152,14 @@ def without_orientation(message):
 def test_a_bag_that_cannot_be_used_is_one_error(tmp_path, messages, error):
     write_bag(tmp_path / "bag", list(messages()))
     with pytest.raises(RequestError, match=error):
+        replayed(tmp_path / "bag")
+
+
+def test_clouds_of_another_clock_are_one_error(tmp_path):
+    """Without an inertial unit, nothing else is newer than they are."""
+    early = [m._replace(time=m.time + 60) for m in driving() if m.topic in ("/points", "/tf")]
+    write_bag(tmp_path / "bag", [*early, *(m for m in driving() if m.topic == "/tf_static")])
+    with pytest.raises(RequestError, match=r"× the newest message is 60 s old; 5 s at most"):
         replayed(tmp_path / "bag")
 
 

@@ -58,7 +58,7 @@ def run(
     if output is not None or at is not None:
         from flipperctl.report.perceiving import check_output, draw
 
-        check_output(output or Path(), at)
+        check_output(output, at)
     names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
     parsed = Overrides.parse(["perception=lidar", *(overrides or ())])
     config = compose_environment(parsed)
