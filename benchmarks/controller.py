@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -44,29 +45,30 @@ class Garbage:
     def __init__(self, seed: int, odd: float = 0.04) -> None:
         self._rng = np.random.default_rng(seed)
         self._odd, self._now = odd, 0.0
-        x, y = np.meshgrid(np.linspace(-1.0, 1.5, 26), np.linspace(-0.4, 0.4, 5))
+        x, y = np.meshgrid(np.linspace(-1.0, 1.5, 26), np.linspace(-0.35, 0.35, 7))
         self._level = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -0.1)])
 
     def draw(self) -> tuple[float, dict[str, object]]:
         """Return a time and the messages of one step."""
         self._now += self._value(0.05)
-        if self._is_odd():
+        if self._rng.random() < self._odd / 8:
             self._now += float(self._rng.choice([-3.0, -0.2, 0.5, 5.0]))
         now = self._now
         if self._rng.random() < self._odd / 4:
             return float(self._rng.choice([math.nan, math.inf, -math.inf])), {}
+        tilt = 1.0 if self._is_odd() else 0.1  # mostly a robot that still sees the ground
         messages: dict[str, object] = {
             "joints": JointAngles(self._stamp(), self._number(0.5), self._number(0.5)),
             "attitude": Attitude(
                 self._stamp(),
                 self._frame(),
-                self._number(0.2),
-                self._number(0.5),
+                self._number(0.2 * tilt),
+                self._number(0.5 * tilt),
                 self._number(0.3),
             ),
             "odometry": Odometry(self._stamp(), self._number(0.3)),
         }
-        if self._rng.random() < 0.3:
+        if self._rng.random() < 0.2:
             messages["cloud"] = Cloud(self._stamp(), self._frame(), self._points())
         if self._is_odd():
             messages[str(self._rng.choice(list(messages)))] = self._pick(_ODD)
@@ -107,6 +109,7 @@ def main(path: Path, steps: int = STEPS) -> int:
     controller, garbage = FlipperController(path, SETUP), Garbage(1)
     limit = controller.policy.interface.targets.limit + 1e-9
     answers: Counter[str] = Counter()
+    decisions, begun = 0, time.thread_time()
     for _ in range(steps):
         now, messages = garbage.draw()
         answer = controller.step(now, **messages)  # type: ignore[arg-type]  # garbage on purpose
@@ -115,7 +118,14 @@ def main(path: Path, steps: int = STEPS) -> int:
             print(f"not safe at {now}: {answer}")
             return 1
         answers[answer.fault or "driving"] += 1
-    print(f"{steps} steps, no exception, every target within ±{limit:.3f} rad")
+        decisions += answer.action is not None
+    spent = time.thread_time() - begun
+    print(
+        f"{steps} steps, {decisions} decisions, no exception, "
+        f"every target within ±{limit:.3f} rad\n"
+        f"{spent:.1f} s of computing, {steps / spent:.0f} steps/s; a million takes "
+        f"{1e6 * spent / steps / 60:.1f} min"
+    )
     for name, count in answers.most_common():
         print(f"{name:18}{count:9}")
     return 0

@@ -33,6 +33,7 @@ SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
 SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
 RIDGE = "runs/ridge/first"
+ROVER = "hydra.run.dir=runs/rover"  # whose later commands are run on it
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
@@ -46,6 +47,8 @@ SEARCH = {
     "mpc": ["controller.beam=4", "controller.horizon=4"],
 }
 """Smaller searches of the controllers that look ahead."""
+SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
+"""A LiDAR of fewer rays, and a shorter way to the ground."""
 
 
 def blocks(language: str) -> list[str]:
@@ -134,11 +137,13 @@ def with_budget(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
-        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone else []
+        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and ROVER not in command else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *few, *trials, *own]
+    if command[:2] == ["export", "mcap"]:
+        return [*command, *SPARSE]
     if command[0] == "bench":
         every = not set(MEASURES) & set(command)
         quick = ["engines"] if every else []  # each has a test in tests/bench
@@ -149,7 +154,8 @@ def with_budget(command: list[str]) -> list[str]:
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"(=[\d.]+:[\d.]+):\d+", r"\1:2", words)  # of a map
         words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()
-        return [*words, "--episodes", "1", *SEARCH.get(name, [])]
+        sparse = SPARSE if command[0] == "eval" and "perception=lidar" in words else []
+        return [*words, "--episodes", "1", *SEARCH.get(name, []), *sparse]
     return command
 
 
@@ -248,6 +254,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
         "python -m flipperctl.runtime --self-test messages.jsonl --signs rep103",  # runtime
+        "python examples/messages/self_test.py > messages.jsonl",  # tests/runtime/test_self_test.py
+        "python -m flipperctl.runtime --shadow rover.onnx messages.jsonl --signs rep103",  # runtime
         # tests/benchmarks
         "python -m benchmarks.coverage evaluated/episodes.csv",
         "python -m benchmarks.odometry",

@@ -163,6 +163,7 @@ def test_it_drives_an_episode_of_a_bag(node: Any, stream: Stream) -> None:
     assert len(np.unique(commands, axis=0)) > 3
     assert (commands[:, 0] == commands[:, 1]).all()
     assert node.published["belts_may_run"][first].data
+    assert node.transform[1] == pytest.approx(np.eye(3), abs=1e-9)  # clouds come as measured
 
 
 def drops(stream: Stream) -> Iterator[tuple[float, str, Any]]:

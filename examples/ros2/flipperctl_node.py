@@ -11,6 +11,7 @@ the LiDAR comes from tf. With ``-p shadow:=true`` nothing is commanded: the log 
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import rclpy
@@ -21,6 +22,7 @@ from sensor_msgs.msg import Imu, JointState, PointCloud2
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tf2_ros import Buffer, TransformException, TransformListener
 
+from flipperctl.core.lidar.rotations import mounting
 from flipperctl.runtime import (
     REP_103,
     Attitude,
@@ -36,7 +38,9 @@ BASE = "base_link"
 FRONT = ("front_left_flipper", "front_right_flipper")
 REAR = ("rear_left_flipper", "rear_right_flipper")
 TYPES = {7: "f4", 8: "f8"}  # of PointField.datatype
-MOUNT = Mount(x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05)  # clouds come in base_link
+MOUNT = Mount(
+    x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05
+)  # of clouds that come in base_link
 LEVELS = {"driving": b"\x00", "waiting": b"\x01", "holding": b"\x01", "stopped": b"\x02"}
 
 
@@ -80,17 +84,10 @@ class FlipperNode(Node):
 
     def __init__(self):
         super().__init__("flipperctl")
-        setup = RobotSetup(
-            signs=REP_103,
-            cloud_frame=BASE,
-            attitude_frame=BASE,
-            mount=MOUNT,
-            pose=self.declare_parameter("pose", "belts").value,
-        )
-        policy = self.declare_parameter("policy", "policy.onnx").value
+        self.pose = self.declare_parameter("pose", "belts").value
+        self.policy = self.declare_parameter("policy", "policy.onnx").value
         self.shadow = self.declare_parameter("shadow", False).value
-        log = self.get_logger().info
-        self.controller = FlipperController(policy, setup, log=log, shadow=self.shadow)
+        self.begin(MOUNT)
         self.cloud = self.joints = self.odometry = self.transform = None
         self.tf = Buffer()
         self.listener = TransformListener(self.tf, self)
@@ -104,12 +101,18 @@ class FlipperNode(Node):
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(0.05, self.step)  # without messages too: age is a fault
 
+    def begin(self, mount):
+        """Begin with a LiDAR at this place."""
+        setup = RobotSetup(REP_103, cloud_frame=BASE, attitude_frame=BASE, mount=mount)
+        setup, log = replace(setup, pose=self.pose), self.get_logger().info
+        self.controller = FlipperController(self.policy, setup, log=log, shadow=self.shadow)
+
     def now(self):
         """Return the node's clock [s]; it must be that of the stamps."""
         return self.get_clock().now().nanoseconds * 1e-9
 
     def on_cloud(self, message):
-        """Move a cloud to base_link; one whose frame is unknown goes on and is refused there."""
+        """Move a cloud to where its mount says; one of an unknown frame goes on and is refused."""
         frame, points = message.header.frame_id, columns(message, "xyz")
         if points is None:
             points = np.empty((0, 3))
@@ -128,12 +131,11 @@ class FlipperNode(Node):
             except TransformException as error:
                 self.get_logger().warning(f"no transform from {frame} to {BASE}: {error}")
                 return False
-            place = found.translation
-            self.transform = (
-                frame,
-                rotation(found.rotation),
-                np.array([place.x, place.y, place.z]),
-            )
+            place, turn = found.translation, rotation(found.rotation)
+            axis = math.atan2(turn[2, 2], turn[0, 2])  # about which it turns: rings stay rings
+            self.begin(replace(MOUNT, x=place.x, z=place.z, axis=axis))
+            back = mounting(axis).T
+            self.transform = frame, back @ turn, back @ (0.0, place.y, 0.0)
         return True
 
     def on_joints(self, message):

@@ -44,15 +44,34 @@ def read_folder(folder: Path, but: Path | None = None) -> list[tuple[FloatArray,
     return [(_points(file), pose) for file, pose in zip(clouds, poses, strict=True)]
 
 
-def _read_poses(file: Path) -> list[Pose]:
-    from scipy.spatial.transform import Rotation
+def read_stamps(folder: Path) -> FloatArray:
+    """Return the stamps of the clouds, (C,) [s].
 
+    Raises:
+        RequestError: the poses cannot be read, or have no stamps.
+    """
+    rows = _read_rows(folder / POSES)
+    if rows.shape[1] != 8:
+        raise RequestError(
+            f"{folder / POSES}: the clouds have no stamps; 8 numbers a line are needed (stamp, x, "
+            f"y, z, qx, qy, qz, qw), the first line has {rows.shape[1]}"
+        )
+    return np.asarray(rows[:, 0], np.float64)
+
+
+def _read_rows(file: Path) -> FloatArray:
     try:
-        rows = np.loadtxt(file, ndmin=2)
+        return np.loadtxt(file, ndmin=2)
     except OSError as error:
         raise RequestError(f"{file}: there is no such file; it holds the clouds' poses") from error
     except ValueError as error:
         raise RequestError(f"{file}: lines of numbers are allowed; {error}") from error
+
+
+def _read_poses(file: Path) -> list[Pose]:
+    from scipy.spatial.transform import Rotation
+
+    rows = _read_rows(file)
     if rows.shape[1] == 8:
         return [Pose(row[1:4], row[4:] / np.linalg.norm(row[4:])) for row in rows]
     if rows.shape[1] == 12:

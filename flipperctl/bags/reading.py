@@ -22,8 +22,8 @@ from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 
-_CLOUD, _ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
-_FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
+CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
+FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
 _NUMBERS = {7: "f4", 8: "f8"}
 """Datatype of a field → type of numpy."""
@@ -51,6 +51,19 @@ class Cloud:
 
 
 @dataclass(frozen=True)
+class Points:
+    """The points of one message."""
+
+    time: float
+    """The stamp of the message [s]."""
+    frame: str
+    points: FloatArray
+    """(P, 3) finite points in that frame [m]."""
+    shifts: FloatArray | None
+    """(P,) time of each point after the stamp, negative before it [s]; None: they have none."""
+
+
+@dataclass(frozen=True)
 class Bag:
     """The clouds of one topic, and all transforms."""
 
@@ -69,32 +82,41 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
         RequestError: the file is no bag, there is no such topic, or the clouds have no stamps.
     """
     transforms, clouds, odometry = Transforms(), [], []
-    with _opened(path) as reader:
-        chosen = _chosen_topic(path, reader, topic)
+    with opened(path) as reader:
+        chosen = chosen_topic(path, reader, topic)
         for connection, _, data in reader.messages():
             kind = connection.msgtype
             if connection.topic == chosen:
                 clouds += _clouds(f"{path}: {chosen}", reader.deserialize(data, kind))
-            elif kind in _FRAMES:
-                static = connection.topic.rstrip("/").endswith(_STATIC)
-                for one in reader.deserialize(data, kind).transforms:
-                    place, turn = one.transform.translation, one.transform.rotation
-                    time = None if static else _seconds(one.header.stamp)
-                    pose = _pose(place, turn)
-                    transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
-            elif kind == _ODOMETRY:
+            elif kind in FRAMES:
+                add_transforms(transforms, connection.topic, reader.deserialize(data, kind))
+            elif kind == ODOMETRY:
                 odometry.append(reader.deserialize(data, kind))
+    add_odometry(transforms, odometry)
+    return Bag(chosen, clouds, transforms)
+
+
+def add_transforms(transforms: Transforms, topic: str, message: Any) -> None:
+    """Add the transforms of a message of tf; those of ``tf_static`` are fixed."""
+    static = topic.rstrip("/").endswith(_STATIC)
+    for one in message.transforms:
+        place, turn = one.transform.translation, one.transform.rotation
+        time = None if static else seconds(one.header.stamp)
+        transforms.add(one.header.frame_id, one.child_frame_id, time, _pose(place, turn))
+
+
+def add_odometry(transforms: Transforms, odometry: Sequence[Any]) -> None:
+    """Add the poses of messages of an odometry for frames that have no transform."""
     without = {one.child_frame_id for one in odometry if not transforms.has(one.child_frame_id)}
     for one in odometry:
         if one.child_frame_id in without:
             place, turn = one.pose.pose.position, one.pose.pose.orientation
-            time, pose = _seconds(one.header.stamp), _pose(place, turn)
+            time, pose = seconds(one.header.stamp), _pose(place, turn)
             transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
-    return Bag(chosen, clouds, transforms)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[Any]:
     """Open a bag; an error of its content names the file."""
     require_rosbags("reading a bag")
     from rosbags import rosbag1, rosbag2
@@ -111,9 +133,9 @@ def _opened(path: Path) -> Iterator[Any]:
         raise RequestError(f"{path} cannot be read as a bag: {text}") from error
 
 
-def _chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
+def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
     """Return the topic of clouds, the only one unless it is named."""
-    clouds = sorted({c.topic for c in reader.connections if c.msgtype == _CLOUD})
+    clouds = sorted({c.topic for c in reader.connections if c.msgtype == CLOUD})
     known = ", ".join(clouds) or "none"
     if topic is not None:
         if topic not in clouds:
@@ -130,7 +152,23 @@ def _chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
 
 def _clouds(where: str, message: Any) -> list[Cloud]:
     """Return the points of a message, those of about one instant as one cloud."""
-    time, frame = _seconds(message.header.stamp), message.header.frame_id.lstrip("/")
+    found = read_points(where, message)
+    if found.shifts is None:
+        return [Cloud(found.time, found.frame, found.points)]
+    slices = np.round(found.shifts / _SLICE).astype(np.int64)
+    return [
+        Cloud(found.time + _SLICE * one, found.frame, found.points[slices == one])
+        for one in np.unique(slices)
+    ]
+
+
+def read_points(where: str, message: Any) -> Points:
+    """Return what a ``PointCloud2`` holds.
+
+    Raises:
+        RequestError: it has no stamp, no frame or no coordinates; the text begins with ``where``.
+    """
+    time, frame = seconds(message.header.stamp), message.header.frame_id.lstrip("/")
     if time == 0:
         raise RequestError(
             f"{where}: a cloud has no stamp (header.stamp is 0), so that its pose is unknown; "
@@ -160,18 +198,16 @@ def _clouds(where: str, message: Any) -> list[Cloud]:
     points = np.column_stack([found[name].astype(np.float64) for name in "xyz"])
     kept = np.isfinite(points).all(axis=1)
     if not timed:
-        return [Cloud(time, frame, points[kept])]
-    shift = found[TIME].astype(np.float64)
-    kept &= np.abs(shift) <= _LONGEST_TURN  # others are of another unit or clock
-    slices = np.round(shift[kept] / _SLICE).astype(np.int64)
-    return [
-        Cloud(time + _SLICE * one, frame, points[kept][slices == one]) for one in np.unique(slices)
-    ]
+        return Points(time, frame, points[kept], None)
+    shifts = found[TIME].astype(np.float64)
+    kept &= np.abs(shifts) <= _LONGEST_TURN  # others are of another unit or clock
+    return Points(time, frame, points[kept], shifts[kept])
 
 
 def _pose(place: Any, turn: Any) -> Pose:
     return Pose(np.array([place.x, place.y, place.z]), np.array([turn.x, turn.y, turn.z, turn.w]))
 
 
-def _seconds(stamp: Any) -> float:
+def seconds(stamp: Any) -> float:
+    """Return a stamp as one number [s]."""
     return float(stamp.sec + stamp.nanosec * 1e-9)

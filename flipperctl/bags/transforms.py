@@ -35,10 +35,14 @@ class Pose:
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Return points of the frame, (P, 3), in the other frame [m]."""
+        return self.directions(points) + self.place
+
+    def directions(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors of the frame, (P, 3), along the axes of the other frame."""
         from scipy.spatial.transform import Rotation
 
-        turned: FloatArray = Rotation.from_quat(self.turn).apply(points)
-        return turned + self.place
+        turned: FloatArray = Rotation.from_quat(self.turn).apply(vectors)
+        return turned
 
     def after(self, inner: Pose) -> Pose:
         """Return the pose of ``inner``'s frame, which is a pose in this one, in the other frame."""

@@ -22,6 +22,7 @@ COMMANDS = (
     "card",
     "export",
     "convert",
+    "shadow",
     "inspect",
     "new",
     "bench",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 
 HELP = """Usage: python -m flipperctl.runtime FILE
        python -m flipperctl.runtime --self-test MESSAGES [--signs rep103]
+       python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103]
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, the actions, the decision period, the robot and the training.
@@ -22,13 +24,17 @@ It needs only numpy and onnxruntime.
 
 --self-test finds wrong signs on the robot: it says which part to move, reads what the devices
 measure from a file of JSON lines, or from a pipe with the name -, and names each sign that is
-wrong. --signs is the convention of the messages, flipperctl (default) or rep103.
+wrong. --shadow prints what a policy would do on such messages, a line of JSON for each decision and
+each change of state, while nothing moves by it. --signs is the convention of the messages,
+flipperctl (default) or rep103.
 
 Examples
 
   python -m flipperctl.runtime stair.onnx
 
   python -m flipperctl.runtime --self-test messages.jsonl --signs rep103
+
+  python -m flipperctl.runtime --shadow stair.onnx messages.jsonl --signs rep103
 
   python -m flipperctl.runtime --help"""
 
@@ -69,8 +75,8 @@ def _main(words: list[str]) -> int:
     if {"-h", "--help"} & set(words):
         print(HELP)
         return 0
-    if "--self-test" in words:
-        return _self_test(words)
+    if {"--self-test", "--shadow"} & set(words):
+        return _on_messages(words)
     if len(words) != 1 or words[0].startswith("-"):
         raise RequestError(
             f"expected one exported policy, as in python -m flipperctl.runtime stair.onnx; "
@@ -82,30 +88,43 @@ def _main(words: list[str]) -> int:
     return 0
 
 
-def _self_test(words: list[str]) -> int:
+def _on_messages(words: list[str]) -> int:
+    """Run the self-test, or a policy in shadow mode, on a file of messages."""
+    from flipperctl.runtime import self_test, shadow
     from flipperctl.runtime.robot_setup import RobotSetup
-    from flipperctl.runtime.self_test import run
     from flipperctl.runtime.signs import CONVENTIONS
 
-    match words:
+    rest, name = list(words), "flipperctl"
+    if "--signs" in rest[:-1]:
+        at = rest.index("--signs")
+        name = rest[at + 1]
+        del rest[at : at + 2]
+    policy: Path | None = None
+    match rest:
         case ["--self-test", file]:
-            name = "flipperctl"
-        case ["--self-test", file, "--signs", name] | ["--signs", name, "--self-test", file]:
             pass
+        case ["--shadow", model, file]:
+            policy = Path(model)
         case _:
             raise RequestError(
-                "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME]; got "
-                f"{shlex.join(words)}; see --help"
+                "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME] or "
+                f"--shadow FILE MESSAGES [--signs NAME]; got {shlex.join(words)}; see --help"
             )
     if name not in CONVENTIONS:
         known = ", ".join(CONVENTIONS)
         raise RequestError(f"there is no convention {name!r}; {known} is allowed")
     setup = RobotSetup(signs=CONVENTIONS[name])
+
+    def run(lines: Iterable[str], where: str) -> int:
+        if policy is None:
+            return self_test.run(lines, where, setup)
+        return shadow.run(policy, self_test.read_lines(lines, where), setup)
+
     if file == "-":
-        return run(sys.stdin, "the input", setup)
+        return run(sys.stdin, "the input")
     try:
         with Path(file).open(encoding="utf-8") as lines:
-            return run(lines, file, setup)
+            return run(lines, file)
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise RequestError(f"{file} cannot be read: {error}") from error
 

@@ -36,6 +36,7 @@ def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
         bins=interface.bins,
         bin_width=interface.bin_width,
         accuracy=accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+        sides=False,  # no policy takes them
     )
     return LidarEstimator(body, setup.mount, settings, _matcher(setup))
 

@@ -63,6 +63,10 @@ class Intake:
         """The devices of which a message was accepted."""
         return self._times.keys()
 
+    def refused(self, device: str) -> Fault | None:
+        """Return why the latest message of a device was refused; None if it was accepted."""
+        return self._refused.get(device)
+
     def receive(self, now: float, **messages: object) -> Iterator[tuple[str, float, Accepted]]:
         """Yield device, time and content of each message that is accepted; None is no message.
 

@@ -247,7 +247,7 @@ def test_any_input_gets_an_answer(controller: FlipperController) -> None:
     """As ``python -m benchmarks.controller`` does with a million steps."""
     from benchmarks.controller import Garbage
 
-    garbage = Garbage(5)
+    garbage = Garbage(5, odd=0.1)
     faults = set()
     for _ in range(400):
         now, messages = garbage.draw()

@@ -2,6 +2,7 @@
 
 import json
 import math
+import runpy
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from flipperctl.core.lidar.rotations import mounting
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime import OURS, REP_103, RobotSetup, Signs
 from flipperctl.runtime.__main__ import _main
-from flipperctl.runtime.self_test import SelfTest, read_lines
+from flipperctl.runtime.self_test import SelfTest, read_lines, run
 
 MOUNT = RobotSetup().mount
 PERIOD = 0.05
@@ -135,3 +136,15 @@ def test_another_request_is_refused(words: list[str]) -> None:
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(RequestError, match=r"nowhere\.jsonl cannot be read"):
         _main(["--self-test", "nowhere.jsonl"])
+
+
+def test_the_example_s_builder_makes_every_motion(capsys: pytest.CaptureFixture) -> None:
+    example = runpy.run_path(
+        str(Path(__file__).parents[2] / "examples" / "messages" / "self_test.py")
+    )
+    lines = [json.dumps(line) for line in example["lines"]()]
+    assert run(lines, "the example", RobotSetup(signs=REP_103)) == 0
+    assert run(lines, "the example", RobotSetup()) == 1
+    told = capsys.readouterr().out
+    assert told.count("right (joints") == 3  # all but the front flippers in the other signs
+    assert "Wrong signs: front, pitch." in told

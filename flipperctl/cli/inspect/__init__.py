@@ -6,7 +6,7 @@ from flipperctl.cli.command import App
 
 VIEWS = (
     *("plugins", "terrain", "reward", "checkpoint", "run", "results", "config", "engines"),
-    "conventions",
+    *("conventions", "perception"),
 )
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 

@@ -29,7 +29,10 @@ _OLDEST = 5.0
 """Largest age of the newest message with which an estimate is made [s]."""
 
 _MOST_POINTS = 10_000
-"""Points of a scan that are used; more are thinned, since the map keeps no more of them [-]."""
+"""Points of a turn that are used; more are thinned, since the map keeps no more of them [-]."""
+_TURN, _LEAST_SHARE = 0.1, 0.05
+"""Time of a turn [s]; a scan that follows the one before sooner is a sector, of which this part of
+the points of a turn are used, or more [-]."""
 _FADING = 30.0
 """Time in which an inertial unit's error of the pitch changes [s]."""
 
@@ -80,6 +83,7 @@ class LidarEstimator:
         self._errors = StartErrors()
         self._calibrated: float | None = None  # when these were estimated [s]
         self._newest: float | None = None  # time of the newest message [s]
+        self._scanned: float | None = None  # time of the newest scan [s]
 
     def update(self, measured: Measured) -> None:
         """Receive a message; of those of one time, the scan comes last.
@@ -96,12 +100,19 @@ class LidarEstimator:
         time, value = message.time, message.value
         self._newest = time
         if isinstance(value, Scan):
-            value = without_mixed(thinned(value, _MOST_POINTS))
+            value = without_mixed(thinned(value, self._most_points(time)))
             self._start()
             self._calibrate(value, time)
             self._add(without_bias(value, self._errors.distance), time)
         else:
             self._receive(value, time)
+
+    def _most_points(self, time: float) -> int:
+        """Return how many points of a scan are used, by the time since the one before."""
+        elapsed = math.inf if self._scanned is None else time - self._scanned
+        self._scanned = time
+        share = min(1.0, max(_LEAST_SHARE, elapsed / _TURN))
+        return round(_MOST_POINTS * round(share, 3))  # a turn is not always exactly 0.1 s
 
     def _calibrate(self, scan: Scan, time: float) -> None:
         """Estimate the constant errors of the devices from the first scan.
@@ -156,6 +167,16 @@ class LidarEstimator:
         ground = self._ground.sensed(position, pose.yaw, stance, unknown)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the robot by the latest messages."""
+        return self._pose
+
+    def map_points(self) -> FloatArray:
+        """Return the points of the map along the robot, (P, 3) in frame L [m], for pictures."""
+        pose = self._pose
+        return self._ground.points_around(np.array([pose.x, pose.y, pose.z]), pose.yaw)
 
     def _age(self, time: float) -> float:
         """Return the time since the newest message, 0 or more [s]."""
@@ -226,7 +247,7 @@ class LidarEstimator:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""
-        latest = self._pose, self._joints, self._speed, self._reckoned, self._newest
+        latest = self._pose, self._joints, self._speed, self._reckoned, self._newest, self._scanned
         matched = None if self._matcher is None else self._matcher.save()
         started = self._started, self._errors, self._calibrated
         return self._ground.save(), latest, started, matched, self._trail.save()
@@ -237,5 +258,5 @@ class LidarEstimator:
         self._trail.load(trail)
         if self._matcher is not None:
             self._matcher.load(matched)
-        self._pose, self._joints, self._speed, self._reckoned, self._newest = latest
+        self._pose, self._joints, self._speed, self._reckoned, self._newest, self._scanned = latest
         self._ground.load(ground)

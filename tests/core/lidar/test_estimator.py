@@ -10,7 +10,7 @@ from flipperctl.core.lidar.certainty import Accuracy
 from flipperctl.core.lidar.checks import PerceptionError
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
-from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.ground import GroundSeen, MapSettings
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
 from flipperctl.core.lidar.odometry import advanced
 from flipperctl.core.sensing import Measured
@@ -141,6 +141,24 @@ def test_a_full_scan_is_thinned_and_gives_the_same_ground() -> None:
     ground, _ = told(estimator(), LEVEL, Joints(0.0, 0.0), Scan(points)).estimate(0.0)
     assert len(points) > 28_800
     assert ground.heights == pytest.approx(np.full(15, -0.1), abs=1e-4)
+
+
+def test_the_sectors_of_a_turn_share_its_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    used: list[int] = []
+    add = GroundSeen.add
+    monkeypatch.setattr(
+        GroundSeen, "add", lambda self, p, x, y: (used.append(len(p)), add(self, p, x, y))
+    )
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
+    beyond = ahead().points + np.array([0.8, 0.0, 0.0])  # none of the robot's own
+    scan = Scan(np.repeat(beyond, 15, axis=0))
+    for time in (1.0, 1.1, 1.1125, 1.1125):
+        robot.update(Measured("device", time, scan))
+    assert used == [10_000, 10_000, 1250, 500]
+    twin = estimator()
+    twin.load(robot.save())
+    twin.update(Measured("device", 1.125, scan))
+    assert used[-1] == 1250
 
 
 def test_the_clearance_is_measured_below_the_tracks_alone() -> None:

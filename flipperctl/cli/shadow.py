@@ -1,0 +1,64 @@
+"""``flipperctl shadow``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli import options
+
+HELP = """Run an exported policy on what a robot recorded, and log what it would have done.
+
+Nothing moves: POLICY is stepped as on the robot (flipperctl.runtime.FlipperController) with the
+messages of BAG in their order. The log has a line of JSON for each decision and each change of
+state: time, proposed targets and setpoints, whether the belts might run, state, fault and reason,
+and the angles that were measured.
+
+OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6.
+
+[bold]Examples[/]
+
+  flipperctl shadow stair.onnx recorded_bag --output shadow.jsonl
+
+  flipperctl shadow stair.onnx run.mcap perception.pose=matched --topic /ouster/points --json
+"""
+
+
+def run(
+    policy: Annotated[Path, typer.Argument(help="An exported policy, an .onnx file.")],
+    bag: Annotated[Path, typer.Argument(help="A bag of ROS 1 or 2.")],
+    overrides: options.Overrides = None,
+    output: Annotated[Path, typer.Option(metavar="FILE", help="The log to write.")] = Path(
+        "shadow.jsonl"
+    ),
+    topic: options.CloudTopic = None,
+    imu: options.ImuTopic = None,
+    belts: options.BeltTopic = None,
+    base_frame: options.BaseFrame = "base_link",
+    front: options.FrontJoints = None,
+    rear: options.RearJoints = None,
+    signs: options.AngleSigns = options.Convention.rep103,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl.bags.shadowing import check_used, shadow
+    from flipperctl.bags.topics import names_of
+    from flipperctl.cli.hydra.compose import compose_environment
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.files import check_writable
+    from flipperctl.terminal.document import show
+    from flipperctl.terminal.perceiving import print_shadow
+
+    check_writable(output)
+    typed = Overrides.parse(overrides or ()).typed
+    check_used(typed)
+    sensor = compose_environment(
+        Overrides.parse(["perception=lidar", *(overrides or ())])
+    ).perception
+    pose = getattr(sensor, "pose", None) if "perception.pose" in typed else None
+    names = names_of(topic, imu, belts, None, base_frame, front, rear, signs.value)
+    found = shadow(policy, bag, sensor, pose, names, output)
+    show(found, lambda: print_shadow(found), as_json=as_json)

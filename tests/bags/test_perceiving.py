@@ -1,0 +1,265 @@
+"""``inspect perception``: what a robot's own recording shows of its sensing."""
+
+import dataclasses
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from flipperctl.api import Robot
+from flipperctl.bags.devices import read_recording
+from flipperctl.bags.drift import Drift
+from flipperctl.bags.episode import Stamped, typestore, write_bag
+from flipperctl.bags.messages import Messages
+from flipperctl.bags.perceiving import replay
+from flipperctl.bags.topics import Names
+from flipperctl.core.lidar.messages import Pose
+from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.report.perceiving import draw, faces
+from flipperctl.runtime.signs import REP_103
+from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.terminal.perceiving import print_perception
+from tests.bags.driving import (
+    AXIS,
+    EDGE,
+    FRONT,
+    HEIGHT,
+    MOUNT,
+    REAR,
+    SECONDS,
+    SPEED,
+    driving,
+    points,
+)
+from tests.cli.call import call
+
+CLOUDS = round(10 * SECONDS) + 1
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags") / "drive"
+    write_bag(folder, list(driving()))
+    return folder
+
+
+def replayed(source, pose=None):
+    return replay(source, LidarSensor(), Robot(), pose, Names())
+
+
+def test_the_step_ahead_of_the_robot_is_perceived(bag):
+    found = replayed(bag)
+    summary = found.summary
+    assert (summary["scans"], summary["refused"], summary["held"]) == (CLOUDS, {}, {})
+    assert summary["pose"] == "belts"
+    assert summary["topics"]["odometry"] == "/belt_speed"
+    assert summary["decisions"] == len(found.instants) == 4  # at 0, 0.6 … 1.8 s
+    last = found.instants[-1]
+    assert (last.angles.front, last.angles.rear) == pytest.approx((FRONT, REAR))
+    assert last.ground.heights[-1] == pytest.approx(HEIGHT - 0.1, abs=0.005)
+    assert last.ground.heights[:8] == pytest.approx([-0.1] * 8, abs=0.005)
+    (face,) = faces(last.ground.points, last.ground.filled)
+    assert face[0, 0] == pytest.approx(EDGE - SPEED * last.time, abs=0.03)
+    assert np.ptp(face[:, 1]) == pytest.approx(HEIGHT, abs=0.01)
+    on_map = last.known[np.abs(last.known[:, 0]) < 0.5]
+    assert on_map[:, 2] == pytest.approx(np.full(len(on_map), -0.1), abs=0.01)
+    assert summary["drift"]["way"] == pytest.approx(SPEED * SECONDS)
+    assert summary["drift"]["horizontal"] < 0.02
+
+
+def test_the_command_writes_a_film_a_picture_and_the_numbers(bag, tmp_path):
+    done = call("inspect", "perception", str(bag), "--output", "a.gif", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    summary = json.loads(done.out)
+    assert 0.3 < summary["coverage"]["least"] <= summary["coverage"]["mean"] <= 1
+    assert summary["bins"][0] == {"x": -1.05, "seen": 0.0, "deviation": None}
+    assert summary["estimate_ms"]["p50"] <= summary["estimate_ms"]["p99"]
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == summary["decisions"]
+
+
+def test_one_instant_is_drawn_and_a_table_printed(bag, tmp_path, capsys):
+    found = replayed(bag)
+    draw(tmp_path / "a.svg", found, Robot(), at=1.1)
+    assert " 1.2 s -->" in (tmp_path / "a.svg").read_text()
+    print_perception(found.summary, None)
+    assert "odometry by belts and inertial unit" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (["--output", "a.mp4"], "a film is a .gif file"),
+        (["--at", "2"], "a picture needs --output FILE.png"),
+        (["--output", "a.png"], "a picture needs --at SECONDS"),
+        (["--output", "a.gif", "--at", "2"], "a picture ends in .png"),
+        (["--base-frame", "base_lnk"], "there is no frame 'base_lnk'; did you mean 'base_link'"),
+        (["--signs", "ours"], "'ours' is not one of 'rep103', 'flipperctl'"),
+    ],
+)
+def test_a_wrong_request_is_one_error(bag, tmp_path, words, error):
+    done = call("inspect", "perception", str(bag), *words, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert error in done.err
+
+
+@pytest.mark.parametrize(
+    ("names", "error"),
+    [
+        (Names(clouds="/poins"), "no PointCloud2 is on '/poins'"),
+        (Names(imu="/imu"), "no Imu is on '/imu'; did you mean '/imu/data'"),
+        (Names(belts="/odo"), "no Float64 or Odometry is on '/odo'.*topics: /belt_speed"),
+    ],
+)
+def test_an_unknown_topic_is_named(bag, names, error):
+    with pytest.raises(RequestError, match=error):
+        read_recording(bag, names)
+
+
+def changed(topic, change):
+    """The messages with those of a topic changed."""
+    for one in driving():
+        yield one._replace(message=change(one.message)) if one.topic == topic else one
+
+
+def stamped(shift):
+    def change(message):
+        stamp = message.header.stamp
+        sec = 0 if shift is None else stamp.sec + shift
+        stamp = dataclasses.replace(stamp, sec=sec, nanosec=0 if shift is None else stamp.nanosec)
+        return dataclasses.replace(message, header=dataclasses.replace(message.header, stamp=stamp))
+
+    return change
+
+
+def without_orientation(message):
+    covariance = np.full(9, -1.0)
+    return dataclasses.replace(message, orientation_covariance=covariance)
+
+
+@pytest.mark.parametrize(
+    ("messages", "error"),
+    [
+        (lambda: changed("/points", stamped(None)), "a cloud has no stamp"),
+        (lambda: driving(clouds=False), "the PointCloud2 of one topic is needed"),
+        (lambda: (m for m in driving() if m.topic[:3] != "/tf"), "no frame 'base_link'"),
+        (lambda: changed("/points", stamped(60)), r"19 × cloud is stamped 60\.000 s ahead"),
+    ],
+)
+def test_a_bag_that_cannot_be_used_is_one_error(tmp_path, messages, error):
+    write_bag(tmp_path / "bag", list(messages()))
+    with pytest.raises(RequestError, match=error):
+        replayed(tmp_path / "bag")
+
+
+def test_clouds_of_another_clock_are_one_error(tmp_path):
+    """Without an inertial unit, nothing else is newer than they are."""
+    early = [m._replace(time=m.time + 60) for m in driving() if m.topic in ("/points", "/tf")]
+    write_bag(tmp_path / "bag", [*early, *(m for m in driving() if m.topic == "/tf_static")])
+    with pytest.raises(RequestError, match=r"× the newest message is 60 s old; 5 s at most"):
+        replayed(tmp_path / "bag")
+
+
+def test_a_missing_package_is_named(bag, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):
+        replayed(bag)
+
+
+def test_scans_that_are_refused_are_counted_with_the_reason(tmp_path):
+    blind = dataclasses.replace
+
+    def few(message):
+        return blind(message, width=5, row_step=60, data=message.data[:60])
+
+    messages = list(changed("/points", few))
+    whole = [m for m in driving() if m.topic == "/points"]
+    messages = [m for m in messages if m.topic != "/points" or m.time > 0.91]
+    write_bag(tmp_path / "bag", [*messages, *(m for m in whole if m.time <= 0.91)])
+    summary = replayed(tmp_path / "bag").summary
+    assert summary["scans"] == 10
+    assert summary["refused"]["cloud_points"]["count"] == CLOUDS - 10
+    assert "has 5 finite points; 20 or more" in summary["refused"]["cloud_points"]["reason"]
+    assert summary["held"] == {"cloud_points": 1}  # at 1.8 s
+
+
+def test_poses_of_the_bag_stand_in_for_an_inertial_unit_without_orientation(tmp_path):
+    write_bag(tmp_path / "bag", list(changed("/imu/data", without_orientation)))
+    summary = replayed(tmp_path / "bag").summary
+    assert (summary["pose"], summary["drift"], summary["held"]) == ("true", None, {})
+    assert "tells no orientation" in summary["remarks"][0]
+    with pytest.raises(RequestError, match=r"perception\.pose=matched needs an Imu"):
+        replayed(tmp_path / "bag", pose="matched")
+
+
+def test_a_folder_of_clouds_needs_stamps(tmp_path):
+    rows = []
+    for index, time in enumerate((0.0, 0.5, 1.0)):
+        turn = [[math.sin(-0.8), 0, math.cos(-0.8)], [0, 1, 0], [-math.cos(-0.8), 0, -0.717356]]
+        np.save(tmp_path / f"{index}.npy", points(time) @ np.array(turn).T + MOUNT)
+        rows.append([time, SPEED * time, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+    np.savetxt(tmp_path / "poses.txt", rows)
+    found = replayed(tmp_path)
+    assert (found.summary["scans"], found.summary["pose"]) == (3, "true")
+    heights = found.instants[-1].ground.heights
+    assert heights[-1] == pytest.approx(HEIGHT - 0.1, abs=0.005)  # the step is 0.96 m ahead
+    np.savetxt(tmp_path / "poses.txt", np.ones((3, 12)))
+    with pytest.raises(RequestError, match="the clouds have no stamps; 8 numbers a line"):
+        replayed(tmp_path)
+
+
+def test_rings_of_a_tilted_lidar_stay_rings(bag):
+    recording = read_recording(bag, Names())
+    assert recording.axis == pytest.approx(AXIS)
+    cloud = next(s.messages["cloud"] for s in recording.steps() if "cloud" in s.messages)
+    assert cloud.points == pytest.approx(points(0.0), abs=1e-5)
+
+
+def test_an_inertial_unit_may_be_mounted_in_any_way(tmp_path):
+    """One that is turned to the left by 90° sees the raised nose as a roll."""
+    make, up = Messages(typestore()), 0.3
+
+    def turned():
+        yield from (m for m in driving() if m.topic != "/imu/data")
+        half = math.sqrt(0.5)
+        types = make.types.types
+        place = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.1)
+        turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=half, w=half)
+        one = types["geometry_msgs/msg/TransformStamped"](
+            header=make.header(0.0, "base_link"),
+            child_frame_id="imu",
+            transform=types["geometry_msgs/msg/Transform"](translation=place, rotation=turn),
+        )
+        yield Stamped(0.0, "/tf_static", types["tf2_msgs/msg/TFMessage"](transforms=[one]))
+        # Its x axis is to the robot's left, so its y axis points back, and sinks.
+        message = make.imu(0.0, (-up, 0.0, math.pi / 2), (0.0, 0.0, 0.4))
+        header = make.header(0.0, "imu")
+        yield Stamped(0.0, "/imu/data", dataclasses.replace(message, header=header))
+
+    write_bag(tmp_path / "bag", list(turned()))
+    recording = read_recording(tmp_path / "bag", Names())
+    (told,) = [s.messages["attitude"] for s in recording.steps() if "attitude" in s.messages]
+    assert (told.roll, REP_103.pitch * told.pitch) == pytest.approx((0.0, up), abs=1e-9)
+    assert told.yaw_rate == pytest.approx(0.4)
+
+
+def test_drift_is_the_difference_of_the_ways_since_their_starts():
+    drift = Drift()
+    assert drift.summary() is None
+    # The second way begins elsewhere, and turned to the left by 90°.
+    for x in (0.0, 1.0, 2.0):
+        ours = Pose(0.9 * x, 0.0, 0.01 * x, 0.0, 0.0, 0.1 * x)
+        drift.add(ours, Pose(5.0, 7.0 + x, 3.0, 0.0, 0.0, math.pi / 2))
+    assert drift.summary() == pytest.approx(
+        {"way": 2.0, "horizontal": 0.2, "share": 0.1, "height": 0.02, "heading": 0.2}
+    )
+
+
+def test_faces_are_seen_points_of_equal_x():
+    ground = np.array([[0, 0], [0.5, 0], [0.5, 0.1], [0.5, 0.2], [1, 0.2], [1, 0.4], [2, 0.4]])
+    filled = np.array([0, 0, 0, 0, 0, 1, 1], bool)
+    (face,) = faces(ground, filled)
+    assert face.tolist() == [[0.5, 0.0], [0.5, 0.2]]
