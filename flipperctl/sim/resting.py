@@ -45,7 +45,7 @@ def resting(
     """
     ground = _Ground.around(profile, robot, x, front, rear)
     turns = math.floor(steepest / _ANGLE)
-    pitches: FloatArray = _ANGLE * np.arange(-turns, turns + 1)
+    pitches = _ANGLE * np.arange(-turns, turns + 1, dtype=np.float64)
     _, masses, levers = ground.supports(pitches)
     (rests,) = np.nonzero((levers[:-1] >= 0) & (levers[1:] < 0))
     if not len(rests):
@@ -86,7 +86,7 @@ class _Ground:
         margin = reach + robot.track_radius
         line = profile.extended(margin + abs(x - profile.start), margin + abs(x - profile.end))
         count = math.ceil(2 * reach / _GRID) + 1
-        places = x - reach + _GRID * np.arange(count)
+        places = x - reach + _GRID * np.arange(count, dtype=np.float64)
         above = inflated(line, x - reach, _GRID, count, robot.track_radius)
         slopes: FloatArray = np.arctan(np.gradient(above, _GRID))
         contacts: FloatArray = places + robot.track_radius * np.sin(slopes)
