@@ -31,6 +31,15 @@ def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
     assert (done.code, "bit-identical" in done.out) == (0, True)
 
 
+def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
+    axes = "terrain.height=0.3:0.4:2,episode.run_out=0.2:0.4:2"
+    words = [axes, "--episodes", "1", "episode.run_up=0.8", "--json"]
+    one, two = (call(*MAP, *words, "--jobs", jobs, cwd=tmp_path) for jobs in ("1", "2"))
+    assert one.code == two.code == 0
+    assert len(json.loads(one.out)["cells"]) == 4
+    assert one.out == two.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
