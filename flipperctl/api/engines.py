@@ -61,7 +61,8 @@ NO_LIMITS = Limits()
 class Start(NamedTuple):
     """Start pose of an episode, in which the robot rests on the ground.
 
-    An engine that ignores ``height`` and ``pitch`` starts on level ground only.
+    An engine may ignore ``height`` and ``pitch``; it then starts on level ground only, and
+    ``episode.run_up`` below 0 is refused.
     """
 
     x: float

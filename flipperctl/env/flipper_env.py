@@ -127,7 +127,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
         self._sections = sections
         self.drive = self._drive()
-        start.check_overlap(self.drive.world.penetration(), config.terrain, episode)
+        start.check_placed(self.drive.world, self._start, config)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from flipperctl.api import Profile, Robot, Start, Terrain
-from flipperctl.config import Episode
-from flipperctl.errors import TerrainError
+from flipperctl.api import Profile, Robot, Start, World
+from flipperctl.config import EnvConfig, Episode
+from flipperctl.errors import ConfigError, TerrainError
 
 _DEEPEST = 0.005
 """Largest overlap of the robot with the ground at the start [m]."""
+_TURNED, _LIFTED = 0.1, 0.05
+"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]."""
 
 
 def sampled(
@@ -53,15 +55,25 @@ def sampled(
     return Start(x, front=front, rear=rear, height=height, pitch=pitch), drawn
 
 
-def check_overlap(depth: float, terrain: Terrain, episode: Episode) -> None:
-    """Check that the ground does not overlap the robot at the start by more than ``depth`` [m].
+def check_placed(world: World, start: Start, config: EnvConfig) -> None:
+    """Check that the engine placed the robot on the ground, where it should start.
 
     Raises:
-        TerrainError: it does.
+        TerrainError: the ground overlaps the robot.
+        ConfigError: the engine starts on level ground only.
     """
-    if depth > _DEEPEST:
-        side = "before" if episode.run_up >= 0 else "past"
+    run_up = config.episode.run_up
+    if start.height is not None:
+        turned, lifted = world.pitch - start.pitch, world.position[1] - start.height
+        if abs(turned) > _TURNED or abs(lifted) > _LIFTED:
+            raise ConfigError(
+                f"episode.run_up: {run_up:g} m starts past the first edge, where "
+                f"sim={config.sim.plugin_name} does not place the robot along the ground; 0 m or "
+                "more is allowed"
+            )
+    if (depth := world.penetration()) > _DEEPEST:
         raise TerrainError(
-            f"terrain {terrain.plugin_name!r} overlaps the robot at the start by {depth:.3f} m, "
-            f"with the chassis centre {abs(episode.run_up):g} m {side} the first edge"
+            f"terrain {config.terrain.plugin_name!r} overlaps the robot at the start by "
+            f"{depth:.3f} m, with the chassis centre {abs(run_up):g} m "
+            f"{'before' if run_up >= 0 else 'past'} the first edge"
         )

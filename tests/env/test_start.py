@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.api import Profile, Robot, Start
+from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import TerrainError
+from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.planar import Planar
 from flipperctl.sim.resting import height_at, resting
 
 RADIUS, AXLE, HALF = 0.1, 0.336, 0.28
@@ -99,3 +100,17 @@ def test_a_start_that_no_robot_can_have_is_named(episode: dict[str, float], text
     cliff = {"name": "step", "low": -1.0, "high": -0.9}
     with pytest.raises(TerrainError, match=text):
         FlipperEnv(cliff, episode={**EXACT, **episode}).reset(seed=0)
+
+
+def test_an_engine_that_starts_level_alone_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = Planar.place
+
+    def level(
+        self: Planar, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator
+    ) -> World:
+        return place(self, profile, robot, Start(*start[:3]), rng)
+
+    monkeypatch.setattr(Planar, "place", level)
+    ramp = {"name": "ramp", "direction": "down", "length_low": 2.4, "length_high": 3.0}
+    with pytest.raises(ConfigError, match="sim=planar does not place the robot along the ground"):
+        FlipperEnv(ramp, episode={"run_up": -1.0}).reset(seed=2)
