@@ -61,7 +61,7 @@ def play_shipped(runs: Path, output: Path, jobs: int, numbers: shipped.Numbers) 
     command = f"python -m benchmarks.results {SHIPPED} --fast {numbers.fast} --slow {numbers.slow}"
     for suite, found in shipped.play(_run, runs, output, jobs, numbers):
         head = {"command": command, "version": __version__, "price": found["price"]}
-        rows = {name: found[name] for name in ("overview", "scenes")}
+        rows = {name: found[name] for name in ("trainings", "overview", "scenes")}
         _keep(f"{SHIPPED}_{suite}", head, rows)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.estimates import Interval
@@ -26,11 +27,15 @@ SUITES = ("paper", "families", "held_out")
 _SEEDS = "seed=1,2,3 hydra.sweep.dir=runs/shipped"
 TRAININGS: Mapping[str, str] = {
     "plain": f"flipperctl train -m terrain=all_kinds {_SEEDS}/plain",
-    "precise": f"flipperctl train -m experiment=precise terrain=all_kinds {_SEEDS}/precise",
-    "searched": "flipperctl train -m experiment=searched terrain=all_kinds train.decisions=4000 "
-    f"train.validate_every=1000 {_SEEDS}/searched",
+    "precise": "flipperctl train -m experiment=precise terrain=all_kinds rewards=smooth "
+    f"{_SEEDS}/precise",
+    "searched": "flipperctl train -m experiment=searched terrain=all_kinds rewards=smooth "
+    f"train.decisions=4000 train.validate_every=1000 {_SEEDS}/searched",
 }
-"""Commands of the trainings: AT-D3QN as it is, with precise values, and with a search."""
+"""Commands of the trainings: AT-D3QN as it is, with precise values, and with a search.
+
+The results state the settings with which the trainings in the given folder were made.
+"""
 RULES = "okada,level"
 """Controllers that take milliseconds a decision; the policies above and the generalist do, too."""
 SEARCHES = ("mpc", "planner")
@@ -87,12 +92,30 @@ def play(
         for words in found:
             run(shlex.split(words))
         folders = [output / suite / name for name in ("fast", *SEARCHES)]
-        yield suite, {"price": PRICE, **results(folders)}
+        yield suite, {"price": PRICE, "trainings": trainings(runs), **results(folders, runs)}
 
 
-def results(folders: Sequence[Path]) -> dict[str, Any]:
-    """Return the rows of ``scenes`` and ``overview`` from folders of ``eval --output``."""
-    scenes = [scene for folder in folders for scene in _scenes(folder)]
+def trainings(runs: Path) -> list[dict[str, str]]:
+    """Return the overrides of each training in ``runs``, with those of several seeds together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for name in TRAININGS:
+        for file in sorted((runs / name).glob("*/.hydra/overrides.yaml")):
+            words = [str(word) for word in yaml.safe_load(file.read_text(encoding="utf-8"))]
+            seeds = [word.removeprefix("seed=") for word in words if word.startswith("seed=")]
+            rest = shlex.join(word for word in words if not word.startswith("seed="))
+            found.setdefault((name, rest), []).extend(seeds)
+    return [
+        {"method": name, "overrides": f"{rest} seed={','.join(seeds)}".strip()}
+        for (name, rest), seeds in found.items()
+    ]
+
+
+def results(folders: Sequence[Path], runs: Path) -> dict[str, Any]:
+    """Return the rows of ``scenes`` and ``overview`` from folders of ``eval --output``.
+
+    All policies in a folder below ``runs`` are training seeds of one method.
+    """
+    scenes = [scene for folder in folders for scene in _scenes(folder, runs)]
     methods = list(dict.fromkeys(scene.method for scene in scenes))
     whole = {name: _largest([s for s in scenes if s.method == name]) for name in methods}
     overview = [_overview(name, found, whole.get(AGAINST)) for name, found in whole.items()]
@@ -135,7 +158,14 @@ class _Scene:
         return float(found.mean()) if found.size else None
 
 
-def _scenes(folder: Path) -> Iterator[_Scene]:
+def _name(method: str, runs: Path) -> str:
+    """Return the folder below ``runs`` in which the policies of a method lie, or its last name."""
+    path = Path(method)
+    inside = [place.name for place in (path, *path.parents) if place.parent == runs]
+    return inside[0] if inside else path.name
+
+
+def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
     """Yield the scenes of a folder, without those that repeat the episodes of another one."""
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     played: dict[tuple[str, str], list[dict[str, str]]] = {}
@@ -144,7 +174,7 @@ def _scenes(folder: Path) -> Iterator[_Scene]:
             played.setdefault((line["controller"], line["conditions_hash"]), []).append(line)
     groups: dict[tuple[str, str, int, str], list[dict[str, Any]]] = {}
     for scene in summary["scenes"]:
-        name = Path(scene["method"]).name
+        name = _name(scene["method"], runs)
         key = scene["suite_scene"], scene["conditions"]["hash"], scene["episodes"], name
         groups.setdefault(key, []).append(scene)
     seen: set[tuple[str, int, str]] = set()

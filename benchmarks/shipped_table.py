@@ -1,7 +1,7 @@
 """Tables in Markdown of the results of ``benchmarks.shipped``.
 
-In: the document of a suite. Out: the lines of a table: ``overview``, a row for each method, or
-``scenes``, a row for each scene and a column for each method.
+In: the document of a suite. Out: the lines of a table: ``overview``, a row for each method,
+``scenes``, a row for each scene and a column for each method, or ``trainings``, the settings.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def markdown(document: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     Raises:
         RequestError: there is no such table.
     """
-    tables = {"overview": _overview, "scenes": _scenes}
+    tables = {"trainings": _trainings, "overview": _overview, "scenes": _scenes}
     if len(names) != 1 or names[0] not in tables:
         asked = " ".join(names)
         raise RequestError(
@@ -30,6 +30,11 @@ def markdown(document: Mapping[str, Any], names: Sequence[str]) -> list[str]:
             f"{', '.join(tables)}"
         )
     return tables[names[0]](document)
+
+
+def _trainings(document: Mapping[str, Any]) -> list[str]:
+    cells = [[f"`{row['method']}`", f"`{row['overrides']}`"] for row in document["trainings"]]
+    return _lines(["policy", "settings of `flipperctl train`"], cells)
 
 
 def _overview(document: Mapping[str, Any]) -> list[str]:

@@ -37,10 +37,11 @@ def write(folder: Path, policies: dict[str, tuple[str, list[float | None]]]) -> 
 
 def test_rows_have_all_training_seeds_and_count_failures(tmp_path: Path) -> None:
     first: list[float | None] = [1.0, 1.0, 1.0, 1.0, 1.0, 3.0]
-    plain = {"a/0": ("a/plain", first), "a/1": ("a/plain", [2.0, 2.0, 2.0, 2.0, 2.0, None])}
+    other = [2.0, 2.0, 2.0, 2.0, 2.0, None]
+    plain = {"0": ("runs/plain/0", first), "1": ("runs/plain/1", other)}  # of unequal settings
     write(tmp_path / "fast", {**plain, "level": ("level", [2.0] * 6)})
     write(tmp_path / "mpc", {"mpc": ("mpc", [0.5] * 5)})
-    found = shipped.results([tmp_path / "fast", tmp_path / "mpc"])
+    found = shipped.results([tmp_path / "fast", tmp_path / "mpc"], Path("runs"))
     rows = {(row["method"], row["case"]): row for row in found["scenes"]}
     assert list(rows) == [
         *(("plain", case) for case in ("5 repeats", "all")),
@@ -64,8 +65,22 @@ def test_rows_have_all_training_seeds_and_count_failures(tmp_path: Path) -> None
         "| `mpc` | – | 1 | 5 | 1.000 [0.566, 1.000] | 0.50 [0.50, 0.50] | 0.50 "
         "| -1.50 [-1.50, -1.50] |"
     )
-    with pytest.raises(RequestError, match="there is no such table; known: overview, scenes"):
+    with pytest.raises(
+        RequestError, match="no such table; known: trainings, overview"
+    ):
         markdown(found, ["swing"])
+
+
+def test_trainings_are_stated_as_they_were_made(tmp_path: Path) -> None:
+    for number, words in enumerate(("a=1, seed=1", "a=1, seed=2", "a=2, seed=3")):
+        folder = tmp_path / "plain" / str(number) / ".hydra"
+        folder.mkdir(parents=True)
+        (folder / "overrides.yaml").write_text(f"[{words}]")
+    found = shipped.trainings(tmp_path)
+    assert markdown({"trainings": found}, ["trainings"])[2:] == [
+        "| `plain` | `a=1 seed=1,2` |",
+        "| `plain` | `a=2 seed=3` |",
+    ]
 
 
 def test_the_calls_name_the_trainings_that_exist(tmp_path: Path) -> None:
