@@ -65,9 +65,7 @@ def test_rows_have_all_training_seeds_and_count_failures(tmp_path: Path) -> None
         "| `mpc` | – | 1 | 5 | 1.000 [0.566, 1.000] | 0.50 [0.50, 0.50] | 0.50 "
         "| -1.50 [-1.50, -1.50] |"
     )
-    with pytest.raises(
-        RequestError, match="no such table; known: trainings, overview"
-    ):
+    with pytest.raises(RequestError, match="no such table; known: trainings, overview"):
         markdown(found, ["swing"])
 
 
