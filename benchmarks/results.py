@@ -1,7 +1,9 @@
 """Evaluations whose results are kept in ``docs/results/`` and shown in tables of the documentation.
 
 ``python -m benchmarks.results NAME`` plays one of them anew and replaces its file; then
-``python -m benchmarks.tables`` rewrites the tables. ``--jobs 2`` uses two processes.
+``python -m benchmarks.tables`` rewrites the tables. ``--jobs 2`` uses two processes. ``shipped``
+plays everything that ships, with the trainings in ``--runs``, and goes on where an earlier call
+ended; the commands of the trainings are in ``benchmarks.shipped``.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ import contextlib
 import io
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from benchmarks import shipped
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
@@ -31,6 +35,10 @@ COMMANDS: Mapping[str, str] = {
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
 }
 """The command of each file."""
+SHIPPED = "shipped"
+"""Name of the results of everything that ships, with a file for each suite."""
+NAMES = (*COMMANDS, SHIPPED)
+"""What can be played."""
 
 
 def play(name: str, jobs: int = 1) -> None:
@@ -39,32 +47,67 @@ def play(name: str, jobs: int = 1) -> None:
     Raises:
         FlipperctlError: the command failed.
     """
+    out = _run([*shlex.split(COMMANDS[name])[1:], "--jobs", str(jobs), "--json"])
+    rows = [row.to_dict() for row in rows_of(json.loads(out))]
+    _keep(name, {"command": COMMANDS[name], "version": __version__}, {"rows": rows})
+
+
+def play_shipped(runs: Path, output: Path, jobs: int, numbers: shipped.Numbers) -> None:
+    """Play everything that ships and keep a file of results for each suite.
+
+    Raises:
+        FlipperctlError: a command failed, or there are no trainings.
+    """
+    command = f"python -m benchmarks.results {SHIPPED} --fast {numbers.fast} --slow {numbers.slow}"
+    for suite, found in shipped.play(_run, runs, output, jobs, numbers):
+        head = {"command": command, "version": __version__, "price": found["price"]}
+        rows = {name: found[name] for name in ("trainings", "overview", "scenes")}
+        _keep(f"{SHIPPED}_{suite}", head, rows)
+
+
+def _run(words: Sequence[str]) -> str:
+    """Run a command of flipperctl and return what it printed."""
     out = io.StringIO()
-    words = [*shlex.split(COMMANDS[name])[1:], "--jobs", str(jobs), "--json"]
     with contextlib.redirect_stdout(out):
         try:
-            flipperctl(words)
+            flipperctl(list(words))
         except SystemExit as ended:
             if ended.code:
-                raise FlipperctlError(f"{COMMANDS[name]}: exit code {ended.code}") from ended
+                text = f"flipperctl {shlex.join(words)}: exit code {ended.code}"
+                raise FlipperctlError(text) from ended
+    return out.getvalue()
+
+
+def _keep(name: str, head: Mapping[str, Any], rows: Mapping[str, list[dict[str, Any]]]) -> None:
+    """Write a file of results with a row on each line, for readable changes."""
     FOLDER.mkdir(exist_ok=True)
-    rows = [row.to_dict() for row in rows_of(json.loads(out.getvalue()))]
-    lines = ",\n".join(json.dumps(row) for row in rows)
-    head = json.dumps({"command": COMMANDS[name], "version": __version__})
-    text = f'{head[:-1]}, "rows": [\n{lines}\n]}}\n'  # a row on each line, for readable changes
-    write_bytes(FOLDER / f"{name}.json", text.encode())
+    parts = [json.dumps(head)[1:-1]]
+    for key, each in rows.items():
+        lines = ",\n".join(json.dumps(row) for row in each)
+        parts.append(f'"{key}": [\n{lines}\n]')
+    write_bytes(FOLDER / f"{name}.json", f"{{{', '.join(parts)}}}\n".encode())
 
 
 def main() -> int:
     """Play the named evaluations; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.results", description=__doc__)
-    parser.add_argument(
-        "names", nargs="+", choices=COMMANDS, metavar="NAME", help=", ".join(COMMANDS)
-    )
-    parser.add_argument("--jobs", type=int, default=1, help="processes [1]")
+    parser.add_argument("names", nargs="+", choices=NAMES, metavar="NAME", help=", ".join(NAMES))
+    few = shipped.Numbers()
+    for option, kind, default, text in (
+        ("--jobs", int, 1, "processes"),
+        ("--runs", Path, Path("runs/shipped"), f"{SHIPPED}: folder of the trainings"),
+        ("--output", Path, Path("judged"), f"{SHIPPED}: folder of the episodes"),
+        ("--fast", int, few.fast, f"{SHIPPED}: episodes a scene of rules and learned policies"),
+        ("--slow", int, few.slow, f"{SHIPPED}: episodes a scene of mpc and planner"),
+    ):
+        parser.add_argument(option, type=kind, default=default, help=f"{text} [{default}]")
     asked = parser.parse_args()
     for name in asked.names:
-        play(name, asked.jobs)
+        if name == SHIPPED:
+            numbers = shipped.Numbers(asked.fast, asked.slow)
+            play_shipped(asked.runs, asked.output, asked.jobs, numbers)
+        else:
+            play(name, asked.jobs)
     return 0
 
 

@@ -3,8 +3,10 @@
     python -m benchmarks.tables [--check]
 
 A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->``; its columns are
-those of ``flipperctl.report.result_table``. ``--check`` writes nothing and exits with code 1 if a
-page disagrees with its results. ``python -m benchmarks.results`` makes the results.
+those of ``flipperctl.report.result_table``; files ``shipped_SUITE.json`` have the tables
+``overview`` and ``scenes`` instead (``benchmarks.shipped_table``). ``--check`` writes nothing and
+exits with code 1 if a page disagrees with its results. ``python -m benchmarks.results`` makes the
+results.
 """
 
 from __future__ import annotations
@@ -14,7 +16,9 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+from benchmarks.shipped_table import markdown
 from flipperctl import entry
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.result_rows import StoredRow
@@ -22,6 +26,8 @@ from flipperctl.files import write_bytes
 from flipperctl.report.result_table import markdown_table
 
 ROOT = Path(__file__).parents[1]
+SHIPPED = "shipped_"
+"""Beginning of the names of files of ``benchmarks.shipped``; their tables are others."""
 FOLDER = ROOT / "docs" / "results"
 _TABLE = re.compile(
     r"(<!-- results: (\S+) ([^>]*?) -->\n).*?(^<!-- end -->$)", re.DOTALL | re.MULTILINE
@@ -45,7 +51,11 @@ def rewritten(text: str, folder: Path = FOLDER) -> str:
     """
 
     def table(found: re.Match[str]) -> str:
-        lines = markdown_table(stored(folder / found[2]), found[3].split())
+        path, names = folder / found[2], found[3].split()
+        if found[2].startswith(SHIPPED):
+            lines = markdown(_document(path), names)
+        else:
+            lines = markdown_table(stored(path), names)
         return found[1] + "\n".join(["", *lines, "", ""]) + found[4]
 
     return _TABLE.sub(table, text)
@@ -58,8 +68,16 @@ def stored(path: Path) -> list[StoredRow]:
         RequestError: it is missing, or of another form.
     """
     try:
-        return [StoredRow.of(row) for row in json.loads(path.read_text(encoding="utf-8"))["rows"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return [StoredRow.of(row) for row in _document(path)["rows"]]
+    except (KeyError, TypeError) as error:
+        raise RequestError(f"{path}: these are no stored results: {error}") from error
+
+
+def _document(path: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+    except (OSError, ValueError) as error:
         raise RequestError(f"{path}: these are no stored results: {error}") from error
 
 

@@ -59,7 +59,11 @@ NO_LIMITS = Limits()
 
 
 class Start(NamedTuple):
-    """Start pose of an episode, in which the robot rests level on the ground."""
+    """Start pose of an episode, in which the robot rests on the ground.
+
+    An engine may ignore ``height`` and ``pitch``; it then starts on level ground only, and
+    ``episode.run_up`` below 0 is refused.
+    """
 
     x: float
     """World x of the chassis centre [m]."""
@@ -67,6 +71,10 @@ class Start(NamedTuple):
     """Angle of the front flippers in frame R [rad]."""
     rear: float = 0.0
     """Angle of the rear flippers in frame R [rad]."""
+    height: float | None = None
+    """World z of the chassis centre [m]; None: the robot rests level on the ground below it."""
+    pitch: float = 0.0
+    """Pitch of the chassis, nose up positive [rad]."""
 
 
 class World(Protocol):

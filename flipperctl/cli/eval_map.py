@@ -24,6 +24,7 @@ def run_map(
     """
     from flipperctl.cli.scenes import scenes
     from flipperctl.errors import InterruptedRunError
+    from flipperctl.evaluation.capability import CapabilityMap
     from flipperctl.runs.capability import map_scenes, map_words
     from flipperctl.runs.interrupts import interrupts
     from flipperctl.runs.named_policies import refuse_beside
@@ -34,10 +35,17 @@ def run_map(
 
     refuse_beside("--map", others)
     found = scenes(map_words(words), checkpoint, controller)
+
+    def printed(result: CapabilityMap) -> None:
+        show(result.to_dict(), lambda: print_map(result), as_json=as_json)
+
     with interrupts("finishing the cell; Ctrl-C again stops at once") as stop:
         result = map_scenes(
-            found, text, output, progress=episodes_progress, stop=stop, tell=print_note
+            *(found, text, output),
+            progress=episodes_progress,
+            stop=stop,
+            show=printed,
+            tell=print_note,
         )
-    show(result.to_dict(), lambda: print_map(result), as_json=as_json)
     if result.interrupted:
         raise InterruptedRunError(f"interrupted: {result.played} cells of the map are finished")

@@ -21,9 +21,10 @@ class Episode(Settings):
 
     run_up: float = Field(
         1.0,
-        ge=0,
+        ge=-10,
         le=10,
-        description="distance from the chassis centre at the start to the first edge [m]",
+        description="distance from the chassis centre at the start to the first edge; below 0, the "
+        "robot starts past the edge, standing on a slope or a stair [m]",
     )
     run_out: float = Field(
         1.0,

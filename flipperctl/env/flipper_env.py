@@ -24,11 +24,10 @@ from flipperctl.api import (
     Outcome,
     Profile,
     RobotState,
-    Start,
     Transition,
 )
 from flipperctl.config import EnvConfig, with_overrides
-from flipperctl.env import ground
+from flipperctl.env import ground, start
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
@@ -38,12 +37,9 @@ from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_m
 from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
-from flipperctl.errors import TerrainError
 from flipperctl.reward_sum import RewardSum
 
 Observation = NDArray[np.float32]
-
-_DEEPEST_START = 0.005  # largest overlap with the ground at the start [m]
 
 
 class FlipperEnv(gymnasium.Env[Observation, np.int64]):
@@ -128,24 +124,14 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
         self.profile = self._generate(terrain_rng, float(difficulty))
-        shift, *turned = start_rng.uniform(-1.0, 1.0, 3) * np.array(
-            [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
-        )
-        x = self.profile.start - episode.run_up + shift
-        front, rear = (self.robot.clip(episode.start_angle + angle) for angle in turned)
-        self._start = Start(x, front=front, rear=rear)
+        self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
         self._sections = sections
         self.drive = self._drive()
-        if (depth := self.drive.world.penetration()) > _DEEPEST_START:
-            raise TerrainError(
-                f"terrain {config.terrain.plugin_name!r} overlaps the robot at the start by "
-                f"{depth:.3f} m, with the chassis centre {episode.run_up:g} m before the first edge"
-            )
+        start.check_placed(self.drive.world, self._start, config)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)
         self._perceiver.attach(self.drive, *(o.measured for o in self.observers))
-        starts = {"start_shift": shift, "start_front": front, "start_rear": rear}
         self._sampled_values = {**starts, **sampled}
         self._last_move, self._outcome = None, None
         self._pitches = [self.state.pitch]

@@ -25,6 +25,7 @@ from flipperctl.messages import explain
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 
+_FORMAT = 1
 _FILES = ("policy", "value")
 """Settings of a controller that name a file."""
 
@@ -140,13 +141,23 @@ class EpisodeRecord(_Frozen):
             )
         return config
 
+    def check_package(self, where: Path) -> None:
+        """Check the version of flipperctl, before its policy and configuration are looked for.
+
+        Raises:
+            RequestError: it is not the recorded one. The text names the record, ``where``.
+        """
+        self._check_versions(where, {**self.versions, "flipperctl": __version__})
+
     def check_versions(self, where: Path, source: PolicySource, config: EvalConfig) -> None:
         """Check that the versions that affect the episode's numbers are the recorded ones.
 
         Raises:
             RequestError: they are not. The text names the record, ``where``.
         """
-        here = used_versions(config, source)
+        self._check_versions(where, used_versions(config, source))
+
+    def _check_versions(self, where: Path, here: Mapping[str, str]) -> None:
         changed = [name for name in self.versions if here.get(name) != self.versions[name]]
         if changed:
             recorded = ", ".join(f"{name} {self.versions[name]}" for name in changed)
@@ -185,6 +196,12 @@ def read_record(path: Path) -> EpisodeRecord:
     """
     try:
         document = decode(path.read_text(encoding="utf-8"))
+        number = document.get("format", _FORMAT) if isinstance(document, dict) else _FORMAT
+        if number != _FORMAT:
+            raise RequestError(
+                f"{path}: its format is {number!r}; this version of flipperctl, {__version__}, "
+                f"reads format {_FORMAT}"
+            )
         return EpisodeRecord(**document)
     except OSError as error:
         raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error

@@ -73,6 +73,7 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
         FlipperctlError: the policy failed.
     """
     record = read_record(path)
+    record.check_package(path)
     source = record.policy.find(path, checkpoint)
     config = record.evaluation(path)
     record.check_versions(path, source, config)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from flipperctl.config import EvalConfig
 from flipperctl.config.words import with_default
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.evaluation.axes import parse_axes
@@ -19,6 +20,7 @@ from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.map_cells import capability_map
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_csv, write_json
+from flipperctl.policies.source import PolicySource
 from flipperctl.runs.results import ResultFolder, result_folder
 
 NAMES = ("map.json", "map.csv", "map.png")
@@ -37,11 +39,13 @@ def map_scenes(
     *,
     progress: Progress = no_progress,
     stop: Callable[[], bool] = lambda: False,
+    show: Callable[[CapabilityMap], None] = lambda found: None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> CapabilityMap:
     """Return the map of the only scene over the axes of ``text``, after writing its files.
 
-    ``tell`` is called with a line for the files.
+    ``show`` is called before they are written, so that a full disk does not lose the map, and
+    ``tell`` with a line for the files.
 
     Raises:
         RequestError: there are several scenes, or the axes cannot be read.
@@ -60,17 +64,30 @@ def map_scenes(
         found = capability_map(config, source, axes, progress=progress, stop=stop)
         if not found.cells:
             raise InterruptedRunError("interrupted: no cell of the map is finished")
-        if folder is not None:
-            recorded = 0
-
-            def write(part: Path) -> None:
-                nonlocal recorded
-                write_map(part, found)
-                recorded = write_map_failures(part, config, source, found)
-
-            folder.replace(write)
-            tell(f"wrote {', '.join(NAMES)} and {recorded} failures to {folder.path}")
+        try:
+            show(found)
+        finally:  # files are written even if the pipe is closed
+            if folder is not None:
+                _write_all(folder, config, source, found, tell)
     return found
+
+
+def _write_all(
+    folder: ResultFolder,
+    config: EvalConfig,
+    source: PolicySource,
+    found: CapabilityMap,
+    tell: Callable[[str], None],
+) -> None:
+    recorded = 0
+
+    def write(part: Path) -> None:
+        nonlocal recorded
+        write_map(part, found)
+        recorded = write_map_failures(part, config, source, found)
+
+    folder.replace(write)
+    tell(f"wrote {', '.join(NAMES)} and {recorded} failures to {folder.path}")
 
 
 def write_map(folder: Path, found: CapabilityMap) -> None:

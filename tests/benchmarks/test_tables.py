@@ -24,7 +24,8 @@ def test_the_card_and_the_page_of_results_have_tables() -> None:
 
 
 def test_kept_results_are_those_of_their_commands() -> None:
-    files = {file.stem: json.loads(file.read_text()) for file in results.FOLDER.glob("*.json")}
+    every = results.FOLDER.glob("*.json")
+    files = {f.stem: json.loads(f.read_text()) for f in every if not f.name.startswith("shipped_")}
     assert set(files) == set(results.COMMANDS)
     for name, document in files.items():
         assert document["command"] == results.COMMANDS[name]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from flipperctl.errors import WriteError
 from tests.cli.call import call
 
 AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"
@@ -29,6 +30,26 @@ def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
     ]
     done = call("eval", "--replay", "found/failure_map_1_0_0.json", cwd=tmp_path)
     assert (done.code, "bit-identical" in done.out) == (0, True)
+
+
+def test_a_full_disk_does_not_lose_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(folder: Path, found: object) -> None:
+        raise WriteError(f"{folder}: writing failed half way (No space left on device)")
+
+    monkeypatch.setattr("flipperctl.runs.capability.write_map", full)
+    axes = "terrain.height=0.3:0.4:2,sim.friction=1:1.1:2"
+    done = call(*MAP, axes, "--episodes", "1", "--output", "found", cwd=tmp_path)
+    assert (done.code, "4 of 4 cells played" in done.out) == (1, True)
+    assert done.err.splitlines()[-1].startswith("error: found: writing failed")
+
+
+def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
+    axes = "terrain.height=0.3:0.4:2,episode.run_out=0.2:0.4:2"
+    words = [axes, "--episodes", "1", "episode.run_up=0.8", "--json"]
+    one, two = (call(*MAP, *words, "--jobs", jobs, cwd=tmp_path) for jobs in ("1", "2"))
+    assert one.code == two.code == 0
+    assert len(json.loads(one.out)["cells"]) == 4
+    assert one.out == two.out
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,11 @@ def test_a_record_without_a_digest_compares_every_measure(folder: Path) -> None:
     [
         ({"versions": {"flipperctl": "0.1.0"}}, "recorded with flipperctl 0.1.0; here is"),
         ({"versions": {"bullet": "3"}}, "recorded with bullet 3; here is bullet –"),
-        ({"format": 2}, "format: Input should be 1"),
+        (  # another version's policies and settings are not looked for
+            {"versions": {"flipperctl": "0.1.0"}, "config": {"terrain": "moon"}},
+            "recorded with flipperctl 0.1.0; here is",
+        ),
+        ({"format": 2}, "its format is 2; this version of flipperctl, .*, reads format 1"),
         ({"seed": None}, "seed: "),
         ({"conditions": {"name": "varied", "hash": "0"}}, "its conditions have the hash 0, here"),
         ({"config": {"terrain": "moon"}}, "its configuration is not valid here: terrain"),

@@ -29,11 +29,12 @@ from flipperctl.api import (
     View,
 )
 from flipperctl.errors import NonFiniteError
-from flipperctl.sim.mujoco.axes import orientation
+from flipperctl.sim.mujoco.axes import orientation, quaternion
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
 from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
+from flipperctl.sim.resting import height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
@@ -72,7 +73,7 @@ class MujocoWorld:
         start: Start,
         rng: np.random.Generator,
     ) -> None:
-        """Place the robot level at ``start``, resting on the lower flippers or the chassis.
+        """Place the robot at ``start``; without a height, it rests level on flippers or chassis.
 
         Yaw, offset and roughness are sampled from ``rng``.
 
@@ -98,11 +99,9 @@ class MujocoWorld:
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
-        below = max(0.0, -math.sin(start.front), -math.sin(start.rear))
-        lift = robot.track_radius + robot.flipper_axle * below
         pose = self.data.qpos
-        pose[:3] = start.x, side, profile.height(start.x) + lift
-        pose[3:7] = math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)
+        pose[:3] = start.x, side, height_at(start, profile, robot)
+        pose[3:7] = quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
 
     def command(self, front: float, rear: float) -> None:

@@ -22,12 +22,14 @@ from flipperctl.api import (
     Profile,
     Robot,
     RobotState,
+    Start,
 )
 from flipperctl.sim.planar.casting import distances
 from flipperctl.sim.planar.energy import Budget
 from flipperctl.sim.planar.joints import join, largest_impulse
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 from flipperctl.sim.planar.settings import PlanarSettings
+from flipperctl.sim.resting import height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.planar.compiled import CompiledLoop
@@ -56,11 +58,14 @@ class PlanarWorld:
         start: float,
         front: float = 0.0,
         rear: float = 0.0,
+        height: float | None = None,
+        pitch: float = 0.0,
     ) -> None:
-        """Place the robot level at ``start``, world x of the chassis centre [m].
+        """Place the robot at ``start``, world x of the chassis centre [m].
 
-        ``front`` and ``rear`` are the flipper angles [rad]. If a flipper is below the chassis, the
-        robot rests on the lower flippers, else on the chassis.
+        ``front`` and ``rear`` are the flipper angles, ``pitch`` that of the chassis [rad];
+        ``height`` is world z of its centre [m]. Without it, the robot rests on the lower flippers
+        if a flipper is below the level chassis, else on the chassis.
         """
         self.robot = robot
         self.sim = sim
@@ -73,10 +78,9 @@ class PlanarWorld:
         space.collision_bias = 0.2**60  # Chipmunk's default is far too soft at these substeps
         self._add_ground()
 
-        lift = robot.track_radius + robot.flipper_axle * max(0.0, -math.sin(front), -math.sin(rear))
-        centre = (start, profile.height(start) + lift)
+        centre = (start, height_at(Start(start, front, rear, height), profile, robot))
         half = robot.hinge_offset
-        self._chassis = self._add_part(robot.chassis_mass, centre, 0.0, 2 * half)
+        self._chassis = self._add_part(robot.chassis_mass, centre, pitch, 2 * half)
         self._front, self._front_gear = self._add_flipper(half, front)
         self._rear, self._rear_gear = self._add_flipper(-half, rear)
         substeps = round(SAMPLE_PERIOD / sim.substep)
@@ -121,8 +125,9 @@ class PlanarWorld:
     def _add_flipper(self, hinge_x: float, angle: float) -> tuple[pymunk.Body, pymunk.GearJoint]:
         robot = self.robot
         side = math.copysign(1.0, hinge_x)
-        turned = side * angle  # the engine's angle of the flipper relative to the chassis
-        hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0)
+        pitch = self._chassis.angle
+        turned = pitch + side * angle  # the engine's angle
+        hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0).rotated(pitch)
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)

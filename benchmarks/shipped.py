@@ -1,0 +1,254 @@
+"""Everything that ships, on the suites ``paper``, ``families`` and ``held_out``.
+
+In: a folder with the trainings of ``TRAININGS``, one sweep of training seeds each. Out: for each
+suite a file of results for ``docs/results/``: a row for each method and scene, and one for each
+method over all scenes.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.estimates import Interval
+from flipperctl.evaluation.scores import PRICE, Method
+from flipperctl.studies.seed_table import rows
+
+SUITES = ("paper", "families", "held_out")
+_SEEDS = "seed=1,2,3 hydra.sweep.dir=runs/shipped"
+TRAININGS: Mapping[str, str] = {
+    "plain": f"flipperctl train -m terrain=all_kinds {_SEEDS}/plain",
+    "precise": "flipperctl train -m experiment=precise terrain=all_kinds rewards=smooth "
+    f"{_SEEDS}/precise",
+    "searched": "flipperctl train -m experiment=searched terrain=all_kinds rewards=smooth "
+    f"train.decisions=4000 train.validate_every=1000 {_SEEDS}/searched",
+}
+"""Commands of the trainings: AT-D3QN as it is, with precise values, and with a search.
+
+The results state the settings with which the trainings in the given folder were made.
+"""
+RULES = "okada,level"
+"""Controllers that take milliseconds a decision; the policies above and the generalist do, too."""
+SEARCHES = ("mpc", "planner")
+"""Controllers that take seconds an episode, and so play fewer."""
+AGAINST = "level"
+"""The method whose score is subtracted in the rows over all scenes."""
+_SCORE, _DECISIONS, _TIME = "pitch_variation_100hz", "pitch_variation", "t_cost"
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """How many episodes a scene has."""
+
+    fast: int = 30
+    """Of rules and learned policies; ``paper`` has its own numbers, 5 and 100."""
+    slow: int = 5
+    """Of ``SEARCHES``."""
+
+
+def calls(runs: Path, output: Path, jobs: int, numbers: Numbers) -> Iterator[tuple[str, str]]:
+    """Yield each suite and the words of a call of ``flipperctl``.
+
+    Raises:
+        RequestError: no training of ``TRAININGS`` lies in ``runs``.
+    """
+    trained = [name for name in TRAININGS if (runs / name).is_dir()]
+    if not trained:
+        known = "; ".join(TRAININGS.values())
+        raise RequestError(f"{runs}: none of {', '.join(TRAININGS)} is a folder there; run {known}")
+    policies = [str(runs / name) for name in trained] + ["generalist"]
+    checkpoints = shlex.join(word for path in policies for word in ("--checkpoint", path))
+    common = f"--baseline none --jobs {jobs} eval.cell=5"
+    for suite in SUITES:
+        few = "" if suite == "paper" else f" --episodes {numbers.fast}"
+        folder = shlex.quote(str(output / suite))
+        head = f"eval suite={suite} {common}"
+        yield suite, f"{head} {checkpoints} --controller {RULES}{few} --output {folder}/fast"
+        for name in SEARCHES:
+            own = f"--controller {name} --episodes {numbers.slow}"
+            yield suite, f"{head} {own} --output {folder}/{name}"
+
+
+def play(
+    run: Callable[[Sequence[str]], object], runs: Path, output: Path, jobs: int, numbers: Numbers
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Make all calls with ``run``; yield each suite with its results.
+
+    What ``output`` holds already is not played again.
+    """
+    made: dict[str, list[str]] = {}
+    for suite, words in calls(runs, output, jobs, numbers):
+        made.setdefault(suite, []).append(words)
+    for suite, found in made.items():
+        for words in found:
+            run(shlex.split(words))
+        folders = [output / suite / name for name in ("fast", *SEARCHES)]
+        yield suite, {"price": PRICE, "trainings": trainings(runs), **results(folders, runs)}
+
+
+def trainings(runs: Path) -> list[dict[str, str]]:
+    """Return the overrides of each training in ``runs``, with those of several seeds together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for name in TRAININGS:
+        for file in sorted((runs / name).glob("*/.hydra/overrides.yaml")):
+            words = [str(word) for word in yaml.safe_load(file.read_text(encoding="utf-8"))]
+            seeds = [word.removeprefix("seed=") for word in words if word.startswith("seed=")]
+            rest = shlex.join(word for word in words if not word.startswith("seed="))
+            found.setdefault((name, rest), []).extend(seeds)
+    return [
+        {"method": name, "overrides": f"{rest} seed={','.join(seeds)}".strip()}
+        for (name, rest), seeds in found.items()
+    ]
+
+
+def results(folders: Sequence[Path], runs: Path) -> dict[str, Any]:
+    """Return the rows of ``scenes`` and ``overview`` from folders of ``eval --output``.
+
+    All policies in a folder below ``runs`` are training seeds of one method.
+    """
+    scenes = [scene for folder in folders for scene in _scenes(folder, runs)]
+    methods = list(dict.fromkeys(scene.method for scene in scenes))
+    whole = {name: _largest([s for s in scenes if s.method == name]) for name in methods}
+    overview = [_overview(name, found, whole.get(AGAINST)) for name, found in whole.items()]
+    return {"overview": overview, "scenes": [scene.row() for scene in scenes]}
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """The episodes of one method on one scene, (S, E) by measure, for S training seeds."""
+
+    case: str
+    terrain: str
+    hash: str
+    engine: str
+    method: str
+    reached: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    values: Mapping[str, np.ndarray[tuple[int, int], np.dtype[np.float64]]]
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of a training seed."""
+        return int(self.reached.shape[1])
+
+    def row(self) -> dict[str, Any]:
+        """Return plain data."""
+        (found,) = rows([_method([self])], PRICE, _method([self]))
+        return {
+            **{name: getattr(self, name) for name in ("case", "terrain", "hash", "engine")},
+            "method": self.method,
+            "seeds": len(self.reached),
+            "episodes": self.episodes,
+            "success": _ends(found.success),
+            "score": _ends(found.score),
+            **{name: _rounded(self._mean(name)) for name in (_SCORE, _DECISIONS, _TIME)},
+        }
+
+    def _mean(self, name: str) -> float | None:
+        """Return the mean of a measure over the episodes that were reached; None for none."""
+        found = self.values[name][self.reached]
+        return float(found.mean()) if found.size else None
+
+
+def _name(method: str, runs: Path) -> str:
+    """Return the folder below ``runs`` in which the policies of a method lie, or its last name."""
+    path = Path(method)
+    inside = [place.name for place in (path, *path.parents) if place.parent == runs]
+    return inside[0] if inside else path.name
+
+
+def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
+    """Yield the scenes of a folder, without those that repeat the episodes of another one."""
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    played: dict[tuple[str, str], list[dict[str, str]]] = {}
+    with (folder / "episodes.csv").open(newline="") as file:
+        for line in csv.DictReader(file):
+            played.setdefault((line["controller"], line["conditions_hash"]), []).append(line)
+    groups: dict[tuple[str, str, int, str], list[dict[str, Any]]] = {}
+    for scene in summary["scenes"]:
+        name = _name(scene["method"], runs)
+        key = scene["suite_scene"], scene["conditions"]["hash"], scene["episodes"], name
+        groups.setdefault(key, []).append(scene)
+    seen: set[tuple[str, int, str]] = set()
+    for (case, digest, count, method), seeds in groups.items():
+        if (digest, count, method) in seen:
+            continue
+        seen.add((digest, count, method))
+        each = []
+        for scene in seeds:
+            lines = {int(line["episode"]): line for line in played[scene["controller"], digest]}
+            each.append([lines[index] for index in range(count)])
+        yield _Scene(
+            case,
+            seeds[0]["terrain"],
+            digest,
+            seeds[0]["conditions"]["sim"]["name"],
+            method,
+            np.array([[line["outcome"] == "reached" for line in one] for one in each]),
+            {
+                name: np.array([[float(line[name]) for line in one] for one in each])
+                for name in (_SCORE, _DECISIONS, _TIME)
+            },
+        )
+
+
+def _largest(scenes: Sequence[_Scene]) -> list[_Scene]:
+    """Return a method's scenes, of equal conditions the one with the most episodes."""
+    found: dict[str, _Scene] = {}
+    for scene in scenes:
+        if scene.hash not in found or scene.episodes > found[scene.hash].episodes:
+            found[scene.hash] = scene
+    return list(found.values())
+
+
+def _method(scenes: Sequence[_Scene], like: Sequence[_Scene] = ()) -> Method:
+    """Return a method; with ``like`` only its first episodes, as many as those have."""
+    sizes = {scene.hash: scene.episodes for scene in like}
+    cut = {scene.hash: slice(sizes.get(scene.hash)) for scene in scenes}
+    return Method(
+        scenes[0].method,
+        {scene.hash: scene.values[_SCORE][:, cut[scene.hash]] for scene in scenes},
+        {scene.hash: scene.reached[:, cut[scene.hash]] for scene in scenes},
+    )
+
+
+def _overview(
+    name: str, scenes: Sequence[_Scene], against: Sequence[_Scene] | None
+) -> dict[str, Any]:
+    """Return the row of a method over all scenes, with its difference on common episodes."""
+    method = _method(scenes)
+    (found,) = rows([method], PRICE, method)
+    row: dict[str, Any] = {
+        "method": name,
+        "seeds": found.seeds,
+        "scenes": len(scenes),
+        "episodes": sorted({scene.episodes for scene in scenes}),
+        "success": _ends(found.success),
+        "score": _ends(found.score),
+        "iqm": _ends(found.iqm),
+        _SCORE: _rounded(found.reached_mean),
+        "difference": None,
+    }
+    if against is not None and name != AGAINST:
+        other = _method(against, scenes)
+        _, compared = rows([other, method], PRICE, other)
+        if compared.comparison is not None:
+            row["difference"] = _ends(compared.comparison.score)
+    return row
+
+
+def _ends(interval: Interval) -> list[float | None]:
+    plain = asdict(interval)
+    return [_rounded(plain[end]) for end in ("mean", "low", "high")]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.6g}")

@@ -1,0 +1,79 @@
+"""Where an episode starts: the sampled place and flipper angles, and the pose of the chassis there.
+
+In: a profile, the sampled robot, the settings of the episode and a generator. Out: the start, which
+the engine places.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flipperctl.api import Profile, Robot, Start, World
+from flipperctl.config import EnvConfig, Episode
+from flipperctl.errors import ConfigError, TerrainError
+
+_DEEPEST = 0.005
+"""Largest overlap of the robot with the ground at the start [m]."""
+_TURNED, _LIFTED = 0.1, 0.05
+"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]."""
+
+
+def sampled(
+    profile: Profile, robot: Robot, episode: Episode, rng: np.random.Generator
+) -> tuple[Start, dict[str, float]]:
+    """Return the start, and what was drawn for it, by name.
+
+    Ahead of the first edge the robot rests level; past it (``run_up`` below 0) it has the height
+    and the pitch in which it rests there.
+
+    Raises:
+        TerrainError: the robot cannot stand where it should start.
+    """
+    shift, *turned = rng.uniform(-1.0, 1.0, 3) * np.array(
+        [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
+    )
+    x = profile.start - episode.run_up + shift
+    front, rear = (robot.clip(episode.start_angle + angle) for angle in turned)
+    drawn = {"start_shift": shift, "start_front": front, "start_rear": rear}
+    if episode.run_up >= 0:
+        return Start(x, front=front, rear=rear), drawn
+    from flipperctl.sim.resting import resting
+
+    finish = profile.end + episode.run_out
+    if x >= finish:
+        raise TerrainError(
+            f"episode.run_up: {episode.run_up:g} m starts past the finish of {profile.label!r}, "
+            f"which is {finish - profile.start:.2f} m from its first edge"
+        )
+    pose = resting(profile, robot, x, front, rear, episode.overturn)
+    if pose is None:
+        raise TerrainError(
+            f"episode.run_up: the robot cannot stand {x - profile.start:.2f} m past the first edge "
+            f"of {profile.label!r} with a pitch below episode.overturn; start elsewhere"
+        )
+    height, pitch = pose
+    return Start(x, front=front, rear=rear, height=height, pitch=pitch), drawn
+
+
+def check_placed(world: World, start: Start, config: EnvConfig) -> None:
+    """Check that the engine placed the robot on the ground, where it should start.
+
+    Raises:
+        TerrainError: the ground overlaps the robot.
+        ConfigError: the engine starts on level ground only.
+    """
+    run_up = config.episode.run_up
+    if start.height is not None:
+        turned, lifted = world.pitch - start.pitch, world.position[1] - start.height
+        if abs(turned) > _TURNED or abs(lifted) > _LIFTED:
+            raise ConfigError(
+                f"episode.run_up: {run_up:g} m starts past the first edge, where "
+                f"sim={config.sim.plugin_name} does not place the robot along the ground; 0 m or "
+                "more is allowed"
+            )
+    if (depth := world.penetration()) > _DEEPEST:
+        raise TerrainError(
+            f"terrain {config.terrain.plugin_name!r} overlaps the robot at the start by "
+            f"{depth:.3f} m, with the chassis centre {abs(run_up):g} m "
+            f"{'before' if run_up >= 0 else 'past'} the first edge"
+        )
