@@ -29,8 +29,8 @@ TRAININGS: Mapping[str, str] = {
     "plain": f"flipperctl train -m terrain=all_kinds {_SEEDS}/plain",
     "precise": "flipperctl train -m experiment=precise terrain=all_kinds rewards=smooth "
     f"{_SEEDS}/precise",
-    "searched": "flipperctl train -m experiment=searched terrain=all_kinds rewards=smooth "
-    f"train.decisions=4000 train.validate_every=1000 {_SEEDS}/searched",
+    "searched": "flipperctl train -m experiment=mpc_value train.decisions=2500 "
+    f"randomise.friction=null randomise.track_speed=null {_SEEDS}/searched",
 }
 """Commands of the trainings: AT-D3QN as it is, with precise values, and with a search.
 
