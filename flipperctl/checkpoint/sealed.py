@@ -49,8 +49,8 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
             start = file.read(9)
     except OSError as error:
         raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
-    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{"; a pickle
-    # with 0x80 and the number of its protocol, 2 to 5.
+    # A safetensors file begins with the length of its header, 8 bytes of any value, and "{"; a
+    # pickle with 0x80 and the number of its protocol, 2 to 5.
     pickled = start[:1] == b"\x80" and start[1:2] in (b"\2", b"\3", b"\4", b"\5")
     if start[8:] != b"{" and (pickled or start[:4] == b"PK\x03\x04"):
         raise CheckpointError(
