@@ -155,7 +155,7 @@ class Clocks:
         return time.perf_counter() - begun
 
     def _world(self, r: Recording) -> PlanarWorld:
-        return PlanarWorld(r.profile, self.config.robot, planar(self.config.sim), *r.start)
+        return PlanarWorld(r.profile, self.config.robot, planar(self.config.sim), r.start)
 
 
 def run(world: PlanarWorld, target: tuple[float, float], samples: int) -> None:

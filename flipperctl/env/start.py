@@ -11,6 +11,7 @@ import numpy as np
 from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.config import EnvConfig, Episode
 from flipperctl.errors import ConfigError, TerrainError
+from flipperctl.sim.resting import resting
 
 _DEEPEST = 0.005
 """Largest overlap of the robot with the ground at the start [m]."""
@@ -37,8 +38,6 @@ def sampled(
     drawn = {"start_shift": shift, "start_front": front, "start_rear": rear}
     if episode.run_up >= 0:
         return Start(x, front=front, rear=rear), drawn
-    from flipperctl.sim.resting import resting
-
     finish = profile.end + episode.run_out
     if x >= finish:
         raise TerrainError(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import bare
-from flipperctl.api import Profile, Robot
+from flipperctl.api import Profile, Robot, Start
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
 
@@ -12,7 +12,7 @@ LEVEL = Profile([(0, 0), (1, 0)])
 
 
 def world() -> PlanarWorld:
-    return PlanarWorld(LEVEL, Robot(), Planar(), -3.0)
+    return PlanarWorld(LEVEL, Robot(), Planar(), Start(-3.0))
 
 
 def test_a_stripped_world_drives_forward_on_level_ground() -> None:

@@ -25,7 +25,7 @@ class Planar(PlanarSettings, Engine):
         """
         from flipperctl.sim.planar.world import PlanarWorld
 
-        return PlanarWorld(profile, robot, self, *start)
+        return PlanarWorld(profile, robot, self, start)
 
     def versions(self) -> dict[str, str]:
         """Return the version of pymunk, which affects the results."""

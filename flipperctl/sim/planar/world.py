@@ -55,17 +55,12 @@ class PlanarWorld:
         profile: Profile,
         robot: Robot,
         sim: PlanarSettings,
-        start: float,
-        front: float = 0.0,
-        rear: float = 0.0,
-        height: float | None = None,
-        pitch: float = 0.0,
+        start: Start,
     ) -> None:
-        """Place the robot at ``start``, world x of the chassis centre [m].
+        """Place the robot at ``start``.
 
-        ``front`` and ``rear`` are the flipper angles, ``pitch`` that of the chassis [rad];
-        ``height`` is world z of its centre [m]. Without it, the robot rests on the lower flippers
-        if a flipper is below the level chassis, else on the chassis.
+        Without a height there, it rests on the lower flippers if a flipper is below the level
+        chassis, else on the chassis.
         """
         self.robot = robot
         self.sim = sim
@@ -78,11 +73,11 @@ class PlanarWorld:
         space.collision_bias = 0.2**60  # Chipmunk's default is far too soft at these substeps
         self._add_ground()
 
-        centre = (start, height_at(Start(start, front, rear, height), profile, robot))
+        centre = (start.x, height_at(start, profile, robot))
         half = robot.hinge_offset
-        self._chassis = self._add_part(robot.chassis_mass, centre, pitch, 2 * half)
-        self._front, self._front_gear = self._add_flipper(half, front)
-        self._rear, self._rear_gear = self._add_flipper(-half, rear)
+        self._chassis = self._add_part(robot.chassis_mass, centre, start.pitch, 2 * half)
+        self._front, self._front_gear = self._add_flipper(half, start.front)
+        self._rear, self._rear_gear = self._add_flipper(-half, start.rear)
         substeps = round(SAMPLE_PERIOD / sim.substep)
         loop = _loop(sim.engine)
         self._loop = loop(

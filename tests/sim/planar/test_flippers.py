@@ -5,7 +5,7 @@ import math
 import pymunk
 import pytest
 
-from flipperctl.api import Profile, Robot
+from flipperctl.api import Profile, Robot, Start
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
 
@@ -20,7 +20,7 @@ def run(world: PlanarWorld, seconds: float) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_flippers_turn_one_angle_step_in_one_decision(sign: int) -> None:
-    world = PlanarWorld(FLAT, Robot(), Planar(), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(), Start(0.0))
     target = sign * math.pi / 12
     world.command(target, target)
     run(world, 0.3)  # half of 15° / (25 °/s) = 0.6 s: they turn, they do not jump
@@ -33,7 +33,7 @@ def test_flippers_turn_one_angle_step_in_one_decision(sign: int) -> None:
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_flippers_stop_at_their_limit(sign: int, engine: str) -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(engine=engine), 0.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(engine=engine), Start(0.0))
     world.command(sign * 1.5, sign * 1.5)
     run(world, 4.0)  # 25 °/s · 4 s = 100°
     limit = math.pi / 3
@@ -42,7 +42,7 @@ def test_flippers_stop_at_their_limit(sign: int, engine: str) -> None:
 
 
 def test_a_stop_that_is_not_touched_changes_nothing() -> None:
-    free, stopped = (PlanarWorld(FLAT, Robot(), Planar(), 0.0) for _ in range(2))
+    free, stopped = (PlanarWorld(FLAT, Robot(), Planar(), Start(0.0)) for _ in range(2))
     for constraint in free.space.constraints:
         if isinstance(constraint, pymunk.RotaryLimitJoint):
             constraint.min, constraint.max = -math.pi, math.pi
@@ -60,13 +60,15 @@ def test_a_stop_that_is_not_touched_changes_nothing() -> None:
 def test_flippers_lift_the_robot_only_with_enough_torque(
     settings: dict[str, float], height: float
 ) -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=STILL, **settings), Planar(), 0.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL, **settings), Planar(), Start(0.0))
     world.command(-math.pi / 3, -math.pi / 3)
     run(world, 5.0)
     assert world.position[1] == pytest.approx(height, abs=2e-3)
 
 
 def test_starts_on_lowered_flippers() -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), 0.0, -math.pi / 6, -math.pi / 6)
+    world = PlanarWorld(
+        FLAT, Robot(track_speed=STILL), Planar(), Start(0.0, -math.pi / 6, -math.pi / 6)
+    )
     assert world.position[1] == pytest.approx(0.1 + 0.336 / 2)  # sin 30° = 1/2
     assert world.penetration() == pytest.approx(0.0, abs=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import pymunk
 import pytest
 
-from flipperctl.api import Limits, Profile, Robot
+from flipperctl.api import Limits, Profile, Robot, Start
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.planar import Planar
@@ -40,7 +40,7 @@ def on_slope(degrees: float, friction: float) -> PlanarWorld:
     slope = math.radians(degrees)
     rise = 60.0 * math.tan(slope)
     ground = Profile([(-60.0, -rise), (60.0, rise)])
-    world = PlanarWorld(ground, Robot(track_speed=STILL), Planar(friction=friction), 0.0)
+    world = PlanarWorld(ground, Robot(track_speed=STILL), Planar(friction=friction), Start(0.0))
     turn(world, slope, 0.0)
     run(world, 0.5)
     return world
@@ -68,7 +68,7 @@ def episode(env: FlipperEnv) -> dict:
 
 @pytest.mark.parametrize("speed", [0.05, 0.2, 1.0])
 def test_drives_at_the_belt_speed_on_the_flat(speed: float) -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=speed), Planar(), -5.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=speed), Planar(), Start(-5.0))
     run(world, 1.0)  # it starts at rest
     start = world.position[0]
     run(world, 5.0)
@@ -76,7 +76,7 @@ def test_drives_at_the_belt_speed_on_the_flat(speed: float) -> None:
 
 
 def test_rests_at_the_height_of_its_tracks() -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), 0.0)
+    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), Start(0.0))
     run(world, 1.0)
     assert world.position == pytest.approx((0.0, 0.1), abs=2e-4)
     assert world.pitch == pytest.approx(0.0, abs=1e-4)
@@ -113,7 +113,7 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None
     robot = Robot(track_speed=STILL, flipper_mass=mass)
     pitches = []
     for overhang in (-0.005, 0.005):  # [m] of the centre of gravity beyond the edge
-        world = PlanarWorld(cliff, robot, Planar(), overhang - ahead, 0.0, math.pi / 3)
+        world = PlanarWorld(cliff, robot, Planar(), Start(overhang - ahead, 0.0, math.pi / 3))
         run(world, 2.0)
         pitches.append(world.pitch)
     assert pitches[0] == pytest.approx(0.0, abs=1e-3)
@@ -124,7 +124,7 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None
 @pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
 def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float) -> None:
     robot, sim = Robot(track_speed=STILL), Planar()
-    world = PlanarWorld(FLAT, robot, sim, 0.0)
+    world = PlanarWorld(FLAT, robot, sim, Start(0.0))
     turn(world, tilt, lift=0.5)
 
     def energy() -> float:
@@ -168,7 +168,9 @@ def test_both_engines_give_the_same_episodes_bit_for_bit(terrain: str) -> None:
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
 @pytest.mark.parametrize("limits", [Limits(x=-4.9), Limits(angle=1e-9)], ids=["x", "pitch"])
 def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limits: Limits) -> None:
-    world, other = (PlanarWorld(FLAT, Robot(), Planar(engine=engine), -5.0) for _ in range(2))
+    world, other = (
+        PlanarWorld(FLAT, Robot(), Planar(engine=engine), Start(-5.0)) for _ in range(2)
+    )
     poses = world.advance(100, limits)
     every = [other.advance()[0].tolist() for _ in poses]
     assert 0 < len(poses) < 100
@@ -182,7 +184,7 @@ def test_both_engines_stop_at_the_sample_that_reaches_a_limit(engine: str, limit
 
 @pytest.mark.parametrize("engine", ["plain", "compiled"])
 def test_both_engines_continue_past_the_finish_while_an_end_is_too_high(engine: str) -> None:
-    world = PlanarWorld(FLAT, Robot(), Planar(engine=engine), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(engine=engine), Start(0.0))
     low = Limits(x=-1.0, top=0.09, half=0.28)  # the chassis rests at 0.1 m
     assert len(world.advance(30, low)) == 30
     assert len(world.advance(30, low._replace(top=0.11))) == 1
@@ -198,7 +200,7 @@ def test_one_constant_surface_velocity_would_stall_at_the_riser(
                     shape.surface_velocity = (-belt.speed, 0.0)
 
     monkeypatch.setattr(world_module, "_loop", lambda engine: Constant)
-    level = PlanarWorld(FLAT, Robot(), Planar(), -5.0)
+    level = PlanarWorld(FLAT, Robot(), Planar(), Start(-5.0))
     run(level, 6.0)
     assert level.position[0] == pytest.approx(-3.8, abs=0.02)  # on the flat nothing shows
     assert crossing(0.4, friction=1.0) == "stuck"
@@ -238,7 +240,7 @@ def test_the_belt_runs_along_the_face_that_it_touches(
 
 
 def test_penetration_is_the_depth_in_the_ground() -> None:
-    world = PlanarWorld(FLAT, Robot(), Planar(), 0.0)
+    world = PlanarWorld(FLAT, Robot(), Planar(), Start(0.0))
     turn(world, 0.0, lift=-0.03)
     assert world.penetration() == pytest.approx(0.03, abs=1e-6)
 
@@ -258,7 +260,7 @@ def test_equal_inputs_give_bit_identical_trajectories() -> None:
     stair = resolver.create("terrain", "paper_stair", "terrain").generate(np.random.default_rng(0))
 
     def trajectory() -> list[tuple[float, ...]]:
-        world = PlanarWorld(stair, Robot(), Planar(), -1.0)
+        world = PlanarWorld(stair, Robot(), Planar(), Start(-1.0))
         states = []
         for decision in range(40):
             world.command(0.8 * math.sin(decision), 0.8 * math.cos(decision))
