@@ -25,13 +25,13 @@ from flipperctl.bags.reading import (
     read_points,
     seconds,
 )
-from flipperctl.bags.topics import OF_ANGLES, Names, first, found_topics
+from flipperctl.bags.topics import Names, first, found_topics
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.core.lidar.rotations import mounting
 from flipperctl.errors import RequestError
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.robot_setup import RobotSetup
-from flipperctl.runtime.signs import REP_103, Signs
+from flipperctl.runtime.signs import CONVENTIONS, REP_103, Signs
 
 Message = Cloud | Attitude | JointAngles | Odometry
 
@@ -68,7 +68,7 @@ class Recording:
     @property
     def setup(self) -> RobotSetup:
         """Frames and signs of the messages, with all else by default."""
-        angles = OF_ANGLES[self.names.signs]
+        angles = CONVENTIONS[self.names.signs]
         # Attitudes are made of quaternions, whose signs are always those of REP-103.
         signs = Signs(front=angles.front, rear=angles.rear, pitch=REP_103.pitch)
         return RobotSetup(signs, cloud_frame=self.names.base, attitude_frame=self.names.base)

@@ -15,11 +15,8 @@ from flipperctl.bags.messages import BASE, JOINTS, ODOM
 from flipperctl.bags.reading import ODOMETRY
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
-from flipperctl.runtime.signs import OURS, REP_103
 
 _IMU, _JOINTS, _NUMBER = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
-OF_ANGLES = {"rep103": REP_103, "flipperctl": OURS}
-"""Convention of flipper angles → signs."""
 
 
 @dataclass(frozen=True)

@@ -46,19 +46,14 @@ def run(
     """See HELP."""
     from flipperctl.bags.shadowing import check_used, shadow
     from flipperctl.bags.topics import names_of
-    from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.cli.recorded import recorded_robot
     from flipperctl.files import check_writable
     from flipperctl.terminal.document import show
     from flipperctl.terminal.perceiving import print_shadow
 
     check_writable(output)
-    typed = Overrides.parse(overrides or ()).typed
-    check_used(typed)
-    sensor = compose_environment(
-        Overrides.parse(["perception=lidar", *(overrides or ())])
-    ).perception
-    pose = getattr(sensor, "pose", None) if "perception.pose" in typed else None
+    given = recorded_robot(overrides)
+    check_used(given.keys)
     names = names_of(topic, imu, belts, None, base_frame, front, rear, signs.value)
-    found = shadow(policy, bag, sensor, pose, names, output)
+    found = shadow(policy, bag, given.sensor, given.pose, names, output)
     show(found, lambda: print_shadow(found), as_json=as_json)

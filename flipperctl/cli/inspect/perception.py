@@ -49,8 +49,7 @@ def run(
     """See HELP."""
     from flipperctl.bags.perceiving import replay
     from flipperctl.bags.topics import names_of
-    from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.cli.recorded import recorded_robot
     from flipperctl.terminal.document import show
     from flipperctl.terminal.perceiving import print_perception
     from flipperctl.terminal.progress import episodes_progress
@@ -60,12 +59,9 @@ def run(
 
         check_output(output, at)
     names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
-    parsed = Overrides.parse(["perception=lidar", *(overrides or ())])
-    config = compose_environment(parsed)
-    chosen = "perception.pose" in parsed.typed
-    pose = getattr(config.perception, "pose", None) if chosen else None
-    found = replay(bag, config.perception, config.robot, pose, names)
+    given = recorded_robot(overrides)
+    found = replay(bag, given.sensor, given.robot, given.pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
-            draw(output, found, config.robot, at, report)
+            draw(output, found, given.robot, at, report)
     show(found.summary, lambda: print_perception(found.summary, output), as_json=as_json)
