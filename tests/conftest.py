@@ -5,10 +5,11 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read once, by numpy and torch; children inherit it
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from _pytest import runner
 
 from flipperctl import api, plugins
 from tests.short import short_config, trainer
@@ -24,6 +25,22 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 20)
+
+
+def _within_one_stack(work: Callable[[], bool]) -> bool:
+    return work()
+
+
+_within_one_stack.__code__ = _within_one_stack.__code__.replace(co_stacksize=70_000)
+"""Python keeps its frames in chunks of 16 kB, and asks the system for one whenever a call crosses
+the end of the last. Where a test recurses around such an end, as when Hydra copies, 75 000 chunks
+come and go in a second. A frame of 560 kB gets a chunk of 1 MiB, whose rest holds all frames."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool:
+    """Run each test within one chunk of Python's stack, which saves a tenth of the tests' time."""
+    return _within_one_stack(lambda: runner.pytest_runtest_protocol(item, nextitem))
 
 
 @pytest.fixture

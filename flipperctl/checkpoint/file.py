@@ -11,9 +11,7 @@ import json
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-import torch
+from typing import TYPE_CHECKING, Any, Literal
 
 from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
@@ -26,6 +24,9 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match, missing_plugin
 from flipperctl.sim.versions import engine_versions
+
+if TYPE_CHECKING:
+    import torch
 
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
@@ -107,6 +108,7 @@ def describe(
     """Return the document of a checkpoint; ``Document`` defines which fields each kind has."""
     import gymnasium
     import numpy as np
+    import torch
 
     return Document(
         format=documents.FORMAT,

@@ -18,10 +18,9 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -37,6 +36,9 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
 from flipperctl.messages import explain
 from flipperctl.sim.versions import engine_versions
+
+if TYPE_CHECKING:
+    import torch
 
 FORMAT: Final = 1
 """Format number of these files."""
@@ -201,6 +203,8 @@ def _partial(config: EnvConfig) -> PartialEnvironment:
 def _joined(
     arrays: Sequence[NDArray[Any]], shape: tuple[int, ...], kind: type[np.generic]
 ) -> torch.Tensor:
+    import torch
+
     return torch.from_numpy(np.concatenate([np.empty((0, *shape), kind), *arrays], dtype=kind))
 
 
@@ -242,6 +246,8 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     Raises:
         ValueError: a tensor is missing or unknown, or has another shape, type or range.
     """
+    import torch
+
     count = sum(episode.decisions for episode in document.episodes)
     rows = count + len(document.episodes)
     bins = document.environments[0].perception.bins if document.environments else 0

@@ -10,12 +10,12 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from typing import TYPE_CHECKING
 
 from flipperctl.errors import CheckpointError
+
+if TYPE_CHECKING:
+    import torch
 
 
 def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
@@ -23,6 +23,8 @@ def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
 
     ``text``: the JSON text of the document.
     """
+    from safetensors.torch import save
+
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     data = save(held, {"flipperctl": text, "sha256": digest(text, held)})
     # safetensors writes its metadata in an order that differs between processes.
@@ -42,6 +44,8 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     Raises:
         CheckpointError: the file is missing, truncated or changed, or not from flipperctl.
     """
+    from safetensors import SafetensorError, safe_open
+
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such {noun}")
     try:
@@ -74,6 +78,8 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
 
 def digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
     """Return the SHA-256 of a text and of the names, types, shapes and values of tensors."""
+    import torch
+
     found = hashlib.sha256(text.encode())
     for name in sorted(tensors):
         tensor = tensors[name].contiguous()

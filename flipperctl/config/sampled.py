@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import types
+from collections import deque
 from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -25,6 +26,11 @@ Sections = Mapping[str, Settings]
 """Section's name → its settings."""
 _MOST = 2**16
 """Largest number of combinations of range ends in one section, all of which are checked."""
+_possible: deque[tuple[Settings, dict[str, list[float]]]] = deque(maxlen=8)
+"""The last sections and range ends all of whose combinations are valid.
+
+A command validates its configuration several times, each with hundreds of combinations.
+"""
 
 
 def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -> dict[str, float]:
@@ -74,12 +80,15 @@ def check_ranges(sections: Sections, randomise: Randomise) -> None:
                 f"randomise: {len(found)} settings of {section} are sampled; at most "
                 f"{_MOST.bit_length() - 1} with a range are allowed"
             )
+        if (sections[section], found) in _possible:
+            continue
         for combination in product(*found.values()):
             values = dict(zip(found, combination, strict=True))
             try:
                 _with_values(sections[section], values)
             except ValidationError as error:
                 raise _refusal(error, sections[section], values) from error
+        _possible.append((sections[section], found))
 
 
 def _check(one: Sampled, settings: Settings) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """A picklable reference to a policy.
 
-In: a file, or the name and settings of a controller plugin. Out: the policy.
+In: a file, or the name and settings of a controller plugin. Out: the policy. Torch is imported only
+for a file of torch's: rules need none.
 """
 
 from __future__ import annotations
@@ -22,8 +23,6 @@ from flipperctl.policies.exported import (
     is_exported,
 )
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
-from flipperctl.policies.trained import TrainedPolicy, policy_module
-from flipperctl.policies.values import learned_value, naming
 
 
 @dataclass(frozen=True)
@@ -136,10 +135,14 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
         CheckpointError: a file is missing or damaged, or does not fit the environment.
     """
     if isinstance(controller, PolicyUser) and controller.policy:
+        from flipperctl.policies.values import naming
+
         with naming(f"{path}.policy"):
             file = find(Path(controller.policy))
         controller = controller.starting_from(PolicySource(file).build(config))
     if isinstance(controller, ValueUser) and controller.value:
+        from flipperctl.policies.values import learned_value
+
         learned = learned_value(controller.value, f"{path}.value")
         if controller.fallback and any(learned.misfits(config.robot, config.perception.layout)):
             controller = controller.without_value()
@@ -159,6 +162,8 @@ def controller_notes(
         CheckpointError: the file is missing or damaged.
     """
     if isinstance(controller, ValueUser) and controller.value and controller.fallback:
+        from flipperctl.policies.values import learned_value
+
         learned = learned_value(controller.value, f"{path}.value")
         found = list(learned.misfits(config.robot, config.perception.layout))
         if found:
@@ -179,6 +184,8 @@ def _exported(file: Path, config: EnvConfig) -> Policy:
 
 def _trained(file: Path, config: EnvConfig) -> Policy:
     """Return the policy of a checkpoint for an environment."""
+    from flipperctl.policies.trained import TrainedPolicy, policy_module
+
     checkpoint = read(file)
     trained = checkpoint.policy_config()
     policy = TrainedPolicy(policy_module(checkpoint), trained.network.frames)

@@ -61,6 +61,14 @@ def test_a_draft_is_written_without_any_library_of_a_plugin(
     assert not run("new", "network", "mine") & HEAVY
 
 
+def test_the_evaluation_of_a_rule_does_not_wait_for_torch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    few = ("terrain=flat", "--episodes", "1")
+    assert not run("eval", "--controller", "okada", *few) & {"torch", "safetensors"}
+
+
 def test_importing_the_package_imports_nothing_heavy() -> None:
     assert not imported("import flipperctl") & (HEAVY | VALUES)
     assert not imported("import flipperctl.api") & HEAVY
