@@ -99,8 +99,10 @@ def standing(
     count = math.ceil((finish - start) / (_SPACING * _STRIDE)) + 1
     steep = int(overturn / _ANGLE)
     pitches = np.array([k * _ANGLE for k in range(-steep, steep + 1)])
-    # The flippers' angles shift the centre of mass by at most this, for both pairs together.
-    shift = robot.flipper_mass * axle / (robot.chassis_mass + 2 * robot.flipper_mass) + _TOLERANCE
+    # The flippers' angles shift the centre of mass by at most this, for both pairs together, and a
+    # load by its distance from the chassis centre.
+    load = robot.carried_mass * math.hypot(*robot.centre_of_mass)
+    shift = (robot.flipper_mass * axle + load) / robot.mass + _TOLERANCE
     turns = math.ceil(robot.angle_limit / _ANGLE) + 1
     sizes = np.array([_SPACING, half, axle, radius, shift, _ANGLE])
     blocks = []

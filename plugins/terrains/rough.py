@@ -30,10 +30,10 @@ class Rough(Drawn):
     """
 
     roughness_low: float = Field(
-        4096.0, gt=0, le=2e6, description="smallest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
+        16384.0, gt=0, le=2e6, description="smallest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
     )
     roughness_high: float = Field(
-        65536.0, gt=0, le=2e6, description="largest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
+        262144.0, gt=0, le=2e6, description="largest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
     )
     exponent_low: float = Field(1.8, ge=1, le=4, description="smallest w [-]")
     exponent_high: float = Field(2.6, ge=1, le=4, description="largest w [-]")

@@ -91,7 +91,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
     _set_looks(spec)
     for box in ground:
-        spec.worldbody.add_geom(
+        added = spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.centre,
             size=box.half,
@@ -101,6 +101,8 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
             rgba=[0.62, 0.57, 0.5, 1.0],
             **_surface(sim),
         )
+        if robot.track_force is not None:  # a contact has the larger friction of its two shapes
+            added.friction = [0.0, 0.0, 0.0]
     _add_robot(spec, robot, sim)
     return spec
 
@@ -141,6 +143,8 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     outer = sim.flipper_offset + width / 2
     size = robot.chassis_length, 2 * outer, 2 * robot.track_radius
     _set_inertia(chassis, mass=robot.chassis_mass, size=size, centre=0.0)
+    if robot.payload:
+        _add_load(chassis, robot)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         inner = sim.main_track_offset - width / 2
         middle = sign * sim.main_track_offset
@@ -187,6 +191,17 @@ def _set_inertia(
     body.mass, body.ipos, body.explicitinertial = mass, [centre, 0.0, 0.0], True
     squares = width**2 + height**2, length**2 + height**2, length**2 + width**2
     body.inertia = [mass * s / 12 for s in squares]
+
+
+def _add_load(chassis: Any, robot: Robot) -> None:
+    """Add the robot's load, a point, to the inertia of its chassis."""
+    ahead, above = robot.load_inertia
+    x, z = robot.centre_of_mass
+    product = math.copysign(math.sqrt(ahead * above), -x * z)  # of inertia, about x and z
+    across, along, upright = chassis.inertia.tolist()
+    chassis.mass, chassis.ipos = robot.carried_mass, [x, 0.0, z]
+    chassis.inertia = [0.0, 0.0, 0.0]
+    chassis.fullinertia = [across + above, along + ahead + above, upright + ahead, 0, product, 0]
 
 
 def _add_end(
