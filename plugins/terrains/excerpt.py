@@ -19,11 +19,11 @@ class Excerpt(Drawn, Combinator):
     """
 
     terrain: AnyTerrain = Field(
-        Rough(length_low=20.0, length_high=20.0),
+        Rough(),
         description="the terrain: a name, or a mapping with a name and fields [-]",
     )
-    length_low: float = Field(3.0, gt=0.1, le=100, description="shortest piece [m]")
-    length_high: float = Field(8.0, gt=0.1, le=100, description="longest piece [m]")
+    length_low: float = Field(2.0, gt=0.1, le=100, description="shortest piece [m]")
+    length_high: float = Field(5.0, gt=0.1, le=100, description="longest piece [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points of the piece and its interpolated ends, with the inner label."""

@@ -7,8 +7,8 @@ from pydantic import Field
 
 from flipperctl.api import AnyTerrain, Profile, terrain
 
-from .building_stair import BuildingStair
 from .combinator import Combinator
+from .stairwell import Stairwell
 
 
 @terrain("midway")
@@ -21,7 +21,7 @@ class Midway(Combinator):
     """
 
     terrain: AnyTerrain = Field(
-        BuildingStair(fewest=8, most=16),
+        Stairwell(),
         description="the terrain: a name, or a mapping with a name and fields [-]",
     )
     start: float = Field(
