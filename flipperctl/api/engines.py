@@ -44,9 +44,7 @@ def is_over(
     """
     if abs(pitch) >= angle:
         return True
-    return x >= finish and z + half * abs(math.sin(pitch)) <= max(
-        top + slope * (x - finish), floor
-    )
+    return x >= finish and z + half * abs(math.sin(pitch)) <= max(top + slope * (x - finish), floor)
 
 
 class Limits(NamedTuple):

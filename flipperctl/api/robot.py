@@ -53,14 +53,14 @@ class Robot(RobotGeometry):
     )
     payload_x: float | None = Field(
         None,
-        ge=-1,
-        le=1,
+        ge=-2,
+        le=2,
         description="distance of the load's centre ahead of the chassis centre; null: 0 [m]",
     )
     payload_z: float | None = Field(
         None,
-        ge=-1,
-        le=1,
+        ge=-2,
+        le=2,
         description="height of the load's centre above the chassis centre; null: 0 [m]",
     )
     control_period: float | None = Field(

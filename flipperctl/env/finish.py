@@ -39,7 +39,7 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
 
     Past the last edge the ground is level. Short of it (``run_out`` below 0), the highest end of
     the chassis is compared with that of a robot that stands there with level flippers, and farther
-    on with a line that is parallel to its chassis.
+    on with a line that is parallel to its chassis, down to the level ground past the last edge.
 
     Raises:
         TerrainError: the robot cannot stand at the finish.
@@ -60,5 +60,5 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
         )
     height, pitch = pose
     level = profile.height(profile.end) + robot.track_radius + episode.clearance
-    above = robot.hinge_offset * abs(math.sin(pitch)) + episode.clearance
-    return Finish(x, height + above, math.tan(pitch), level)
+    top = height + robot.hinge_offset * abs(math.sin(pitch)) + episode.clearance
+    return Finish(x, top, math.tan(pitch), min(level, top))

@@ -73,7 +73,6 @@ def _check(profile: Profile, terrain: Terrain) -> None:
             f"{HIGHEST:g} m is allowed, as in the observation space"
         )
 
-
     for name in ("run_up", "run_out"):
         own = getattr(profile, name)
         if own is not None and not -length <= own <= FARTHEST_END:

@@ -19,7 +19,7 @@ Pose = tuple[float, float]
 def nearest_rest(
     profile: Profile, robot: Robot, x: float, flippers: tuple[float, float], overturn: float
 ) -> tuple[float, Pose | None]:
-    """Return the place on the obstacle nearest to ``x`` [m] where the robot can stand, and its pose.
+    """Return the place on the obstacle nearest to ``x`` [m] where the robot stands, and its pose.
 
     ``flippers`` are the angles (front, rear) in frame R [rad]; the pitch is below ``overturn``
     [rad] and at most 45°. The pose is None if there is no such place.

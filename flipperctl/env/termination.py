@@ -36,11 +36,9 @@ class Termination:
         if start >= finish.x:
             raise TerrainError(
                 f"episode.run_out: the finish of {profile.label!r} lies "
-                f"{start - finish.x:.2f} m behind the start; let the robot start or finish elsewhere"
+                f"{start - finish.x:.2f} m behind the start; start or finish elsewhere"
             )
-        self.limits = Limits(
-            angle=episode.overturn, half=robot.hinge_offset, **finish._asdict()
-        )
+        self.limits = Limits(angle=episode.overturn, half=robot.hinge_offset, **finish._asdict())
         nominal = float(self.finish - start) / robot.track_speed  # [s]
         longest = episode.slack * nominal / period
         if not math.isfinite(longest):

@@ -51,6 +51,20 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
     )
 
 
+def test_one_factor_scales_all_lengths_after_their_own_samples() -> None:
+    lengths = {"chassis_length": [0.8, 0.8], "size": [1.1, 1.1]}
+    env = FlipperEnv(config=config(randomise={"flipper_length": [0.5, 0.5], "robot": lengths}))
+    env.reset(seed=0)
+    found = env.robot.chassis_length, env.robot.flipper_length, env.robot.track_radius
+    assert found == pytest.approx((0.88, 0.55, 0.11))
+    assert env.robot.chassis_mass == 35.0
+    assert env.config.robot == Robot()
+    with pytest.raises(ConfigError, match=r"randomise\.robot\.sise: .*did you mean 'size'"):
+        config(randomise={"robot": {"sise": 1.1}})
+    with pytest.raises(ConfigError, match="chassis_length"):
+        config(randomise={"robot": {"size": [0.1, 1.0]}})
+
+
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
     assert {*RANGES, "occlusion", *PATH_SECTIONS} == set(Randomise.model_fields)
     for seed in range(5):

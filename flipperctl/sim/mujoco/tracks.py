@@ -21,7 +21,7 @@ _LARGEST_STEER = 0.5
 _STEER_AHEAD = 1.0
 """Steering aims at the middle of the ground this far ahead [m]."""
 _AVERAGING = 0.1
-"""Time over which normal forces are averaged for the motors' limit, as MuJoCo's contacts hop [s]."""
+"""Time over which normal forces are averaged for the motors' limit; contacts hop [s]."""
 
 
 class Tracks:
@@ -56,8 +56,8 @@ class Tracks:
     def limit(self, data: Any) -> None:
         """Scale the friction of each side so that its motor can supply the force of its belts.
 
-        It is called after each sample, for the next one. A belt that its load holds slips as one without grip; each
-        side has half of ``robot.track_force``.
+        It is called after each sample, for the next one. A belt that its load holds slips as one
+        without grip; each side has half of ``robot.track_force``.
         """
         if self._force is None:
             return

@@ -108,9 +108,7 @@ class PlanarWorld:
         force = self.robot.track_force
         return math.inf if force is None else force * self.sim.substep / self.sim.friction
 
-    def _add_chassis(
-        self, centre: tuple[float, float], angle: float, axle: float
-    ) -> pymunk.Body:
+    def _add_chassis(self, centre: tuple[float, float], angle: float, axle: float) -> pymunk.Body:
         robot = self.robot
         body = self._add_part(robot.chassis_mass, centre, angle, axle)
         if robot.payload:
