@@ -114,8 +114,8 @@ def _mark_ends(axes: Axes, profile: Profile) -> None:
     for distance, edge, direction, marker in ends:
         if distance is not None:
             x = edge + direction * distance
-            style = {"color": INK, "markersize": 7, "linestyle": "none"}
-            axes.plot([x], [profile.height(x) + _MARK], marker, **style)
+            height = profile.height(x) + _MARK
+            axes.plot([x], [height], marker, color=INK, markersize=7, linestyle="none")
 
 
 def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:
