@@ -29,8 +29,8 @@ class Course(DrawnRow, Mix):
         min_length=1,
         description="the terrains: names, or mappings with a name and fields [-]",
     )
-    fewest: int = Field(2, ge=1, le=20, description="smallest number of obstacles [-]")
-    most: int = Field(5, ge=1, le=20, description="largest number of obstacles [-]")
+    fewest: int = Field(2, ge=1, le=10, description="smallest number of obstacles [-]")
+    most: int = Field(5, ge=1, le=10, description="largest number of obstacles [-]")
     spacing_low: float = Field(
         0.3, ge=0, le=20, description="shortest level ground between two obstacles [m]"
     )

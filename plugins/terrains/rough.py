@@ -37,8 +37,8 @@ class Rough(Drawn):
     )
     exponent_low: float = Field(1.8, ge=1, le=4, description="smallest w [-]")
     exponent_high: float = Field(2.6, ge=1, le=4, description="largest w [-]")
-    length_low: float = Field(3.0, gt=0.1, le=100, description="shortest ground [m]")
-    length_high: float = Field(6.0, gt=0.1, le=100, description="longest ground [m]")
+    length_low: float = Field(3.0, gt=0.1, le=40, description="shortest ground [m]")
+    length_high: float = Field(6.0, gt=0.1, le=40, description="longest ground [m]")
     longest: float = Field(4.0, gt=0.1, le=100, description="longest wave [m]")
     shortest: float = Field(
         0.15, ge=0.05, le=10, description="shortest wave; tracks hardly feel shorter ones [m]"

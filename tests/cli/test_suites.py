@@ -14,7 +14,6 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.runs.methods import Entrant
 from flipperctl.runs.suites import find_suite, shipped_suites, split_suite
 
-
 _GROUPS = "terrain", "sim", "perception", "conditions"
 
 
