@@ -2,12 +2,15 @@
 
 import math
 from typing import Any
+from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 import pytest
 
 from flipperctl.api import Engine, FloatArray, Profile, Robot, Start, World
 from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco.description import urdf
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.energy import Budget, potential_energy
 from flipperctl.sim.resting import resting
@@ -112,10 +115,26 @@ def test_masses_of_a_loaded_robot_by_hand() -> None:
     assert potential_energy(states, inertia, 10.0, 0.05, 0.0) == pytest.approx(20.0)
 
 
+def test_the_urdf_of_a_loaded_robot_has_its_inertia() -> None:
+    robot = Robot(payload=5.0, payload_x=0.4, payload_z=0.2)
+    texts = (
+        urdf(Mujoco().place(FLAT, one, Start(0.0), np.random.default_rng(0)))
+        for one in (Robot(), robot)
+    )
+    bare, loaded = (ElementTree.fromstring(text).find("link/inertial") for text in texts)
+    assert bare is not None
+    assert loaded is not None
+    (before, after) = (found.find("inertia").attrib for found in (bare, loaded))
+    assert before["ixz"] == "0"
+    assert float(after["ixz"]) == pytest.approx(-(35 * 5 / 40) * 0.4 * 0.2)
+    assert float(after["iyy"]) - float(before["iyy"]) == pytest.approx(sum(robot.load_inertia))
+    assert loaded.find("origin").attrib["xyz"] == "0.05 0 0.025"
+
+
 def test_mujoco_has_the_inertia_of_the_load() -> None:
     robot = Robot(payload=5.0, payload_x=0.4, payload_z=0.2)
     bare, loaded = (
-        Mujoco().place(FLAT, one, Start(0.0), np.random.default_rng(0)).model.body("chassis")  # type: ignore[attr-defined]
+        Mujoco().place(FLAT, one, Start(0.0), np.random.default_rng(0)).model.body("chassis")
         for one in (Robot(), robot)
     )
     assert loaded.mass == pytest.approx(40.0)
@@ -123,8 +142,6 @@ def test_mujoco_has_the_inertia_of_the_load() -> None:
     # Principal moments do not depend on axes: their sum grows by twice the load's.
     assert loaded.inertia.sum() - bare.inertia.sum() == pytest.approx(2 * sum(robot.load_inertia))
     turned = np.zeros(9)
-    import mujoco
-
     mujoco.mju_quat2Mat(turned, np.array(loaded.iquat))
     axes = turned.reshape(3, 3)
     tensor = axes @ np.diag(loaded.inertia) @ axes.T

@@ -91,7 +91,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
     _set_looks(spec)
     for box in ground:
-        added = spec.worldbody.add_geom(
+        spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.centre,
             size=box.half,
@@ -101,8 +101,6 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
             rgba=[0.62, 0.57, 0.5, 1.0],
             **_surface(sim),
         )
-        if robot.track_force is not None:  # a contact has the larger friction of its two shapes
-            added.friction = [0.0, 0.0, 0.0]
     _add_robot(spec, robot, sim)
     return spec
 

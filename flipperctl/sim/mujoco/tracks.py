@@ -32,6 +32,8 @@ class Tracks:
         self._model, self._belts, self._sides = built
         self._gain, self._speed, self._friction = sim.heading_gain, robot.track_speed, sim.friction
         self._force = robot.track_force
+        if self._force is not None:  # a contact has the larger friction of its two shapes
+            self._model.geom_friction[self._sides == 0, 0] = 0.0
         weight = robot.mass * sim.gravity
         self.pressed = 0.0, 0.0
         """Averaged normal forces on the left and on the right tracks [N]."""
