@@ -80,6 +80,8 @@ def meaning(model: type[BaseModel], field: str) -> str:
 
 
 def _split(model: type[BaseModel], field: str) -> tuple[str, str]:
+    if field not in model.model_fields:  # a factor, of ``Settings.factors``
+        return "", ""
     text = model.model_fields[field].description or ""
     found = re.fullmatch(r"(.*) \[([^\]]*)\]", text, flags=re.DOTALL)
     return (found[1], found[2]) if found else (text, "")

@@ -28,13 +28,23 @@ SAMPLE_PERIOD = 0.01
 
 
 def is_over(
-    x: float, z: float, pitch: float, angle: float, finish: float, top: float, half: float
+    x: float,
+    z: float,
+    pitch: float,
+    angle: float,
+    finish: float,
+    top: float,
+    half: float,
+    slope: float,
+    floor: float,
 ) -> bool:
     """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit.
 
     The other arguments are the fields of ``Limits``, as plain numbers so that it can be compiled.
     """
-    return abs(pitch) >= angle or (x >= finish and z + half * abs(math.sin(pitch)) <= top)
+    if abs(pitch) >= angle:
+        return True
+    return x >= finish and z + half * abs(math.sin(pitch)) <= max(top + slope * (x - finish), floor)
 
 
 class Limits(NamedTuple):
@@ -48,6 +58,10 @@ class Limits(NamedTuple):
     """World z of the higher end of the chassis [m]."""
     half: float = 0.0
     """Distance from the chassis centre to each end [m]."""
+    slope: float = 0.0
+    """Rise of ``top`` for each metre past ``x``, where a run ends on a slope [-]."""
+    floor: float = -math.inf
+    """World z below which the height allowed by ``top`` and ``slope`` does not sink [m]."""
 
     def reached(self, x: float, z: float, pitch: float) -> bool:
         """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit."""

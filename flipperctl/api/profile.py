@@ -24,15 +24,21 @@ class Profile:
     terrain in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground
     beside the line, if it is known; without it, the profile is extruded to both sides. ``drawn``
     are the numbers that the terrain drew, by name, such as ``steps``; results can be shown by them.
+    ``run_up`` and ``run_out`` replace those of the section ``episode`` on this ground [m]; below 0
+    the robot starts past the first edge, at the nearest place where it can stand, or finishes
+    before the last.
 
     Raises:
-        ValueError: if the points are empty, not finite, not (V, 2), or x decreases.
+        ValueError: if the points are empty, not finite, not (V, 2), or x decreases, or if run_up
+            or run_out is not finite.
     """
 
     points: FloatArray
     label: str = ""
     surface: Surface | None = None
     drawn: Mapping[str, float] = field(default_factory=dict)
+    run_up: float | None = None
+    run_out: float | None = None
 
     def __init__(
         self,
@@ -40,6 +46,8 @@ class Profile:
         label: str = "",
         surface: Surface | None = None,
         drawn: Mapping[str, float] | None = None,
+        run_up: float | None = None,
+        run_out: float | None = None,
     ) -> None:
         array = np.array(points, dtype=np.float64)
         if array.size == 0:
@@ -56,6 +64,10 @@ class Profile:
                 f"x decreases from {array[i, 0]:g} to {array[i + 1, 0]:g} m "
                 f"between profile points {i} and {i + 1}; it must never decrease"
             )
+        for name, distance in (("run_up", run_up), ("run_out", run_out)):
+            if distance is not None and not math.isfinite(distance):
+                raise ValueError(f"a profile's {name} is a finite number; it is {distance}")
+            object.__setattr__(self, name, None if distance is None else float(distance))
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
         object.__setattr__(self, "label", label)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pydantic import Field
@@ -16,6 +17,9 @@ class Robot(RobotGeometry):
     not_sampled: ClassVar[frozenset[str]] = frozenset(
         {"angle_limit", "angle_step", "control_period"}
     )
+    factors: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "size": ("chassis_length", "flipper_length", "track_radius")
+    }
     chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
     flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
     track_speed: float = Field(
@@ -37,6 +41,28 @@ class Robot(RobotGeometry):
         description="delay of the flippers' turn after a decision; not given in the paper [s]",
     )
 
+    track_force: float | None = Field(
+        None,
+        gt=1,
+        le=50_000,
+        description="largest force of all belts together along the ground, the torque limit of the "
+        "tracks' motors over the sprockets' radius; null: friction alone limits it [N]",
+    )
+    payload: float | None = Field(
+        None, ge=0, le=500, description="mass of a load on the chassis; null: none [kg]"
+    )
+    payload_x: float | None = Field(
+        None,
+        ge=-2,
+        le=2,
+        description="distance of the load's centre ahead of the chassis centre; null: 0 [m]",
+    )
+    payload_z: float | None = Field(
+        None,
+        ge=-2,
+        le=2,
+        description="height of the load's centre above the chassis centre; null: 0 [m]",
+    )
     control_period: float | None = Field(
         None,
         gt=0,
@@ -44,6 +70,32 @@ class Robot(RobotGeometry):
         description="time between two decisions; null is angle_step / flipper_speed, in which a "
         "flipper turns by one step [s]",
     )
+
+    @property
+    def carried_mass(self) -> float:
+        """Mass of the chassis with its load [kg]."""
+        return self.chassis_mass + (self.payload or 0.0)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole robot with its load [kg]."""
+        return self.carried_mass + 2 * self.flipper_mass
+
+    @property
+    def centre_of_mass(self) -> tuple[float, float]:
+        """Centre of mass of the chassis with its load, (x, z) in frame R [m]."""
+        share = (self.payload or 0.0) / self.carried_mass
+        return share * (self.payload_x or 0.0), share * (self.payload_z or 0.0)
+
+    @property
+    def load_inertia(self) -> tuple[float, float]:
+        """What the load adds to the chassis' moment of inertia about the common centre of mass.
+
+        Twice [kg m²]: of the distance along the chassis, and of the height. The load is a point, so
+        that both masses turn about that centre: μ · distance² with μ = m · M / (m + M).
+        """
+        reduced = self.chassis_mass * (self.payload or 0.0) / self.carried_mass
+        return reduced * (self.payload_x or 0.0) ** 2, reduced * (self.payload_z or 0.0) ** 2
 
     @property
     def decision_period(self) -> float:

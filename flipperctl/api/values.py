@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar, Self
@@ -32,6 +33,9 @@ class Settings(BaseModel):
     )
     not_sampled: ClassVar[frozenset[str]] = frozenset()
     """Names of the settings that ``randomise`` must not sample, since policies rely on them."""
+
+    factors: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """Factors that ``randomise`` can sample by name, and the settings that each multiplies."""
 
     @classmethod
     def nearest_allowed(cls, name: str, value: float) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, Self
 
 from pydantic import (
@@ -117,6 +118,7 @@ class Sampled:
         return self.value if isinstance(self.value, tuple) else (self.value, self.value)
 
 
+@lru_cache(maxsize=1000)  # it is called for every combination of range ends
 def target(name: str) -> tuple[str, str]:
     """Return the section and the field of a short form or of a path such as ``sim.yaw``."""
     section = SECTION_OF.get(name) or SWITCHES.get(name)
@@ -130,7 +132,8 @@ class Randomise(Settings):
     """The settings that are sampled for every episode of a training or an evaluation.
 
     ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
-    ``robot`` and ``perception``, including those of plugins; other names are short forms. Each
+    ``robot`` and ``perception``, including those of plugins; other names are short forms.
+    ``randomise.robot.size`` is a factor on all lengths of the robot. Each
     range has the unit of its setting and must lie within its bounds, and all combinations must be
     possible; a switch has a probability. The start is sampled by
     ``episode.start_noise`` and ``episode.start_angle_noise``.

@@ -81,7 +81,9 @@ def notes_on_samples(robot: Robot, randomise: Randomise) -> Iterator[str]:
     for one in randomise.sampled():
         if one.section != _KEY:
             continue
-        own, (low, high) = getattr(robot, one.field), one.ends
+        own, (low, high) = getattr(robot, one.field, None), one.ends
+        if own is None:  # a factor, or a load of none
+            continue
         if own != Robot.model_fields[one.field].default and not low <= own <= high:
             yield (
                 f"{one.key}: no episode has the robot's {_KEY}.{one.field}={own:.4g}, since its "

@@ -10,6 +10,7 @@ import math
 import types
 from collections import deque
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from itertools import product
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -26,7 +27,7 @@ Sections = Mapping[str, Settings]
 """Section's name → its settings."""
 _MOST = 2**16
 """Largest number of combinations of range ends in one section, all of which are checked."""
-_possible: deque[tuple[Settings, dict[str, list[float]]]] = deque(maxlen=8)
+_possible: deque[tuple[Settings, dict[str, list[float]]]] = deque(maxlen=64)
 """The last sections and range ends all of whose combinations are valid.
 
 A command validates its configuration several times, each with hundreds of combinations.
@@ -80,15 +81,18 @@ def check_ranges(sections: Sections, randomise: Randomise) -> None:
                 f"randomise: {len(found)} settings of {section} are sampled; at most "
                 f"{_MOST.bit_length() - 1} with a range are allowed"
             )
-        if (sections[section], found) in _possible:
-            continue
-        for combination in product(*found.values()):
-            values = dict(zip(found, combination, strict=True))
-            try:
-                _with_values(sections[section], values)
-            except ValidationError as error:
-                raise _refusal(error, sections[section], values) from error
-        _possible.append((sections[section], found))
+        if (sections[section], found) not in _possible:
+            _check_combinations(sections[section], found)
+            _possible.append((sections[section], found))
+
+
+def _check_combinations(settings: Settings, ends: Mapping[str, list[float]]) -> None:
+    for combination in product(*ends.values()):
+        values = dict(zip(ends, combination, strict=True))
+        try:
+            _with_values(settings, values)
+        except ValidationError as error:
+            raise _refusal(error, settings, values) from error
 
 
 def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
@@ -97,7 +101,7 @@ def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
     Raises:
         ConfigError: it does not exist or cannot be sampled, or a probability is not within 0 and 1.
     """
-    cls, known = type(settings), sorted(type(settings).model_fields)
+    cls, known = type(settings), sorted({*type(settings).model_fields, *type(settings).factors})
     chosen = f"{one.section}={cls.plugin_name}" if issubclass(cls, Plugin) else one.section
     if one.field not in known:
         raise ConfigError(
@@ -124,8 +128,11 @@ def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
     return low, high
 
 
+@lru_cache(maxsize=1000)  # it is called for every combination of range ends
 def _kind(cls: type[Settings], field: str) -> type[bool | int | float] | None:
-    """Return the type of a setting that can be sampled, None for any other setting."""
+    """Return the type of a setting or factor that can be sampled, None for any other setting."""
+    if field in cls.factors:
+        return float
     found = set(_types(cls.model_fields[field].annotation)) - {types.NoneType}
     if found == {bool}:
         return bool
@@ -155,12 +162,17 @@ def _allowed(cls: type[Settings], field: str, value: float) -> float:
 def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
     """Return the settings with the sampled values, which are given by name.
 
+    A factor multiplies the settings of ``Settings.factors``, after these were sampled themselves.
+
     Raises:
         ValidationError: the values are not possible.
     """
     cls, values = type(settings), {target(name)[1]: value for name, value in sampled.items()}
+    factors = {name: values.pop(name) for name in cls.factors if name in values}
     switched = {name: bool(v) if _kind(cls, name) is bool else v for name, v in values.items()}
     fields = {**dict(settings), **switched}
+    for factor, value in factors.items():
+        fields |= {name: value * fields[name] for name in cls.factors[factor]}
     return construct(cls, fields) if issubclass(cls, Plugin) else cls(**fields)
 
 

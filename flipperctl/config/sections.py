@@ -28,9 +28,10 @@ class Episode(Settings):
     )
     run_out: float = Field(
         1.0,
-        ge=0,
+        ge=-10,
         le=10,
-        description="distance from the last edge to the chassis centre at the finish [m]",
+        description="distance from the last edge to the chassis centre at the finish; below 0, the "
+        "episode ends before the last edge, on a slope or a stair [m]",
     )
     start_noise: float = Field(
         0.05,

@@ -30,6 +30,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env import ground, start
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
+from flipperctl.env.finish import run_out_of
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
@@ -127,7 +128,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
         self._sections = sections
         self.drive = self._drive()
-        start.check_placed(self.drive.world, self._start, config)
+        start.check_placed(self.drive.world, self._start, config, self.profile)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)
@@ -153,7 +154,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         exact: bool = False,
     ) -> Perceiver:
         episode, (engine, robot, sensor) = self.config.episode, self._sections
-        margin = max(episode.run_up + episode.start_noise, episode.run_out) + self.layout.reach
+        run_up, run_out = start.run_up_of(self.profile, episode), run_out_of(self.profile, episode)
+        margin = max(run_up + episode.start_noise, run_out) + self.layout.reach
         (mounted,) = rngs[0].spawn(1)
         gravity, world = engine.shared_setting("gravity") or Mounting.gravity, drive.world
         mounting = Mounting(robot, self.profile, margin + 2.0, world, mounted, gravity, world)
@@ -261,7 +263,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return Scene(
             terrain=self.config.terrain.plugin_name,
             ground=self.profile.points,
-            start=self.profile.start - self.config.episode.run_up,
+            start=self.profile.start - start.run_up_of(self.profile, self.config.episode),
             finish=self.drive.termination.finish,
             track_speed=self.robot.track_speed,
             robot=self.perception.robot,

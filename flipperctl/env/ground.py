@@ -21,6 +21,8 @@ LONGEST = 1000.0
 """Longest profile [m]; its episode takes more than an hour of simulated time."""
 HIGHEST = 100.0
 """Largest height above or below the first edge [m], the bound of the observation space."""
+FARTHEST_END = 10.0
+"""Largest distance of a profile's own start or finish from it [m], as in the section episode."""
 FARTHEST = 1e7
 """Largest coordinate [m], beyond which floats are too coarse for the contacts' tolerance."""
 
@@ -70,6 +72,14 @@ def _check(profile: Profile, terrain: Terrain) -> None:
             f"returned a profile that is {height:g} m above or below its first edge; at most "
             f"{HIGHEST:g} m is allowed, as in the observation space"
         )
+
+    for name in ("run_up", "run_out"):
+        own = getattr(profile, name)
+        if own is not None and not -length <= own <= FARTHEST_END:
+            raise refuse(
+                f"returned a profile whose {name} is {own:g} m; {-length:g} m to "
+                f"{FARTHEST_END:g} m is allowed"
+            )
 
 
 def _drawn_fault(drawn: object) -> str | None:

@@ -10,6 +10,8 @@ import numpy as np
 
 from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.config import EnvConfig, Episode
+from flipperctl.env.finish import run_out_of
+from flipperctl.env.places import nearest_rest
 from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.resting import resting
 
@@ -25,7 +27,8 @@ def sampled(
     """Return the start, and what was drawn for it, by name.
 
     Ahead of the first edge the robot rests level; past it (``run_up`` below 0) it has the height
-    and the pitch in which it rests there.
+    and the pitch in which it rests there. A profile with a ``run_up`` of its own chooses the place,
+    or the nearest one where the robot can stand.
 
     Raises:
         TerrainError: the robot cannot stand where it should start.
@@ -33,18 +36,22 @@ def sampled(
     shift, *turned = rng.uniform(-1.0, 1.0, 3) * np.array(
         [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
     )
-    x = profile.start - episode.run_up + shift
+    run_up = run_up_of(profile, episode)
+    x = profile.start - run_up + shift
     front, rear = (robot.clip(episode.start_angle + angle) for angle in turned)
     drawn = {"start_shift": shift, "start_front": front, "start_rear": rear}
-    if episode.run_up >= 0:
+    if run_up >= 0:
         return Start(x, front=front, rear=rear), drawn
-    finish = profile.end + episode.run_out
+    finish = profile.end + run_out_of(profile, episode)
     if x >= finish:
         raise TerrainError(
-            f"episode.run_up: {episode.run_up:g} m starts past the finish of {profile.label!r}, "
+            f"episode.run_up: {run_up:g} m starts past the finish of {profile.label!r}, "
             f"which is {finish - profile.start:.2f} m from its first edge"
         )
-    pose = resting(profile, robot, x, front, rear, episode.overturn)
+    if profile.run_up is None:
+        pose = resting(profile, robot, x, front, rear, episode.overturn)
+    else:
+        x, pose = nearest_rest(profile, robot, x, (front, rear), episode.overturn)
     if pose is None:
         raise TerrainError(
             f"episode.run_up: the robot cannot stand {x - profile.start:.2f} m past the first edge "
@@ -54,14 +61,19 @@ def sampled(
     return Start(x, front=front, rear=rear, height=height, pitch=pitch), drawn
 
 
-def check_placed(world: World, start: Start, config: EnvConfig) -> None:
+def run_up_of(profile: Profile, episode: Episode) -> float:
+    """Return the distance of the start before the first edge, without the random shift [m]."""
+    return episode.run_up if profile.run_up is None else profile.run_up
+
+
+def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile) -> None:
     """Check that the engine placed the robot on the ground, where it should start.
 
     Raises:
         TerrainError: the ground overlaps the robot.
         ConfigError: the engine starts on level ground only.
     """
-    run_up = config.episode.run_up
+    run_up = run_up_of(profile, config.episode)
     if start.height is not None:
         turned, lifted = world.pitch - start.pitch, world.position[1] - start.height
         if abs(turned) > _TURNED or abs(lifted) > _LIFTED:

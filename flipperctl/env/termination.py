@@ -10,7 +10,8 @@ from collections import deque
 
 from flipperctl.api import Limits, Outcome, Profile, Robot, World
 from flipperctl.config import Episode
-from flipperctl.errors import ConfigError
+from flipperctl.env.finish import finish_of
+from flipperctl.errors import ConfigError, TerrainError
 
 
 class Termination:
@@ -27,14 +28,17 @@ class Termination:
 
         Raises:
             ConfigError: the robot is so slow that the time limit is not a finite number.
+            TerrainError: the robot cannot stand at the finish, or starts past it.
         """
         self._episode = episode
-        self.finish = profile.end + episode.run_out
-        # Past the profile the ground is level, so one height decides whether the robot is close.
-        top = profile.height(self.finish) + robot.track_radius + episode.clearance
-        self.limits = Limits(
-            angle=episode.overturn, x=self.finish, top=top, half=robot.hinge_offset
-        )
+        finish = finish_of(profile, robot, episode)
+        self.finish = finish.x
+        if start >= finish.x:
+            raise TerrainError(
+                f"episode.run_out: the finish of {profile.label!r} lies "
+                f"{start - finish.x:.2f} m behind the start; start or finish elsewhere"
+            )
+        self.limits = Limits(angle=episode.overturn, half=robot.hinge_offset, **finish._asdict())
         nominal = float(self.finish - start) / robot.track_speed  # [s]
         longest = episode.slack * nominal / period
         if not math.isfinite(longest):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -20,13 +21,14 @@ def episode_bound(env: FlipperEnv) -> float | None:
     if finish - start > LONGEST:
         return None
     episode = env.config.episode
+    on_level_ground = finish >= env.profile.end
     return static_bound(
         env.profile.points,
         env.robot,
         start=start,
         finish=finish,
         pitch=env.state.pitch,
-        clearance=episode.clearance,
+        clearance=episode.clearance if on_level_ground else math.inf,
         overturn=episode.overturn,
     )
 

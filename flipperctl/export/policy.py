@@ -96,7 +96,7 @@ def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[st
     return chosen | {key.removeprefix("robot."): value for key, value in own.items()}
 
 
-def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float]]:
+def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
     """Return the differences of two robots, with the decision period for control_period."""
     names = [*(name for name in Robot.model_fields if name != "control_period"), "decision_period"]
     pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from flipperctl.api import Perception, Policy, Simulator
-from flipperctl.config import Episode, resolver
+from flipperctl.config import resolver
 from flipperctl.lookahead.beam import Beam, Goal
+from flipperctl.lookahead.goal import highest_at_finish
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.planner_settings import PlannerSettings
 from flipperctl.lookahead.policy import nominal
@@ -21,11 +22,6 @@ from flipperctl.lookahead.search import HOLD
 
 _STARTS = ("level", "okada", "mpc")
 """Controllers whose trajectories the search starts from."""
-_CLEARANCE = Episode().clearance
-"""Largest height of the chassis' higher end above the ground at the finish [m].
-
-A ``Simulator`` does not tell its episode's own ``clearance``, so plans aim at the default; the
-episode decides whether a trajectory has reached the finish."""
 _TOLERANCE = 0.3
 """Increase of a plan's predicted cost that triggers a new search [s]."""
 _SHORT_DISTANCE, _SHORT_PATIENCE, _PITCH = 1.5, 2, 3.0
@@ -79,7 +75,7 @@ class _Search:
         self._robot = nominal(simulator.robot)
         profile = simulator.profile
         self._model = Model(profile.points, self._robot, iterations=8)
-        top = profile.height(simulator.finish) + self._robot.track_radius + _CLEARANCE
+        top = highest_at_finish(profile, self._robot, simulator.finish)
         self._goal = Goal(simulator.finish, top=top, smoothness=settings.smoothness)
         self._spent = 0
         self.best: Trajectory

@@ -72,7 +72,7 @@ class Model:
         k = np.zeros(layout.NUMBERS)
         k[layout.HINGE], k[layout.AXLE] = robot.hinge_offset, axle
         k[layout.RADIUS] = robot.track_radius
-        k[layout.CHASSIS], k[layout.FLIPPER] = robot.chassis_mass, robot.flipper_mass
+        k[layout.CHASSIS], k[layout.FLIPPER] = robot.carried_mass, robot.flipper_mass
         k[layout.TURN_CHASSIS] = _inertia(
             robot.chassis_mass, 2 * robot.hinge_offset, robot.track_radius
         )

@@ -13,6 +13,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, FloatArray, Perception, RewardTerm, Simulator, StateGroups
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
+from flipperctl.lookahead.goal import highest_at_finish
 from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.groups import sample_groups, with_stops
 from flipperctl.lookahead.history import History
@@ -49,7 +50,7 @@ class OraclePolicy:
         self._simulator, self._layout = simulator, p.layout
         robot = self._robot = nominal(p.robot)
         profile, state = simulator.profile, simulator.state
-        top = profile.height(simulator.finish) + robot.track_radius + _EPISODE.clearance
+        top = highest_at_finish(profile, robot, simulator.finish)
         self._model = Model(
             profile.points,
             robot,

@@ -21,6 +21,8 @@ SMALL = 12
 """Largest number of small pictures [-]."""
 _HEADROOM = 0.35
 """Distance from the highest point to the dimension line of the length [m]."""
+_MARK = 0.12
+"""Height of the marks of start and finish above the ground [m]."""
 _COLUMNS = 4
 """Largest number of small pictures in a row [-]."""
 
@@ -78,6 +80,7 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
         stand, pitch=0.0, front=0.0, rear=0.0, velocity=np.zeros(2), pitch_rate=0.0, time=0.0
     )
     RobotArtist(axes).show(state, robot)
+    _mark_ends(axes, profile)
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
     if right > left:
         above = top + _HEADROOM
@@ -93,6 +96,7 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
 
 def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, scale: int) -> None:
     draw_ground(axes, profile)
+    _mark_ends(axes, profile)
     points = profile.points
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     frame(axes, middle - extent / 2, middle + extent / 2, scale)
@@ -102,6 +106,16 @@ def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, sca
     length, height = np.ptp(points, axis=0)
     size = f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
     axes.set_title(f"{name}: {size}", fontsize=8, color=INK)
+
+
+def _mark_ends(axes: Axes, profile: Profile) -> None:
+    """Mark where episodes start and finish on the ground, if it says so itself."""
+    ends = (profile.run_up, profile.start, -1, ">"), (profile.run_out, profile.end, 1, "|")
+    for distance, edge, direction, marker in ends:
+        if distance is not None:
+            x = edge + direction * distance
+            height = profile.height(x) + _MARK
+            axes.plot([x], [height], marker, color=INK, markersize=7, linestyle="none")
 
 
 def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:

@@ -105,10 +105,15 @@ class _Ground:
         heights = np.take_along_axis(needed, at, axis=1)[:, 0]
         touching = self.x + np.take_along_axis(ahead, at, axis=1)[:, 0]
         contacts = np.interp(touching, self.places, self.contacts)
-        weight = robot.chassis_mass + 2 * robot.flipper_mass
-        arm = robot.flipper_mass * robot.flipper_axle / 2 / weight
+        arm = robot.flipper_mass * robot.flipper_axle / 2 / robot.mass
         masses = heights + arm * (np.sin(front) + np.sin(rear))
-        return heights, masses, contacts - self.x - arm * (np.cos(front) - np.cos(rear))
+        levers = contacts - self.x - arm * (np.cos(front) - np.cos(rear))
+        if robot.payload:
+            share = robot.carried_mass / robot.mass
+            x, z = (share * place for place in robot.centre_of_mass)  # in frame R [m]
+            masses = masses + x * np.sin(pitches) + z * np.cos(pitches)
+            levers = levers - x * np.cos(pitches) + z * np.sin(pitches)
+        return heights, masses, levers
 
 
 def _axes(

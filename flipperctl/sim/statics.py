@@ -94,12 +94,15 @@ def standing(
     half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
     margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper
     reach = margin * _SPACING + radius + _TOLERANCE
-    line = np.vstack([[start - reach, points[0, 1]], points, [finish + reach, points[-1, 1]]])
+    first, last = min(start - reach, points[0, 0]), max(finish + reach, points[-1, 0])
+    line = np.vstack([[first, points[0, 1]], points, [last, points[-1, 1]]])
     count = math.ceil((finish - start) / (_SPACING * _STRIDE)) + 1
     steep = int(overturn / _ANGLE)
     pitches = np.array([k * _ANGLE for k in range(-steep, steep + 1)])
-    # The flippers' angles shift the centre of mass by at most this, for both pairs together.
-    shift = robot.flipper_mass * axle / (robot.chassis_mass + 2 * robot.flipper_mass) + _TOLERANCE
+    # The flippers' angles shift the centre of mass by at most this, for both pairs together, and a
+    # load by its distance from the chassis centre.
+    load = robot.carried_mass * math.hypot(*robot.centre_of_mass)
+    shift = (robot.flipper_mass * axle + load) / robot.mass + _TOLERANCE
     turns = math.ceil(robot.angle_limit / _ANGLE) + 1
     sizes = np.array([_SPACING, half, axle, radius, shift, _ANGLE])
     blocks = []

@@ -54,11 +54,17 @@ def print_ground(found: dict[str, Any]) -> None:
     )
 
 
-def _describe(changes: dict[str, dict[str, float]]) -> str:
+def _describe(changes: dict[str, dict[str, float | None]]) -> str:
     parts = []
     for name, values in changes.items():
         setting = name in Robot.model_fields
         label = f"robot.{name}" if setting else name.replace("_", " ")
         of = unit(Robot, name) if setting else "s"
-        parts.append(f"{label} {values['file']:.6g} {of} (training {values['training']:.6g})")
+        parts.append(
+            f"{label} {_number(values['file'])} {of} (training {_number(values['training'])})"
+        )
     return ", ".join(parts)
+
+
+def _number(value: float | None) -> str:
+    return "null" if value is None else f"{value:.6g}"

@@ -6,7 +6,7 @@ from flipperctl.api import Robot, RobotGeometry
 def flipper_share(robot: RobotGeometry) -> float:
     """Return the mass of each flipper pair as a fraction of the robot's [-]."""
     masses = robot if isinstance(robot, Robot) else Robot()
-    return masses.flipper_mass / (masses.chassis_mass + 2 * masses.flipper_mass)
+    return masses.flipper_mass / masses.mass
 
 
 def track_speed(robot: RobotGeometry) -> float:

@@ -35,4 +35,11 @@ class Mirror(Combinator):
         surface = profile.surface and MirroredSurface(profile.surface, (last[0], last[1]))
         drawn = {**profile.drawn, "mirrored": 1}
         points = (profile.points[::-1] - last) * (-1.0, 1.0)
-        return replace(profile, points=points, surface=surface, drawn=drawn)
+        return replace(
+            profile,
+            points=points,
+            surface=surface,
+            drawn=drawn,
+            run_up=profile.run_out,
+            run_out=profile.run_up,
+        )

@@ -37,6 +37,9 @@ class Mix(Combinator):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the profile of the drawn part, with that part's label."""
+        return self.parts[self.draw_part(rng)].labelled(rng)
+
+    def draw_part(self, rng: np.random.Generator) -> int:
+        """Draw the index of a part by the weights."""
         weights = np.array(self.weights or [1.0] * len(self.parts))
-        part = self.parts[int(rng.choice(len(self.parts), p=weights / weights.sum()))]
-        return part.labelled(rng)
+        return int(rng.choice(len(self.parts), p=weights / weights.sum()))

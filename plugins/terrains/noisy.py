@@ -39,7 +39,10 @@ class Noisy(Combinator):
         points = _with_knots(line, knots)
         rough = np.interp(points[:, 0], knots, noise)
         points = points + np.column_stack([np.zeros(len(points)), rough])
-        return replace(profile, points=points, surface=None)
+        run_up, run_out = (
+            None if end is None else end - self.margin for end in (profile.run_up, profile.run_out)
+        )
+        return replace(profile, points=points, surface=None, run_up=run_up, run_out=run_out)
 
 
 def _with_knots(line: FloatArray, knots: FloatArray) -> FloatArray:

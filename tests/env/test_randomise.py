@@ -1,9 +1,11 @@
 """Randomisation: the drawn values, their effect, and their entry in the episode's row."""
 
 import math
+from importlib.resources import files
 
 import numpy as np
 import pytest
+import yaml
 
 from flipperctl import plugins
 from flipperctl.api import Robot
@@ -49,6 +51,39 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
         resolver.create("controller", "okada", "controller").build(),
         seed,
     )
+
+
+def test_one_factor_scales_all_lengths_after_their_own_samples() -> None:
+    lengths = {"chassis_length": [0.8, 0.8], "size": [1.1, 1.1]}
+    env = FlipperEnv(config=config(randomise={"flipper_length": [0.5, 0.5], "robot": lengths}))
+    env.reset(seed=0)
+    found = env.robot.chassis_length, env.robot.flipper_length, env.robot.track_radius
+    assert found == pytest.approx((0.88, 0.55, 0.11))
+    assert env.robot.chassis_mass == 35.0
+    assert env.config.robot == Robot()
+    with pytest.raises(ConfigError, match=r"randomise\.robot\.sise: .*did you mean 'size'"):
+        config(randomise={"robot": {"sise": 1.1}})
+    with pytest.raises(ConfigError, match="chassis_length"):
+        config(randomise={"robot": {"size": [0.1, 1.0]}})
+
+
+@pytest.mark.parametrize(("name", "sim"), [("widest", "planar"), ("widest_3d", "mujoco")])
+def test_the_widest_conditions_are_possible_together(name: str, sim: str) -> None:
+    text = files("flipperctl.configs.conditions").joinpath("widest.yaml").read_text()
+    sections = yaml.safe_load(text)
+    if name == "widest_3d":
+        more = files("flipperctl.configs.conditions").joinpath(f"{name}.yaml").read_text()
+        sections["randomise"] |= yaml.safe_load(more)["randomise"]
+    env = FlipperEnv("midway", sim=sim, **sections)
+    env.reset(seed=1)
+    robot = env.robot
+    assert 0.1 <= robot.track_speed <= 0.4
+    assert 0.9 * 0.722 <= robot.chassis_length <= 1.1 * 0.798
+    assert robot.track_force is not None
+    assert robot.payload is not None
+    assert 350 <= robot.track_force <= 700
+    for _ in range(3):
+        env.step(HOLD)
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:

@@ -81,7 +81,8 @@ def test_what_the_robot_is_like_may_be_overridden(file: Path, field: str) -> Non
     if field == "flipper_speed":  # it is varied without the decision period, by randomise alone
         build(file, {}, randomise={"flipper_speed": [0.3, 0.6]})
         return
-    build(file, {field: 0.05 + 1.01 * getattr(Robot(), field)})
+    default = getattr(Robot(), field)
+    build(file, {field: 0.05 + 1.01 * (1.0 if default is None else default)})
 
 
 def test_randomise_has_nothing_that_a_file_applies() -> None:

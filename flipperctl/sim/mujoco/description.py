@@ -15,8 +15,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
+import numpy as np
 
-from flipperctl.api import Robot
+from flipperctl.api import FloatArray, Robot
 from flipperctl.sim.mujoco.ground import Box
 from flipperctl.sim.mujoco.model import specify
 from flipperctl.sim.mujoco.world import MujocoWorld
@@ -74,8 +75,11 @@ def _link(root: ElementTree.Element, model: Any, body: str, name: str) -> None:
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_numbers(found.ipos), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=_numbers(found.mass))
-    moments = dict(zip(("ixx", "iyy", "izz"), map(_number, found.inertia), strict=True))
-    ElementTree.SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
+    tensor = _tensor(found)
+    moments = dict(zip(("ixx", "iyy", "izz"), map(_number, np.diag(tensor)), strict=True))
+    products = {"ixy": tensor[0, 1], "ixz": tensor[0, 2], "iyz": tensor[1, 2]}
+    others = {name: _number(value) if value else "0" for name, value in products.items()}
+    ElementTree.SubElement(inertial, "inertia", moments | others)
     for index in range(model.ngeom):
         geom = model.geom(index)
         if int(geom.bodyid[0]) != found.id:
@@ -86,6 +90,15 @@ def _link(root: ElementTree.Element, model: Any, body: str, name: str) -> None:
             radius, half, _ = geom.size.tolist()
             size = {"radius": _number(radius), "length": _number(2 * half)}
             _shape(link, geom.pos, (math.pi / 2, 0.0, 0.0), ("cylinder", size))
+
+
+def _tensor(body: Any) -> FloatArray:
+    """Return the inertia tensor of a body in its own axes, (3, 3) [kg m²]; a load may turn it."""
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, body.iquat)
+    axes = turn.reshape(3, 3)
+    tensor: FloatArray = axes @ np.diag(body.inertia) @ axes.T
+    return tensor
 
 
 def _joint(root: ElementTree.Element, model: Any, name: str, robot: Robot) -> None:

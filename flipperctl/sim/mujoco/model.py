@@ -141,6 +141,8 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     outer = sim.flipper_offset + width / 2
     size = robot.chassis_length, 2 * outer, 2 * robot.track_radius
     _set_inertia(chassis, mass=robot.chassis_mass, size=size, centre=0.0)
+    if robot.payload:
+        _add_load(chassis, robot)
     for side, sign in (("left", 1.0), ("right", -1.0)):
         inner = sim.main_track_offset - width / 2
         middle = sign * sim.main_track_offset
@@ -187,6 +189,17 @@ def _set_inertia(
     body.mass, body.ipos, body.explicitinertial = mass, [centre, 0.0, 0.0], True
     squares = width**2 + height**2, length**2 + height**2, length**2 + width**2
     body.inertia = [mass * s / 12 for s in squares]
+
+
+def _add_load(chassis: Any, robot: Robot) -> None:
+    """Add the robot's load, a point, to the inertia of its chassis."""
+    ahead, above = robot.load_inertia
+    x, z = robot.centre_of_mass
+    product = math.copysign(math.sqrt(ahead * above), -x * z)  # of inertia, about x and z
+    across, along, upright = chassis.inertia.tolist()
+    chassis.mass, chassis.ipos = robot.carried_mass, [x, 0.0, z]
+    chassis.inertia = [0.0, 0.0, 0.0]
+    chassis.fullinertia = [across + above, along + ahead + above, upright + ahead, 0, product, 0]
 
 
 def _add_end(

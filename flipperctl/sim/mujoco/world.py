@@ -34,6 +34,7 @@ from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
 from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
+from flipperctl.sim.mujoco.tracks import Tracks
 from flipperctl.sim.resting import height_at
 
 if TYPE_CHECKING:
@@ -41,10 +42,6 @@ if TYPE_CHECKING:
 
 _SERVO_RATE = 25.0
 """Velocity that a servo demands for each rad of its angle's error [1/s]."""
-_LARGEST_STEER = 0.5
-"""Largest difference of a belt's speed from the robot's by steering, as a fraction [-]."""
-_STEER_AHEAD = 1.0
-"""Steering aims at the middle of the ground this far ahead [m]."""
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _HINGES = slice(7, 11)  # of qpos, after the free joint
 _RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)
@@ -90,7 +87,8 @@ class MujocoWorld:
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
         scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
         self.ground = boxes(profile, sim, rng)
-        self.model, self._belts, self._sides = build(self.ground, robot, sim, scenery)
+        built = build(self.ground, robot, sim, scenery)
+        self.model, self._tracks = built.model, Tracks(built, robot, sim)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
@@ -121,6 +119,7 @@ class MujocoWorld:
             self._drive()
             before = self.data.qpos[_HINGES].copy()
             mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+            self._tracks.limit(self.data)
             turned = self.data.qpos[_HINGES] - before
             self._work += float(np.abs(self.data.actuator_force * turned).sum())
             self._samples += 1
@@ -143,14 +142,7 @@ class MujocoWorld:
         limit, rate = self.robot.angle_limit, self.robot.flipper_speed
         errors = np.minimum(np.maximum(targets, -limit), limit) - angles
         self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
-        if self.sim.heading_gain:
-            steer = self._steer(self.yaw, float(self.data.qpos[1]))
-            self.model.geom_surfacevel[:] = self._belts * (1.0 + steer * self._sides)[:, None]
-
-    def _steer(self, yaw: float, side: float) -> float:
-        """Return by which fraction the left belts run faster than the robot's speed."""
-        steer = self.sim.heading_gain * (yaw + side / _STEER_AHEAD)
-        return min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
+        self._tracks.steer(self.yaw, float(self.data.qpos[1]))
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -219,7 +211,6 @@ class MujocoWorld:
         data, ahead, left = self.data, self._axis(0), self._axis(1)
         front, rear = self._angles()
         yaw, side = math.atan2(ahead[1], ahead[0]), float(data.qpos[1])
-        faster = self.robot.track_speed * self._steer(yaw, side)  # the left belts
         return RobotState(
             position=np.array(self.position),
             pitch=self._pitch(ahead),
@@ -233,7 +224,7 @@ class MujocoWorld:
             side=side,
             side_velocity=float(data.qvel[1]),
             orientation=orientation(ahead, left),
-            belts=np.array([self.robot.track_speed + faster, self.robot.track_speed - faster]),
+            belts=self._tracks.speeds(yaw, side),
         )
 
     def flipper_work(self) -> float:
@@ -291,9 +282,10 @@ class MujocoWorld:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return state, self._targets, self._samples, self._work
+        return state, self._targets, self._samples, self._work, self._tracks.pressed
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        state, self._targets, self._samples, self._work = saved
+        state, self._targets, self._samples, self._work, pressed = saved
+        self._tracks.restore(pressed)
         mujoco.mj_setState(self.model, self.data, state, _STATE)

@@ -32,6 +32,7 @@ from flipperctl.sim.planar.layout import (
     CONTACT,
     CONTACTS,
     COUNT,
+    FRICTION,
     NORMAL,
     NORMAL_IMPULSE,
     SURFACE,
@@ -74,14 +75,21 @@ def _contacts(arbiter: Any) -> Any:
     return carray(_pointer(place), (count * CONTACT,), dtype=np.float64)
 
 
+_NUMBERS = max(NORMAL + 2, FRICTION + 1)
+"""Leading numbers of an arbiter that ``_belt`` reads and writes."""
+
+
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _belt(arbiter: Any, space: Any, belt: Any) -> None:
     """Set a contact's belt velocity and bound its cached impulses, before it is solved.
 
-    ``belt``: speed [m/s], largest cached impulse [N s] and work of the sample [J].
+    ``belt``: speed [m/s], largest cached impulse [N s], work of the sample [J], share of the
+    friction that the tracks' motors can use, and sum of the normal impulses [N s].
     """
-    numbers = carray(arbiter, (NORMAL + 2,), dtype=np.float64)
-    speed, largest, _ = carray(belt, (3,), dtype=np.float64)
+    numbers = carray(arbiter, (_NUMBERS,), dtype=np.float64)
+    speed, largest, _, share, _ = carray(belt, (5,), dtype=np.float64)
+    if share < 1.0:
+        numbers[FRICTION] *= share
     # If the ground is the first shape, normal and surface velocity both change sign.
     numbers[SURFACE] = -speed * numbers[NORMAL + 1]
     numbers[SURFACE + 1] = speed * numbers[NORMAL]
@@ -96,10 +104,11 @@ def _belt(arbiter: Any, space: Any, belt: Any) -> None:
 @cached(cfunc, types.void(types.voidptr, types.voidptr, types.voidptr))
 def _work(arbiter: Any, space: Any, belt: Any) -> None:
     """Add a contact's largest work of the belt, after it is solved; ``belt`` as in ``_belt``."""
-    numbers = carray(belt, (3,), dtype=np.float64)
+    numbers = carray(belt, (5,), dtype=np.float64)
     contacts = _contacts(arbiter)
     for first in range(0, len(contacts), CONTACT):
         numbers[2] += numbers[0] * abs(contacts[first + TANGENT_IMPULSE])
+        numbers[4] += contacts[first + NORMAL_IMPULSE]
 
 
 _is_over = cached(njit)(is_over)
@@ -159,6 +168,9 @@ def _run(
     servos: float,
     belts: float,
     tolerance: float,
+    ahead: float,
+    above: float,
+    grip: float,
     gears: NDArray[np.uintp],
     spent: FloatArray,
     poses: FloatArray,
@@ -166,10 +178,12 @@ def _run(
     x_limit: float,
     top: float,
     half: float,
+    slope: float,
+    floor: float,
 ) -> int:
     states = bodies.states
     _read_states(bodies)
-    energy = _kinetic(states, inertia) + _potential(states, inertia, gravity)
+    energy = _kinetic(states, inertia) + _potential(states, inertia, gravity, ahead, above)
     turned, impulses = np.zeros(len(gears)), np.zeros(len(gears))
     for gear in range(len(gears)):
         turned[gear] = states[STATE * (gear + 1) + 2] - states[2]
@@ -177,6 +191,8 @@ def _run(
         belt[2] = 0.0
         impulses[:] = 0.0
         for _ in range(substeps):
+            belt[3] = grip / belt[4] if belt[4] > grip else 1.0
+            belt[4] = 0.0
             _step(space, substep)
             for gear in range(len(gears)):
                 impulses[gear] += _impulse(gears[gear])
@@ -184,7 +200,8 @@ def _run(
         for gear in range(len(gears)):
             before, turned[gear] = turned[gear], states[STATE * (gear + 1) + 2] - states[2]
             spent[0] += impulses[gear] / (substep * substeps) * abs(turned[gear] - before)
-        kinetic, potential = _kinetic(states, inertia), _potential(states, inertia, gravity)
+        kinetic = _kinetic(states, inertia)
+        potential = _potential(states, inertia, gravity, ahead, above)
         supplied = servos + min(belt[2], belts) + tolerance
         excess = kinetic + potential - (energy + supplied)
         energy = kinetic + potential
@@ -195,7 +212,7 @@ def _run(
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
         poses[sample, 3] = states[STATE + 2] - angle
         poses[sample, 4] = angle - states[2 * STATE + 2]
-        if _is_over(x, z, angle, angle_limit, x_limit, top, half):
+        if _is_over(x, z, angle, angle_limit, x_limit, top, half, slope, floor):
             return sample + 1
     return len(poses)
 
@@ -215,7 +232,7 @@ class CompiledLoop:
     ) -> None:
         check_layout()
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
-        numbers = ffi.new("double[3]", [*belt, 0.0])
+        numbers = ffi.new("double[5]", [belt.speed, belt.largest, 0.0, 1.0, 0.0])
         handler.userData = numbers
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
         handler.postSolveFunc = ffi.cast("cpCollisionPostSolveFunc", _work.address)
@@ -232,6 +249,7 @@ class CompiledLoop:
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
             *budget,
+            belt.grip,
             np.array([address(gear._constraint) for gear in gears], np.uintp),
             self._spent,
         )
@@ -245,6 +263,10 @@ class CompiledLoop:
     def spent(self) -> float:
         """Work of the flippers' servos since the start; see ``PlainLoop.spent`` [J]."""
         return float(self._spent[0])
+
+    def forget(self) -> None:
+        """Forget the last substep; see ``PlainLoop.forget``."""
+        self._belt[4] = 0.0
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
         """Fill the rows of ``poses``; see ``PlainLoop.run``."""

@@ -42,18 +42,25 @@ class Budget(NamedTuple):
     """Largest work of all belts in a sample [J]."""
     tolerance: float
     """Gain in a sample that is allowed beyond that work [J]."""
+    ahead: float = 0.0
+    """Distance of the loaded chassis' centre of mass ahead of its centre, in frame R [m]."""
+    above: float = 0.0
+    """Height of that centre of mass above the chassis centre, in frame R [m]."""
 
     @classmethod
     def of(cls, robot: Robot, gravity: float) -> Budget:
         """Return the constants of a robot."""
         servos = 2 * robot.flipper_torque * robot.flipper_speed  # [W]
-        weight = (robot.chassis_mass + 2 * robot.flipper_mass) * gravity  # [N]
+        weight = robot.mass * gravity  # [N]
         belts = _TRACTION * weight * robot.track_speed  # [W]
+        ahead, above = robot.centre_of_mass
         return cls(
             gravity=gravity,
             servos=servos * SAMPLE_PERIOD,
             belts=belts * SAMPLE_PERIOD,
             tolerance=TOLERANCE,
+            ahead=ahead,
+            above=above,
         )
 
 
@@ -72,11 +79,24 @@ def kinetic_energy(states: FloatArray, inertia: FloatArray) -> float:
     return float(energy)
 
 
-def potential_energy(states: FloatArray, inertia: FloatArray, gravity: float) -> float:
-    """Return the potential energy of bodies, 0 at z = 0 [J]; see ``kinetic_energy``."""
+def potential_energy(
+    states: FloatArray,
+    inertia: FloatArray,
+    gravity: float,
+    ahead: float = 0.0,
+    above: float = 0.0,
+) -> float:
+    """Return the potential energy of bodies, 0 at z = 0 [J]; see ``kinetic_energy``.
+
+    ``ahead`` and ``above``: centre of mass of the first body in its own frame [m]; those of the
+    others lie at their positions.
+    """
     energy = 0.0
     for body in range(len(inertia)):
         energy += inertia[body, 0] * gravity * states[STATE * body + 1]
+    if ahead != 0.0 or above != 0.0:
+        raised = math.sin(states[2]) * ahead + math.cos(states[2]) * above
+        energy += inertia[0, 0] * gravity * raised
     return float(energy)
 
 

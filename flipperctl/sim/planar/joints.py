@@ -35,7 +35,7 @@ of the energy that pushed it there.
 
 def largest_impulse(robot: Robot) -> float:
     """Return the largest impulse of a hinge, and the largest cached impulse of a contact [N s]."""
-    return _IMPULSE_SPEED * (robot.chassis_mass + 2 * robot.flipper_mass)
+    return _IMPULSE_SPEED * robot.mass
 
 
 def join(

@@ -25,6 +25,7 @@ def _double(struct: str, *path: str) -> int:
 
 NORMAL = _double("cpArbiter", "n", "x")
 SURFACE = _double("cpArbiter", "surface_vr", "x")
+FRICTION = _double("cpArbiter", "u")
 CONTACTS = _double("cpArbiter", "contacts")
 COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
 NORMAL_IMPULSE = _double("struct cpContact", "jnAcc")
@@ -68,12 +69,14 @@ def _through_offsets(answers: dict[str, Any]) -> dict[str, Any]:
         answers.update(
             normal=(normal.x, normal.y),
             surface_velocity=(surface.x, surface.y),
+            friction=arbiter.friction,
             contacts=len(arbiter.contact_point_set.points),
             address=address(struct.contacts),
         )
         found.update(
             normal=tuple(doubles[NORMAL : NORMAL + 2].tolist()),
             surface_velocity=tuple(doubles[SURFACE : SURFACE + 2].tolist()),
+            friction=float(doubles[FRICTION]),
             contacts=int(counts[COUNT]),
             address=pointer,
         )
@@ -101,7 +104,7 @@ def _through_offsets(answers: dict[str, Any]) -> dict[str, Any]:
     body.position, body.velocity = (0.0, 0.05), (0.3, -0.1)
     shape = pymunk.Segment(body, (-1.0, 0.0), (1.0, 0.0), 0.1)
     ground = pymunk.Segment(space.static_body, (-5.0, -0.3), (5.0, 0.2), 0.0)
-    shape.friction = ground.friction = 1.0
+    shape.friction, ground.friction = 1.0, 0.75
     shape.collision_type = ground.collision_type = 1
     space.add(body, shape, ground)
     space.on_collision(1, 1, pre_solve=read, post_solve=pressed)

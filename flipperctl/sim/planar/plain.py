@@ -8,6 +8,7 @@ tangent, and it vanishes at a vertical face.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -32,6 +33,12 @@ class Belt(NamedTuple):
     """Speed of the belt's surface along the outline [m/s]."""
     largest: float
     """Largest impulse that a contact caches from one substep for the next [N s]."""
+    grip: float = math.inf
+    """Sum of the normal impulses of a substep up to which friction alone limits the belts [N s].
+
+    With more, the friction of the next substep is scaled down, so that all belts together push with
+    no more than their motors' force. A belt that is held by its load slips as one that lacks grip.
+    """
 
 
 class PlainLoop:
@@ -60,16 +67,24 @@ class PlainLoop:
         """Work of the servos since the start: in each sample the mean of the absolute torque times
         the angle by which the flipper turned, so that braking counts as driving does [J]."""
         self._gears = gears
+        self._grip, self._pressed = belt.grip, 0.0
+        self._share = 1.0
         self.drive(belt)
+
+    def forget(self) -> None:
+        """Forget the contacts of the last substep, before a run from another state."""
+        self._pressed = 0.0
 
     def drive(self, belt: Belt) -> None:
         """Give every contact between a track and the ground the velocity of the belt."""
-        speed, largest = belt
+        speed, largest, _ = belt
 
         # Chipmunk recomputes the surface velocity of an arbiter in each substep, after the
         # collision and before `pre_solve`, which therefore sets it every time.
         def pre_solve(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
             normal = arbiter.normal
+            if self._share < 1.0:
+                arbiter.friction *= self._share
             arbiter.surface_velocity = (-speed * normal.y, speed * normal.x)
             for contact in _contacts(arbiter):
                 if contact.jnAcc > largest:
@@ -79,6 +94,7 @@ class PlainLoop:
         def post_solve(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
             for contact in _contacts(arbiter):
                 self.work += speed * abs(contact.jtAcc)
+                self._pressed += contact.jnAcc
 
         self._space.on_collision(TRACK, GROUND, pre_solve=pre_solve, post_solve=post_solve)
 
@@ -95,6 +111,8 @@ class PlainLoop:
             self.work = 0.0
             impulses = [0.0] * len(self._gears)
             for _ in range(self._substeps):
+                self._share = self._grip / self._pressed if self._pressed > self._grip else 1.0
+                self._pressed = 0.0
                 step(dt)
                 for index, gear in enumerate(self._gears):
                     impulses[index] += gear.impulse
@@ -124,7 +142,8 @@ class PlainLoop:
             ]
         ).ravel()
         kinetic = kinetic_energy(states, self._inertia)
-        return kinetic, potential_energy(states, self._inertia, self._budget.gravity)
+        gravity, _, _, _, *centre = self._budget
+        return kinetic, potential_energy(states, self._inertia, gravity, *centre)
 
     def _balance(self, before: float) -> float:
         """Scale the velocities to remove excess energy; return the energy [J].
@@ -132,7 +151,7 @@ class PlainLoop:
         ``before``: energy after the sample before [J].
         """
         kinetic, potential = self._energies()
-        _, servos, belts, tolerance = self._budget
+        _, servos, belts, tolerance, *_ = self._budget
         supplied = servos + min(self.work, belts) + tolerance
         excess = kinetic + potential - (before + supplied)
         if excess <= 0.0:

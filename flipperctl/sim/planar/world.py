@@ -75,7 +75,7 @@ class PlanarWorld:
 
         centre = (start.x, height_at(start, profile, robot))
         half = robot.hinge_offset
-        self._chassis = self._add_part(robot.chassis_mass, centre, start.pitch, 2 * half)
+        self._chassis = self._add_chassis(centre, start.pitch, 2 * half)
         self._front, self._front_gear = self._add_flipper(half, start.front)
         self._rear, self._rear_gear = self._add_flipper(-half, start.rear)
         substeps = round(SAMPLE_PERIOD / sim.substep)
@@ -83,7 +83,7 @@ class PlanarWorld:
         self._loop = loop(
             space,
             (self._chassis, self._front, self._rear),
-            Belt(robot.track_speed, largest_impulse(robot)),
+            Belt(robot.track_speed, largest_impulse(robot), self._grip),
             Budget.of(robot, sim.gravity),
             sim.substep,
             substeps,
@@ -101,6 +101,21 @@ class PlanarWorld:
             segment.friction = self.sim.friction
             segment.collision_type = GROUND
         self.space.add(*segments)
+
+    @property
+    def _grip(self) -> float:
+        """Normal impulses of a substep from which the tracks' motors limit the belts [N s]."""
+        force = self.robot.track_force
+        return math.inf if force is None else force * self.sim.substep / self.sim.friction
+
+    def _add_chassis(self, centre: tuple[float, float], angle: float, axle: float) -> pymunk.Body:
+        robot = self.robot
+        body = self._add_part(robot.chassis_mass, centre, angle, axle)
+        if robot.payload:
+            body.mass, body.moment = robot.carried_mass, body.moment + sum(robot.load_inertia)
+            body.center_of_gravity = robot.centre_of_mass
+            body.position = centre  # Chipmunk keeps the place of the centre of mass
+        return body
 
     def _add_part(
         self, mass: float, centre: tuple[float, float], angle: float, axle: float
@@ -184,13 +199,15 @@ class PlanarWorld:
     def state(self) -> RobotState:
         """Return the current state."""
         chassis = self._chassis
-        pitch = chassis.angle
+        pitch, velocity = chassis.angle, chassis.velocity
+        if self.robot.payload:  # else the centre of mass is the chassis centre
+            velocity = chassis.velocity_at_local_point((0.0, 0.0))
         return RobotState(
             position=np.array(chassis.position),
             pitch=pitch,
             front=self._front.angle - pitch,
             rear=pitch - self._rear.angle,
-            velocity=np.array(chassis.velocity),
+            velocity=np.array(velocity),
             pitch_rate=chassis.angular_velocity,
             time=self._time,
         )
@@ -211,4 +228,7 @@ class PlanarWorld:
         """Restore a snapshot."""
         bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
         for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
-            body.position, body.angle, body.velocity, body.angular_velocity = pose
+            # The angle first, as the position depends on it if a load shifts the centre of mass.
+            position, body.angle, body.velocity, body.angular_velocity = pose
+            body.position = position
+        self._loop.forget()

@@ -1,0 +1,122 @@
+"""Finishes on the obstacle, and grounds that choose their own start and finish."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from flipperctl.api import Limits, Outcome, Profile, Robot, Terrain, registry, terrain
+from flipperctl.config import Episode
+from flipperctl.env.finish import finish_of
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.places import nearest_rest
+from flipperctl.errors import TerrainError
+
+HOLD = 4
+EXACT = {"start_noise": 0.0}
+RADIUS, HALF, CLEARANCE = 0.1, 0.28, 0.1
+ANGLE = math.radians(20)
+UP = Profile([(0.0, 0.0), (4.0, 4.0 * math.tan(ANGLE))])
+
+
+def test_the_finish_on_a_slope_is_as_high_as_a_robot_along_it() -> None:
+    finish = finish_of(UP, Robot(), Episode(run_out=-1.0))
+    assert finish.x == 3.0
+    assert finish.slope == pytest.approx(math.tan(ANGLE), abs=1e-4)
+    centre = 3.0 * math.tan(ANGLE) + RADIUS / math.cos(ANGLE)
+    assert finish.top == pytest.approx(centre + HALF * math.sin(ANGLE) + CLEARANCE, abs=1e-4)
+    assert finish.floor == finish.top  # the ground past the edge is higher
+    down = finish_of(Profile(UP.points * (1.0, -1.0)), Robot(), Episode(run_out=-1.0))
+    assert down.slope == pytest.approx(-math.tan(ANGLE), abs=1e-4)
+    assert down.floor == pytest.approx(-4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
+    level = finish_of(UP, Robot(), Episode())
+    assert level.x == 5.0
+    assert level.top == pytest.approx(4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
+    assert (level.slope, level.floor) == (0.0, -math.inf)
+
+
+def test_the_allowed_height_follows_the_slope_down_to_its_floor() -> None:
+    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=-0.5, floor=0.2)
+    assert not limits.reached(1.9, 0.0, 0.0)
+    assert limits.reached(3.0, 0.5, 0.0)
+    assert not limits.reached(3.0, 0.51, 0.0)
+    assert limits.reached(9.0, 0.2, 0.0)  # the line lies below the floor
+    assert not limits.reached(9.0, 0.21, 0.0)
+
+
+@pytest.mark.parametrize("sim", ["planar", "mujoco"])
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
+    ramp = {"name": "ramp", "direction": direction, "length_low": 2.0, "length_high": 2.0}
+    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    episode = {**EXACT, "run_up": -0.6, "run_out": -0.7}
+    env = FlipperEnv({**ramp, **slope}, sim=sim, episode=episode)
+    env.reset(seed=1)
+    ended = False
+    while not ended:
+        *_, ended, _, info = env.step(HOLD)
+    assert info["outcome"] is Outcome.REACHED
+    assert env.state.position[0] == pytest.approx(env.profile.end - 0.7, abs=0.01)
+    assert abs(env.state.pitch) == pytest.approx(ANGLE, abs=0.02)
+
+
+def test_a_robot_that_stands_up_has_not_reached_the_finish() -> None:
+    finish = finish_of(UP, Robot(), Episode(run_out=-1.0))
+    limits = Limits(angle=math.pi / 3, half=HALF, **finish._asdict())
+    height = 3.1 * math.tan(ANGLE) + RADIUS / math.cos(ANGLE)
+    assert limits.reached(3.1, height, ANGLE)
+    assert not limits.reached(3.1, height + 0.11, ANGLE)
+
+
+@pytest.mark.parametrize(
+    ("episode", "text"),
+    [
+        ({"run_out": -5.0}, r"the finish of 'step' lies 4\.00 m behind the start"),
+        ({"run_up": -2.0, "run_out": 1.5}, "starts past the finish"),
+    ],
+)
+def test_a_finish_before_the_start_is_named(episode: dict[str, float], text: str) -> None:
+    with pytest.raises(TerrainError, match=text):
+        FlipperEnv("step", episode={**EXACT, **episode}).reset(seed=0)
+
+
+def test_a_finish_where_no_robot_can_stand_is_named() -> None:
+    cliff = Profile([(0.0, 0.0), (3.0, 0.0), (3.0, -3.0), (6.0, -3.0)])
+    with pytest.raises(TerrainError, match=r"cannot stand 2\.95 m before the last edge"):
+        finish_of(cliff, Robot(), Episode(run_out=-2.95))
+    x, pose = nearest_rest(cliff, Robot(), 3.05, (0.0, 0.0), math.pi / 3)
+    assert pose is not None
+    assert x == pytest.approx(2.95)  # its centre of mass is not past the edge
+    own = Profile(cliff.points, run_out=-2.95)
+    assert finish_of(own, Robot(), Episode()).x == x
+
+
+@pytest.fixture
+def chosen() -> Iterator[str]:
+    """Register ground that starts and finishes on itself."""
+
+    @terrain("chosen")
+    class Chosen(Terrain):
+        """A slope of 4 m."""
+
+        run_up: float = -1.0
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return Profile(UP.points, run_up=self.run_up, run_out=-1.5)
+
+    yield "chosen"
+    del registry["terrain", "chosen"]
+
+
+def test_a_ground_chooses_its_start_and_finish(chosen: str) -> None:
+    env = FlipperEnv(chosen, episode=EXACT)
+    env.reset(seed=0)
+    assert env.state.position[0] == pytest.approx(1.0)
+    assert env.state.pitch == pytest.approx(ANGLE, abs=1e-4)
+    assert env.scene.start == 1.0
+    assert env.drive.termination.finish == 2.5
+    with pytest.raises(TerrainError, match=r"run_up is -7 m; -4 m to 10 m is allowed"):
+        FlipperEnv({"name": chosen, "run_up": -7.0}).reset(seed=0)
+    with pytest.raises(ValueError, match="run_out is a finite number"):
+        Profile(UP.points, run_out=math.nan)
