@@ -8,6 +8,7 @@ modulo the size of the window, and a point of another place that falls there emp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
+
+_BESIDE = 6
+"""Cells before and behind with which a cell is compared: 15 cm, wider than most shadows [-]."""
+_RANK = 4
+"""The usual number of points is that of the fourth fullest of these: vertical faces, which receive
+far more than level ground, fill up to three cells [-]."""
+_SPARSE = 0.1
+"""Fraction of the usual number of points below which a cell is sparse [-]."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +76,47 @@ class Cells:
         self._count[used] += counts
         self._seen_at[used] = way
 
+    def clear_above(
+        self, ceilings: Callable[[FloatArray], FloatArray], x: float, y: float, margin: float
+    ) -> None:
+        """Forget the points that lie more than ``margin`` above their ``ceilings`` [m].
+
+        ``ceilings`` returns heights for points (Q, 3) in frame M, (Q,) [m].
+        """
+        reach = (-self._ahead, self._ahead)
+        slots = self._near(x, y, 0.0, reach, self._beside)
+        middle = (self._place[slots] + 0.5) * (self._grid.cell, self._grid.lane)
+        above = ceilings(middle) + margin
+        highest = np.fmax.reduce(self._heights(slots), axis=1)
+        slots = slots[highest > above]
+        rows, places = np.nonzero(np.isfinite(self._heights(slots)))
+        found = self._points[slots[rows], places].astype(np.float64)
+        gone = found[:, 2] > ceilings(found) + margin
+        self._points[slots[rows[gone]], places[gone]] = np.nan
+
+    def _heights(self, slots: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the heights of the points of the cells, (S, keep) [m]; NaN where none is."""
+        filled = np.arange(self._grid.keep) < self._count[slots, None]
+        return np.where(filled, self._points[slots, :, 2], np.float32(np.nan))
+
     def around(
-        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
+        self,
+        x: float,
+        y: float,
+        yaw: float,
+        reach: tuple[float, float],
+        side: float,
+        dense: bool = False,
     ) -> FloatArray:
         """Return the points near the robot at (x, y) with this heading, (P, 3) [m].
 
         They are level, with x along the heading from the robot, y to its left and z as in frame M.
-        Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned.
+        Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned;
+        ``dense``: without those of cells that have few for their neighbours.
         """
         slots = self._near(x, y, yaw, reach, side)
+        if dense:
+            slots = slots[~self._sparse(x)[slots]]
         filled = np.arange(self._grid.keep) < self._count[slots, None]
         found = self._points[slots][filled].astype(np.float64)
         level = np.column_stack([*_turned(found[:, 0] - x, found[:, 1] - y, yaw), found[:, 2]])
@@ -83,6 +124,23 @@ class Cells:
             (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
         )
         return np.asarray(level[inside])
+
+    def _sparse(self, x: float) -> NDArray[np.bool_]:
+        """Return which cells have received few points for their neighbours along x, (S,).
+
+        The robot is at ``x`` [m]. Mixed returns leave such cells in the shadow of an edge.
+        """
+        rows, lanes = self._shape
+        wanted = math.floor(x / self._grid.cell) - rows // 2 + np.arange(rows)
+        order = wanted % rows
+        held = self._place[:, 0].reshape(rows, lanes)[order] == wanted[:, None]
+        count = np.where(held, self._count.reshape(rows, lanes)[order], 0)
+        padded = np.pad(count, ((_BESIDE, _BESIDE), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _BESIDE + 1, axis=0)
+        usual = np.partition(around, -_RANK, axis=2)[:, :, -_RANK]
+        found = np.empty((rows, lanes), np.bool_)
+        found[order] = count < _SPARSE * usual
+        return found.ravel()
 
     def seen_at(
         self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float

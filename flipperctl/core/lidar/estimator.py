@@ -218,6 +218,9 @@ class LidarEstimator:
             points[:, 2] -= error
         self._pose = pose
         self._trail.begin(time, pose)
+        lidar = attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
+        origin = lidar + (pose.x, pose.y, pose.z)
+        self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y)
 
     def _levelled(self, scan: Scan, time: float) -> FloatArray:
