@@ -218,8 +218,8 @@ class LidarEstimator:
             points[:, 2] -= error
         self._pose = pose
         self._trail.begin(time, pose)
-        lidar = attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
-        origin = lidar + (pose.x, pose.y, pose.z)
+        origin = np.array([pose.x, pose.y, pose.z])
+        origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
         self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y)
 

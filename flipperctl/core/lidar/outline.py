@@ -143,12 +143,14 @@ def _face(
     """
     low, high = float(found.low[first : last + 1].min()), float(found.high[first : last + 1].max())
     middle = (low + high) / 2
-    if before is None and after is None:
-        before, after = low, high
-    elif before is None or after is None:
-        if (before is None and after <= middle) or (after is None and before > middle):
+    if before is None:
+        if after is not None and after <= middle:
             return []
-        before, after = (low, after) if before is None else (before, high)
+        before = low
+    if after is None:
+        if before > middle:
+            return []
+        after = high
     if abs(after - before) <= (high - low) / 2:  # a narrow ridge or trench, or an oblique edge
         run = slice(first, last + 1)
         return list(zip(found.x[run].tolist(), found.median[run].tolist(), strict=True))

@@ -51,3 +51,13 @@ def test_a_snapshot_is_left_alone_by_later_points() -> None:
         cells.add(point(0.0, 5.0), 0.0, 0.0)
     cells.load(saved)
     assert heights(cells, 0.0) == [1.0]
+
+
+def test_cells_with_few_points_beside_full_ones_are_left_out_on_request() -> None:
+    cells = Cells(Grid(cell=0.1, lane=0.1, keep=32), 2.0, 1.0)
+    for x, count in ((-0.15, 30), (-0.05, 30), (0.05, 30), (0.15, 30), (0.25, 2), (1.55, 2)):
+        cells.add(np.repeat(point(x, 0.0), count, axis=0), 0.0, 0.0)
+    found = cells.around(0.0, 0.0, 0.0, (-2.0, 2.0), 0.5, dense=True)
+    assert len(found) == 122  # few points far from others are all that is known there
+    assert not np.isclose(found[:, 0], 0.25).any()
+    assert len(cells.around(0.0, 0.0, 0.0, (-2.0, 2.0), 0.5)) == 124
