@@ -100,7 +100,7 @@ def _scan(scan: Scan) -> Scan:
         kept &= np.isfinite(each)
     if kept.all():
         return replace(scan, **arrays)
-    return replace(scan, **{name: each[kept] for name, each in arrays.items()})
+    return replace(scan, **{name: each.compress(kept, axis=0) for name, each in arrays.items()})
 
 
 def thinned(scan: Scan, most: int) -> Scan:

@@ -85,7 +85,8 @@ class ScanMatcher:
         ``points`` (P, 3) of the scan are relative to the robot, in the directions of frame M [m].
         ``guess`` is the position by odometry, and ``facing`` (3,) the direction of the chassis.
         """
-        near = points[np.einsum("ij,ij->i", points, points) < _FAR**2]
+        x, y, z = points.T
+        near = points.compress(x * x + y * y + z * z < _FAR**2, axis=0)
         near = near[:: 1 + len(near) // _MOST]
         if len(near) < _FEWEST:
             self._latest = guess
@@ -130,7 +131,8 @@ class ScanMatcher:
             if close.sum() < _FEWEST:
                 return guess, 0.0
             pairs = np.asarray(pairs)[close]
-            step = _step(level[close], placed[close], target, pairs, off, likely)
+            level, placed = (where.compress(close, axis=0) for where in (level, placed))
+            step = _step(level, placed, target, pairs, off, likely)
             off = off + step
             likely[:2] = _JITTER + _SLIP * way + _SINKING * abs(off[2])
             if np.linalg.norm(step[:3]) < _ENOUGH:
@@ -170,8 +172,9 @@ def _step(
     indices of the points whose planes they are matched to; ``off`` (4,): the correction so far;
     ``likely`` (4,): its standard deviations by odometry.
     """
-    normals = target.normals[pairs]
-    away = np.einsum("ij,ij->i", normals, placed - target.points[pairs])
+    normals = target.normals.take(pairs, axis=0)
+    apart = placed - target.points.take(pairs, axis=0)
+    away = np.einsum("ij,ij->i", normals, apart)
     turning = normals[:, 1] * level[:, 0] - normals[:, 0] * level[:, 1]
     slopes = np.column_stack([normals, turning])  # (P, 4) of the distances to the planes
     weights = 1.0 / np.maximum(1.0, np.abs(away) / _ERROR) / (_ERROR**2 * _SHARED)  # Huber's

@@ -87,7 +87,7 @@ class Scanner(Instrument):
     def _scan(self, true: FloatArray, ages: FloatArray | None, rng: np.random.Generator) -> Scan:
         measured, returned = self._returns.measured(true, rng)
         returned &= (true >= self._near) & (true <= self._reach)
-        points = self._rays[returned] * measured[returned, None]
+        points = self._rays.compress(returned, axis=0) * measured[returned, None]
         return Scan(points, None if ages is None else ages[returned])
 
     def save(self) -> Any:
