@@ -56,17 +56,23 @@ class Body:
         self, points: FloatArray, front: float, rear: float, margin: float
     ) -> NDArray[np.bool_]:
         """Return which ``points`` (P, 3) [m] lie within the robot or closer than ``margin``."""
+        found = np.zeros(len(points), np.bool_)
+        reach = self.chassis_length / 2 + self.flipper_length + margin
+        near = np.abs(points[:, 1]) <= self.overall_width / 2 + margin
+        near &= (np.abs(points[:, 0]) <= reach) & (np.abs(points[:, 2]) <= reach)
+        points = points.compress(near, axis=0)
         inside = np.zeros(len(points), np.bool_)
-        side = np.abs(points[:, 1])
+        side, level = np.abs(points[:, 1]), np.ascontiguousarray(points[:, [0, 2]])
         for box in self._boxes(front, rear):
-            along, above = _turned(points[:, [0, 2]] - (box.x, box.z), box.tilt)
+            along, above = _turned(level - (box.x, box.z), box.tilt)
             inside |= (
                 (np.abs(along) <= box.half_length + margin)
                 & (np.abs(above) <= self.track_radius + margin)
                 & (side <= box.outer + margin)
                 & (side >= box.inner - margin)
             )
-        return inside
+        found[near] = inside
+        return found
 
     def distances(
         self, origin: FloatArray, directions: FloatArray, front: float, rear: float

@@ -7,7 +7,9 @@ none is left; or ``PerceptionError`` if it is malformed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,10 +59,17 @@ def checked(time: object, value: object) -> Moment | None:
         return None
     if isinstance(value, Scan):
         return Moment(at, _scan(value))
-    numbers = {f.name: number(getattr(value, f.name), f.name) for f in fields(value)}
-    if all(abs(n) <= _LARGEST.get(name, _LARGEST_ANGLE) for name, n in numbers.items()):
+    limits = _limits(type(value))
+    numbers = {name: number(getattr(value, name), name) for name in limits}
+    if all(abs(n) <= most for n, most in zip(numbers.values(), limits.values(), strict=True)):
         return Moment(at, type(value)(**numbers))
     return None
+
+
+@cache
+def _limits(kind: type[Pose | Joints | Inertial | Belts]) -> Mapping[str, float]:
+    """Return the largest number of each field of a message."""
+    return {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
 
 
 def number(value: object, name: str) -> float:
