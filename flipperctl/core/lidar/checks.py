@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,11 @@ _LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
 """Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
 _LARGEST_ANGLE = 1e4
 """Largest angle; headings may count turns [rad]."""
+_LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = {
+    kind: {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
+    for kind in (Inertial, Belts, Joints, Pose)
+}
+"""The largest number of each field of a message, by its class."""
 _LARGEST_TIME = 1e12
 """Largest time, in either direction; clocks may count from 1970 [s]."""
 _FARTHEST = 1e3
@@ -59,17 +63,12 @@ def checked(time: object, value: object) -> Moment | None:
         return None
     if isinstance(value, Scan):
         return Moment(at, _scan(value))
-    limits = _limits(type(value))
-    numbers = {name: number(getattr(value, name), name) for name in limits}
-    if all(abs(n) <= most for n, most in zip(numbers.values(), limits.values(), strict=True)):
-        return Moment(at, type(value)(**numbers))
+    for kind, limits in _LIMITS.items():
+        if isinstance(value, kind):
+            numbers = {name: number(getattr(value, name), name) for name in limits}
+            within = all(abs(numbers[name]) <= most for name, most in limits.items())
+            return Moment(at, kind(**numbers)) if within else None
     return None
-
-
-@cache
-def _limits(kind: type[Pose | Joints | Inertial | Belts]) -> Mapping[str, float]:
-    """Return the largest number of each field of a message."""
-    return {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
 
 
 def number(value: object, name: str) -> float:

@@ -98,9 +98,7 @@ class Returns:
         none_below = errors.grazing - errors.grazing_width / 2 - 1e-9
         (grazing,) = np.nonzero(tangent > math.tan(max(0.0, none_below)))
         incidence = np.arctan(tangent[grazing])
-        lost[grazing] = np.clip(
-            0.5 + (incidence - errors.grazing) / errors.grazing_width, 0.0, 1.0
-        )
+        lost[grazing] = np.clip(0.5 + (incidence - errors.grazing) / errors.grazing_width, 0.0, 1.0)
         return lost
 
     def _sides(self, true: FloatArray) -> list[_Neighbours]:
