@@ -24,6 +24,8 @@ _RANK = 4
 far more than level ground, fill up to three cells [-]."""
 _SPARSE = 0.1
 """Fraction of the usual number of points below which a cell is sparse [-]."""
+_EDGE = 1e-3
+"""Rounded points lie so far from their lane at most, in its widths [-]."""
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,13 @@ class Cells:
         Points outside the window are dropped. ``way``: what the robot has moved so far [m].
         """
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
-        points = points[near]
+        points = points.compress(near, axis=0)
         if not len(points):
             return
         place = self._places(points)
         slot = self._slots(place)
         order = np.argsort(slot, kind="stable")
-        points, place, slot = points[order], place[order], slot[order]
+        points, place, slot = points.take(order, axis=0), place.take(order, axis=0), slot[order]
         first = np.flatnonzero(np.concatenate([[True], slot[1:] != slot[:-1]]))
         used, counts = slot[first], np.diff(np.append(first, len(slot)))
         moved = (self._place[used] != place[first]).any(axis=1)
@@ -117,13 +119,13 @@ class Cells:
         slots = self._near(x, y, yaw, reach, side)
         if dense:
             slots = slots[~self._sparse(x)[slots]]
-        filled = np.arange(self._grid.keep) < self._count[slots, None]
-        found = self._points[slots][filled].astype(np.float64)
-        level = np.column_stack([*_turned(found[:, 0] - x, found[:, 1] - y, yaw), found[:, 2]])
-        inside = (
-            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
-        )
-        return np.asarray(level[inside])
+        keep = self._grid.keep
+        filled = np.arange(keep) < self._count[slots, None]
+        index = (keep * slots[:, None] + np.arange(keep))[filled]
+        found = self._points.reshape(-1, 3).take(index, axis=0).astype(np.float64)
+        along, beside = _turned(found[:, 0] - x, found[:, 1] - y, yaw)
+        inside = (along >= reach[0]) & (along < reach[1]) & (np.abs(beside) <= side)
+        return np.column_stack([along[inside], beside[inside], found[inside, 2]])
 
     def _sparse(self, x: float) -> NDArray[np.bool_]:
         """Return which cells have received few points for their neighbours along x, (S,).
@@ -169,6 +171,10 @@ class Cells:
         wanted = np.arange(low, high + 1)[: self._shape[0]]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
+        across = [(u * sin + v * cos) for u in reach for v in (-side, side)]
+        lane = self._place[slots, 1]
+        held &= lane >= math.floor((y + min(across)) / grid.lane - _EDGE)
+        held &= lane <= math.floor((y + max(across)) / grid.lane + _EDGE)
         return np.asarray(slots[held])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:

@@ -139,7 +139,8 @@ class GroundSeen:
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
         strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
-        scanned = np.column_stack([along[strip], beside[strip], points[strip, 2]])
+        (near,) = np.nonzero(strip)
+        scanned = np.column_stack([along[near], beside[near], points[near, 2]])
         counts = np.bincount(np.floor(scanned[:, 0] / s.grid.cell).astype(np.int64))
         if np.count_nonzero(counts >= s.fewest) < _FEWEST_COLUMNS:  # as of a sector to the side
             return 0.0

@@ -66,7 +66,7 @@ class Sorted:
     def where(self, chosen: Callable[[FloatArray], NDArray[np.bool_]]) -> Sorted:
         """Return the points for which ``chosen`` is true."""
         kept = chosen(self.points)
-        return Sorted(self.number[kept], self.points[kept])
+        return Sorted(self.number[kept], self.points.compress(kept, axis=0))
 
 
 def sorted_points(points: FloatArray, cell: float) -> Sorted:
@@ -80,7 +80,7 @@ def sorted_points(points: FloatArray, cell: float) -> Sorted:
         order = np.sort((key << _INDEX) + np.arange(len(points))) & ((1 << _INDEX) - 1)
     else:
         order = np.lexsort((points[:, 2], number))
-    return Sorted(number[order], points[order])
+    return Sorted(number[order], points.take(order, axis=0))
 
 
 def columns(found: Sorted, cell: float, fewest: int) -> Columns:
