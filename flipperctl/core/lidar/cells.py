@@ -48,7 +48,7 @@ class Cells:
         self._grid, self._ahead, self._beside = grid, ahead, beside
         self._shape = 2 * math.ceil(ahead / grid.cell) + 1, 2 * math.ceil(beside / grid.lane) + 1
         rows, lanes = self._shape
-        self._points = np.zeros((rows * lanes, grid.keep, 3), np.float32)
+        self._points = np.full((rows * lanes, grid.keep, 3), np.nan, np.float32)
         self._count = np.zeros(rows * lanes, np.int64)  # points that the cell has received
         self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
         self._seen_at = np.zeros(rows * lanes)  # way of the robot at the newest point [m]
@@ -70,6 +70,7 @@ class Cells:
         used, counts = slot[first], np.diff(np.append(first, len(slot)))
         moved = (self._place[used] != place[first]).any(axis=1)
         self._count[used[moved]] = 0
+        self._points[used[moved]] = np.nan
         self._place[used] = place[first]
         rank = np.arange(len(slot)) - np.repeat(first, counts)
         newest = rank >= np.repeat(counts, counts) - self._grid.keep
@@ -89,17 +90,15 @@ class Cells:
         slots = self._near(x, y, 0.0, reach, self._beside)
         middle = (self._place[slots] + 0.5) * (self._grid.cell, self._grid.lane)
         above = ceilings(middle) + margin
-        highest = np.fmax.reduce(self._heights(slots), axis=1)
-        slots = slots[highest > above]
-        rows, places = np.nonzero(np.isfinite(self._heights(slots)))
+        passed = np.isfinite(above)
+        slots, above = slots[passed], above[passed]
+        heights = self._points[slots, :, 2]
+        some = np.fmax.reduce(heights, axis=1) > above
+        slots, heights = slots[some], heights[some]
+        rows, places = np.nonzero(np.isfinite(heights))
         found = self._points[slots[rows], places].astype(np.float64)
         gone = found[:, 2] > ceilings(found) + margin
         self._points[slots[rows[gone]], places[gone]] = np.nan
-
-    def _heights(self, slots: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the heights of the points of the cells, (S, keep) [m]; NaN where none is."""
-        filled = np.arange(self._grid.keep) < self._count[slots, None]
-        return np.where(filled, self._points[slots, :, 2], np.float32(np.nan))
 
     def around(
         self,
