@@ -92,4 +92,4 @@ def test_a_robot_that_was_lifted_has_not_moved_along_a_slope() -> None:
     lifted = ground - [0.0, 0.0, 0.02]
     found, _ = matcher.corrected(lifted, np.array([0.02, 0.0, 0.002]), AHEAD)
     assert found[2] == pytest.approx(0.022, abs=0.003)
-    assert found[0] == pytest.approx(0.02, abs=0.008)
+    assert found[0] == pytest.approx(0.02, abs=0.012)
