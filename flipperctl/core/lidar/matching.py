@@ -45,7 +45,8 @@ _ERROR, _SHARED = 0.02, 10.0
 """Deviation of a point from its plane [m], and points that err alike [-]."""
 _SLIP, _STEEP, _JITTER, _TURN = 0.05, 0.5, 0.001, 2e-4
 """Deviation of the guess: per way, per way and sine of the pitch [-], since belts hardly slip on
-level ground; of any scan [m], and of the turn between two scans [rad]."""
+level ground; of any scan [m], and of the turn between two scans [rad]. Larger corrections are
+weighted as outliers: belts that do slip may slip wholly."""
 _SINKING, _LIFTED = 2.0, 0.7
 """Deviations of the guess along the ground and upwards, per error of its height: belts slip where
 the robot tips over an edge or sinks with its flippers, and both show in its height. Without the
@@ -145,7 +146,8 @@ class ScanMatcher:
             level, placed = (where.compress(close, axis=0) for where in (level, placed))
             step = _step(level, placed, target, pairs, off, likely)
             off = off + step
-            likely[:3] = usual + np.array([_SINKING, _SINKING, _LIFTED]) * abs(off[2])
+            slipped = np.sqrt(usual * np.maximum(usual, np.abs(off[:3])))  # Huber's weights
+            likely[:3] = slipped + np.array([_SINKING, _SINKING, _LIFTED]) * abs(off[2])
             if np.linalg.norm(step[:3]) < _ENOUGH:
                 break
         if not np.linalg.norm(off[:3]) <= _LARGEST:
