@@ -18,6 +18,7 @@ HELP = """Measure flipperctl against its limits and another learner, in a clone 
 
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of the substep;
 [bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
+[bold]lidar[/] episodes with a simulated LiDAR, by odometry and number of rays;
 [bold]updates[/] against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes succeed,
 also against it; [bold]startup[/] of each command; [bold]discovery[/] of installed plugins.
 Contestants run in turn; medians with quartiles.

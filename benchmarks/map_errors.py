@@ -4,8 +4,9 @@
 
 ``okada`` drives with the LiDAR (OVERRIDE: its settings, ``perception.pose=matched`` by default), in
 the engine of the side plane, so that nothing but perception differs. From the errors of the heights
-in bins that were seen, ``perception.map_error``, ``map_length`` and ``map_drift`` are estimated,
-the last one corrected by driving with the model once. Then ``okada`` drives again on other episodes
+in bins that were seen, ``perception.map_error``, ``map_length`` and ``map_drift`` are estimated; by
+driving with the model once, ``map_drift`` is corrected and ``map_jitter`` takes the part of it
+that changes from decision to decision. Then ``okada`` drives again on other episodes
 with the LiDAR and with the model. The output shows the distributions and autocorrelations of both,
 and θ̂_R of ``okada`` and the generalist on the true ground, with the LiDAR and with the model.
 """
@@ -133,6 +134,28 @@ def scale(recorded: Sequence[Errors], modelled: Sequence[Errors]) -> float:
     return math.sqrt(excess[0] / excess[1]) if excess[1] else 1.0
 
 
+def with_jitter(
+    size: MapErrorSize, recorded: Sequence[Errors], modelled: Sequence[Errors]
+) -> MapErrorSize:
+    """Return the parameters with a displacement that is drawn anew at each decision.
+
+    ``modelled``: errors of the model with ``size``, which has none. It takes the part of the errors
+    on sloped ground that the recorded ones, whose correlation from one decision to the next is
+    smaller, do not keep.
+    """
+    now, kept = (
+        correlation_in_time([e.sloped() for e in kind], 1) for kind in (recorded, modelled)
+    )
+    share = min(1.0, max(0.0, now / kept))
+    level = np.concatenate([e.level().ravel() for e in recorded])
+    sloped = np.concatenate([e.sloped().ravel() for e in recorded])
+    slopes = np.concatenate([e.slopes.ravel() for e in recorded])[~np.isnan(sloped)]
+    excess = max(0.0, float(np.nanmean(sloped**2) - np.nanmean(level**2)))
+    jitter = math.sqrt((1 - share) * excess / float(np.mean(slopes**2)))
+    drift = size.drift * scale(recorded, modelled) * math.sqrt(share)
+    return replace(size, drift=drift, jitter=jitter)
+
+
 def _mean_variance(ratio: float) -> float:
     """Return the variance of the process's mean over a bin; ``ratio``: its width by the length."""
     return 2 / ratio**2 * (ratio - 1 + math.exp(-ratio))
@@ -184,7 +207,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     recorded = _record(lidar, chosen.seed + FITTED)
     size = fit(recorded)
     modelled = _record([*common, *_words(size)], chosen.seed + FITTED)
-    size = replace(size, drift=size.drift * scale(recorded, modelled))
+    size = with_jitter(size, recorded, modelled)
+    modelled = _record([*common, *_words(size)], chosen.seed + FITTED)
+    factor = scale(recorded, modelled)
+    size = replace(size, drift=size.drift * factor, jitter=size.jitter * factor)
     print(*_words(size), flush=True)
     model = [*common, *_words(size)]
     seed = chosen.seed + COMPARED
@@ -202,6 +228,7 @@ def _words(size: MapErrorSize) -> list[str]:
         f"perception.map_error={size.height:.4f}",
         f"perception.map_length={size.length:.3f}",
         f"perception.map_drift={size.drift:.4f}",
+        f"perception.map_jitter={size.jitter:.4f}",
         "perception.occlusion=true",
     ]
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from flipperctl.bench.settings import COMMON_SMALL, Bench, CommonSettings, Suite
 
 MEASURES = (
-    *("physics", "accuracy", "lookahead", "updates"),
+    *("physics", "accuracy", "lookahead", "lidar", "updates"),
     *("solve", "startup", "discovery"),
 )
 FAMILIES = (
@@ -49,8 +49,8 @@ class BenchmarkSettings(CommonSettings):
         4,
         ge=1,
         le=1000,
-        description="physics: episodes per round; lookahead: episodes per terrain and controller "
-        "whose decisions are predicted [-]",
+        description="physics, lidar: episodes per round; lookahead: episodes per terrain and "
+        "controller whose decisions are predicted [-]",
     )
     starts: int = Field(
         20, ge=1, le=10_000, description="accuracy: starts per scene, episodes per terrain [-]"

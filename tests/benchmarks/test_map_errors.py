@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from benchmarks.map_errors import Errors, correlation_along, correlation_in_time, fit, scale
-from flipperctl.sim.planar.map_errors import NEAREST, correlated
+from benchmarks.map_errors import (
+    Errors,
+    correlation_along,
+    correlation_in_time,
+    fit,
+    scale,
+    with_jitter,
+)
+from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize, correlated
 
 WIDTH = 0.15
 
@@ -46,3 +53,15 @@ def test_ground_that_was_not_seen_does_not_count() -> None:
     error = np.array([[1.0, np.nan, 2.0, 4.0], [1.0, 7.0, np.nan, 4.0]])
     assert correlation_along([error], 3) == 1.0  # (1, 4) twice: proportional
     assert correlation_in_time([error[:, [0, 1, 2, 3]]], 1) == 1.0  # (1, 1) and (4, 4)
+
+
+def test_errors_that_change_with_each_decision_become_jitter() -> None:
+    rng = np.random.default_rng(6)
+    place = np.tile(0.5 * WIDTH * (np.arange(15) - 7), (4000, 1))
+    stays = np.repeat(rng.standard_normal((40, 15)), 100, axis=0)
+    kept = Errors(0.02 * 0.5 * stays, place, WIDTH)
+    both = Errors(kept.error + 0.02 * 0.5 * rng.standard_normal((4000, 1)), place, WIDTH)
+    exact = level(1e-9, 0.25)
+    found = with_jitter(MapErrorSize(0.0, 1.0, 0.05), [both, exact], [kept, exact])
+    assert found.jitter == pytest.approx(0.02, rel=0.1)
+    assert found.drift == pytest.approx(0.05, rel=0.1)  # half of twice the variance

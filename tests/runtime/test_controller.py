@@ -74,7 +74,7 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
         perception = {"name": "lidar", "pose": "belts", "azimuths": 60}
         env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
         policy = PolicySource(file).build(env.config)
-        driven = islice(decisions(env, policy, 7), 12)
+        driven = islice(decisions(env, policy, 8), 12)
         actions = [ACTIONS.index(d.transition.action) for d in driven]
     controller = FlipperController(file, limits=RELAXED)
     kinds = {Scan: "cloud", Inertial: "attitude", Joints: "joints", Belts: "odometry"}

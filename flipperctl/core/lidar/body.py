@@ -7,7 +7,7 @@ far the rays reach. Chassis and flippers are boxes as long as the tracks, round 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -56,17 +56,23 @@ class Body:
         self, points: FloatArray, front: float, rear: float, margin: float
     ) -> NDArray[np.bool_]:
         """Return which ``points`` (P, 3) [m] lie within the robot or closer than ``margin``."""
+        found = np.zeros(len(points), np.bool_)
+        reach = self.chassis_length / 2 + self.flipper_length + margin
+        near = np.abs(points[:, 1]) <= self.overall_width / 2 + margin
+        near &= (np.abs(points[:, 0]) <= reach) & (np.abs(points[:, 2]) <= reach)
+        points = points.compress(near, axis=0)
         inside = np.zeros(len(points), np.bool_)
-        side = np.abs(points[:, 1])
+        side, level = np.abs(points[:, 1]), np.ascontiguousarray(points[:, [0, 2]])
         for box in self._boxes(front, rear):
-            along, above = _turned(points[:, [0, 2]] - (box.x, box.z), box.tilt)
+            along, above = _turned(level - (box.x, box.z), box.tilt)
             inside |= (
                 (np.abs(along) <= box.half_length + margin)
                 & (np.abs(above) <= self.track_radius + margin)
                 & (side <= box.outer + margin)
                 & (side >= box.inner - margin)
             )
-        return inside
+        found[near] = inside
+        return found
 
     def distances(
         self, origin: FloatArray, directions: FloatArray, front: float, rear: float
@@ -75,24 +81,39 @@ class Body:
 
         It is infinite for rays that miss it; ``directions`` are (R, 3) unit vectors in frame R.
         """
+        return np.minimum(
+            self.distances_to_chassis(origin, directions),
+            self.distances_to_flippers(origin, directions, front, rear),
+        )
+
+    def distances_to_chassis(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return the distances to the chassis alone, (R,), as ``distances`` does [m]."""
+        return self._nearest(origin, directions, [self._chassis()])
+
+    def distances_to_flippers(
+        self, origin: FloatArray, directions: FloatArray, front: float, rear: float
+    ) -> FloatArray:
+        """Return the distances to the flippers alone, (R,), as ``distances`` does [m]."""
+        return self._nearest(origin, directions, self._flippers(front, rear))
+
+    def may_hit_flippers(self, origin: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
+        """Return along which directions a flipper can be hit, at whatever angles, (R,)."""
+        length = self.flipper_length - self.track_radius  # from the hinge, without its round end
+        farthest = 1e-6 + math.hypot(length, self.track_radius)
+        around = [box._replace(half_length=farthest) for box in self._hinges()]
+        found = np.zeros(len(directions), np.bool_)
+        for enter, leave in _crossed(origin, directions, around, farthest):
+            found |= (enter <= leave) & (leave >= 0)
+        return found
+
+    def _nearest(
+        self, origin: FloatArray, directions: FloatArray, boxes: Iterable[_Box]
+    ) -> FloatArray:
+        """Return the distances to the nearest of the boxes, (R,), infinite without a hit [m]."""
         nearest = np.full(len(directions), np.inf)
-        middle = origin[1] == 0.0  # both sides of the robot are then equal
-        beside = np.abs(directions[:, 1]) if middle else directions[:, 1]
-        for box in self._boxes(front, rear):
-            begin = _turned(origin[None, [0, 2]] - (box.x, box.z), box.tilt)
-            along, above = _turned(directions[:, [0, 2]], box.tilt)
-            spans = [
-                _span(begin[0][0], along, -box.half_length, box.half_length),
-                _span(begin[1][0], above, -self.track_radius, self.track_radius),
-            ]
-            sides = ((box.inner, box.outer), (-box.outer, -box.inner))
-            whole = ((-box.outer, box.outer),)
-            for low, high in whole if box.inner <= 0 else sides[:1] if middle else sides:
-                both = [*spans, _span(float(origin[1]), beside, low, high)]
-                enter = np.maximum.reduce([s for s, _ in both])
-                leave = np.minimum.reduce([s for _, s in both])
-                hit = (enter <= leave) & (enter > 0)
-                nearest[hit] = np.minimum(nearest[hit], enter[hit])
+        for enter, leave in _crossed(origin, directions, boxes, self.track_radius):
+            hit = (enter <= leave) & (enter > 0)
+            nearest[hit] = np.minimum(nearest[hit], enter[hit])
         return nearest
 
     def circles(self, pitch: float, front: float, rear: float) -> FloatArray:
@@ -110,14 +131,50 @@ class Body:
         cos, sin = math.cos(pitch), math.sin(pitch)
         return np.asarray(np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]]))
 
-    def _boxes(self, front: float, rear: float) -> Iterator[_Box]:
+    def _chassis(self) -> _Box:
+        return _Box(0.0, 0.0, self.chassis_length / 2, 0.0, self.chassis_width / 2, 0.0)
+
+    def _hinges(self) -> tuple[_Box, _Box]:
+        """Return level boxes that end at the flippers' hinges, front and rear."""
         inner, outer = self.chassis_width / 2, self.overall_width / 2
-        yield _Box(0.0, 0.0, self.chassis_length / 2, 0.0, inner, 0.0)
         hinge = self.chassis_length / 2 - self.track_radius
+        front = _Box(hinge, 0.0, self.flipper_length / 2, inner, outer, 0.0)
+        return front, front._replace(x=-hinge)
+
+    def _flippers(self, front: float, rear: float) -> Iterator[_Box]:
         middle = self.flipper_length / 2 - self.track_radius  # from the hinge [m]
-        for angle, ahead in ((front, 1.0), (rear, -1.0)):
-            x, z = ahead * (hinge + middle * math.cos(angle)), middle * math.sin(angle)
-            yield _Box(x, z, self.flipper_length / 2, inner, outer, ahead * angle)
+        for hinge, angle, ahead in zip(self._hinges(), (front, rear), (1.0, -1.0), strict=True):
+            x, z = hinge.x + ahead * middle * math.cos(angle), middle * math.sin(angle)
+            yield hinge._replace(x=x, z=z, tilt=ahead * angle)
+
+    def _boxes(self, front: float, rear: float) -> Iterator[_Box]:
+        yield self._chassis()
+        yield from self._flippers(front, rear)
+
+
+def _crossed(
+    origin: FloatArray, directions: FloatArray, boxes: Iterable[_Box], half_height: float
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield where lines along ``directions`` (R, 3) enter and leave each box, each (R,) [m].
+
+    A line that enters behind where it leaves misses the box. Boxes beside the robot's middle plane
+    stand on both sides of it.
+    """
+    middle = origin[1] == 0.0  # both sides of the robot are then equal
+    beside = np.abs(directions[:, 1]) if middle else directions[:, 1]
+    for box in boxes:
+        begin = _turned(origin[None, [0, 2]] - (box.x, box.z), box.tilt)
+        along, above = _turned(directions[:, [0, 2]], box.tilt)
+        spans = [
+            _span(begin[0][0], along, -box.half_length, box.half_length),
+            _span(begin[1][0], above, -half_height, half_height),
+        ]
+        sides = ((box.inner, box.outer), (-box.outer, -box.inner))
+        whole = ((-box.outer, box.outer),)
+        for low, high in whole if box.inner <= 0 else sides[:1] if middle else sides:
+            both = [*spans, _span(float(origin[1]), beside, low, high)]
+            enter = np.maximum.reduce([s for s, _ in both])
+            yield enter, np.minimum.reduce([s for _, s in both])
 
 
 def _turned(vectors: FloatArray, tilt: float) -> tuple[FloatArray, FloatArray]:

@@ -8,6 +8,7 @@ modulo the size of the window, and a point of another place that falls there emp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
+
+_BESIDE = 6
+"""Cells before and behind with which a cell is compared: 15 cm, wider than most shadows [-]."""
+_RANK = 4
+"""The usual number of points is that of the fourth fullest of these: vertical faces, which receive
+far more than level ground, fill up to three cells [-]."""
+_SPARSE = 0.1
+"""Fraction of the usual number of points below which a cell is sparse [-]."""
+_EDGE = 1e-3
+"""Rounded points lie so far from their lane at most, in its widths [-]."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +48,7 @@ class Cells:
         self._grid, self._ahead, self._beside = grid, ahead, beside
         self._shape = 2 * math.ceil(ahead / grid.cell) + 1, 2 * math.ceil(beside / grid.lane) + 1
         rows, lanes = self._shape
-        self._points = np.zeros((rows * lanes, grid.keep, 3), np.float32)
+        self._points = np.full((rows * lanes, grid.keep, 3), np.nan, np.float32)
         self._count = np.zeros(rows * lanes, np.int64)  # points that the cell has received
         self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
         self._seen_at = np.zeros(rows * lanes)  # way of the robot at the newest point [m]
@@ -48,17 +59,18 @@ class Cells:
         Points outside the window are dropped. ``way``: what the robot has moved so far [m].
         """
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
-        points = points[near]
+        points = points.compress(near, axis=0)
         if not len(points):
             return
         place = self._places(points)
         slot = self._slots(place)
         order = np.argsort(slot, kind="stable")
-        points, place, slot = points[order], place[order], slot[order]
+        points, place, slot = points.take(order, axis=0), place.take(order, axis=0), slot[order]
         first = np.flatnonzero(np.concatenate([[True], slot[1:] != slot[:-1]]))
         used, counts = slot[first], np.diff(np.append(first, len(slot)))
         moved = (self._place[used] != place[first]).any(axis=1)
         self._count[used[moved]] = 0
+        self._points[used[moved]] = np.nan
         self._place[used] = place[first]
         rank = np.arange(len(slot)) - np.repeat(first, counts)
         newest = rank >= np.repeat(counts, counts) - self._grid.keep
@@ -67,22 +79,69 @@ class Cells:
         self._count[used] += counts
         self._seen_at[used] = way
 
+    def clear_above(
+        self, ceilings: Callable[[FloatArray], FloatArray], x: float, y: float, margin: float
+    ) -> None:
+        """Forget the points that lie more than ``margin`` above their ``ceilings`` [m].
+
+        ``ceilings`` returns heights for points (Q, 3) in frame M, (Q,) [m].
+        """
+        reach = (-self._ahead, self._ahead)
+        slots = self._near(x, y, 0.0, reach, self._beside)
+        middle = (self._place[slots] + 0.5) * (self._grid.cell, self._grid.lane)
+        above = ceilings(middle) + margin
+        passed = np.isfinite(above)
+        slots, above = slots[passed], above[passed]
+        heights = self._points[slots, :, 2]
+        some = np.fmax.reduce(heights, axis=1) > above
+        slots, heights = slots[some], heights[some]
+        rows, places = np.nonzero(np.isfinite(heights))
+        found = self._points[slots[rows], places].astype(np.float64)
+        gone = found[:, 2] > ceilings(found) + margin
+        self._points[slots[rows[gone]], places[gone]] = np.nan
+
     def around(
-        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
+        self,
+        x: float,
+        y: float,
+        yaw: float,
+        reach: tuple[float, float],
+        side: float,
+        dense: bool = False,
     ) -> FloatArray:
         """Return the points near the robot at (x, y) with this heading, (P, 3) [m].
 
         They are level, with x along the heading from the robot, y to its left and z as in frame M.
-        Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned.
+        Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned;
+        ``dense``: without those of cells that have few for their neighbours.
         """
         slots = self._near(x, y, yaw, reach, side)
-        filled = np.arange(self._grid.keep) < self._count[slots, None]
-        found = self._points[slots][filled].astype(np.float64)
-        level = np.column_stack([*_turned(found[:, 0] - x, found[:, 1] - y, yaw), found[:, 2]])
-        inside = (
-            (level[:, 0] >= reach[0]) & (level[:, 0] < reach[1]) & (np.abs(level[:, 1]) <= side)
-        )
-        return np.asarray(level[inside])
+        if dense:
+            slots = slots[~self._sparse(x)[slots]]
+        keep = self._grid.keep
+        filled = np.arange(keep) < self._count[slots, None]
+        index = (keep * slots[:, None] + np.arange(keep))[filled]
+        found = self._points.reshape(-1, 3).take(index, axis=0).astype(np.float64)
+        along, beside = _turned(found[:, 0] - x, found[:, 1] - y, yaw)
+        inside = (along >= reach[0]) & (along < reach[1]) & (np.abs(beside) <= side)
+        return np.column_stack([along[inside], beside[inside], found[inside, 2]])
+
+    def _sparse(self, x: float) -> NDArray[np.bool_]:
+        """Return which cells have received few points for their neighbours along x, (S,).
+
+        The robot is at ``x`` [m]. Mixed returns leave such cells in the shadow of an edge.
+        """
+        rows, lanes = self._shape
+        wanted = math.floor(x / self._grid.cell) - rows // 2 + np.arange(rows)
+        order = wanted % rows
+        held = self._place[:, 0].reshape(rows, lanes)[order] == wanted[:, None]
+        count = np.where(held, self._count.reshape(rows, lanes)[order], 0)
+        padded = np.pad(count, ((_BESIDE, _BESIDE), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _BESIDE + 1, axis=0)
+        usual = np.partition(around, -_RANK, axis=2)[:, :, -_RANK]
+        found = np.empty((rows, lanes), np.bool_)
+        found[order] = count < _SPARSE * usual
+        return found.ravel()
 
     def seen_at(
         self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
@@ -111,6 +170,10 @@ class Cells:
         wanted = np.arange(low, high + 1)[: self._shape[0]]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
+        across = [(u * sin + v * cos) for u in reach for v in (-side, side)]
+        lane = self._place[slots, 1]
+        held &= lane >= math.floor((y + min(across)) / grid.lane - _EDGE)
+        held &= lane <= math.floor((y + max(across)) / grid.lane + _EDGE)
         return np.asarray(slots[held])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ none is left; or ``PerceptionError`` if it is malformed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -19,6 +20,11 @@ _LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
 """Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
 _LARGEST_ANGLE = 1e4
 """Largest angle; headings may count turns [rad]."""
+_LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = {
+    kind: {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
+    for kind in (Inertial, Belts, Joints, Pose)
+}
+"""The largest number of each field of a message, by its class."""
 _LARGEST_TIME = 1e12
 """Largest time, in either direction; clocks may count from 1970 [s]."""
 _FARTHEST = 1e3
@@ -57,9 +63,11 @@ def checked(time: object, value: object) -> Moment | None:
         return None
     if isinstance(value, Scan):
         return Moment(at, _scan(value))
-    numbers = {f.name: number(getattr(value, f.name), f.name) for f in fields(value)}
-    if all(abs(n) <= _LARGEST.get(name, _LARGEST_ANGLE) for name, n in numbers.items()):
-        return Moment(at, type(value)(**numbers))
+    for kind, limits in _LIMITS.items():
+        if isinstance(value, kind):
+            numbers = {name: number(getattr(value, name), name) for name in limits}
+            within = all(abs(numbers[name]) <= most for name, most in limits.items())
+            return Moment(at, kind(**numbers)) if within else None
     return None
 
 
@@ -100,7 +108,7 @@ def _scan(scan: Scan) -> Scan:
         kept &= np.isfinite(each)
     if kept.all():
         return replace(scan, **arrays)
-    return replace(scan, **{name: each[kept] for name, each in arrays.items()})
+    return replace(scan, **{name: each.compress(kept, axis=0) for name, each in arrays.items()})
 
 
 def thinned(scan: Scan, most: int) -> Scan:

@@ -218,6 +218,9 @@ class LidarEstimator:
             points[:, 2] -= error
         self._pose = pose
         self._trail.begin(time, pose)
+        origin = np.array([pose.x, pose.y, pose.z])
+        origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
+        self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y)
 
     def _levelled(self, scan: Scan, time: float) -> FloatArray:
@@ -236,14 +239,15 @@ class LidarEstimator:
 
         ``kept`` (P,) is changed to which of ``points`` these are.
         """
-        points = points[kept]
-        far = np.einsum("ij,ij->i", points, points) >= self._mount.near**2
+        points = points.compress(kept, axis=0)
+        x, y, z = points.T
+        far = x * x + y * y + z * z >= self._mount.near**2
         kept[kept] = far
-        points = self._position_of_lidar + points[far] @ self._turn.T
+        points = self._position_of_lidar + points.compress(far, axis=0) @ self._turn.T
         joints, margin = self._joints, self._mount.margin
         others = ~self._body.contains(points, joints.front, joints.rear, margin)
         kept[kept] = others
-        return points[others]
+        return points.compress(others, axis=0)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""

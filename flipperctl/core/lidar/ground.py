@@ -17,6 +17,7 @@ from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Cells, Grid
 from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.contact import clearances
+from flipperctl.core.lidar.free_space import FreeSpace
 from flipperctl.core.lidar.lateral import lateral_slope, straightened
 from flipperctl.core.lidar.outline import (
     Columns,
@@ -26,6 +27,7 @@ from flipperctl.core.lidar.outline import (
     polyline,
     sorted_points,
     with_assumed,
+    with_drops,
 )
 from flipperctl.core.sensing import SensedGround
 
@@ -49,6 +51,10 @@ _REGISTERED = 20
 """Points of a column of the map with which a scan is compared [-]."""
 _FEWEST_COLUMNS = 8
 """Columns that scan and map must have in common to be compared [-]."""
+_BEFORE = 3.0
+"""A ray counts up to this before its return, in standard deviations of a point [-]."""
+_ABOVE = 0.03
+"""Height above a ray from which points of the map are not ground [m]."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +115,15 @@ class GroundSeen:
         self._move_to(x, y)
         self._cells.add(points, x, y, self._way)
 
+    def clear(self, origin: FloatArray, points: FloatArray, x: float, y: float) -> None:
+        """Forget ground that the rays from ``origin`` (3,) to ``points`` (P, 3) have passed.
+
+        Frame M [m]; the robot is at (x, y) [m].
+        """
+        reach = self._reach + _PAST + _MARGIN
+        margin = _BEFORE * self._settings.noise
+        self._cells.clear_above(FreeSpace(origin, points, reach, margin).ceilings, x, y, _ABOVE)
+
     def _move_to(self, x: float, y: float) -> None:
         if self._at is not None:
             self._way += math.hypot(x - self._at[0], y - self._at[1])
@@ -124,7 +139,8 @@ class GroundSeen:
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
         strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
-        scanned = np.column_stack([along[strip], beside[strip], points[strip, 2]])
+        (near,) = np.nonzero(strip)
+        scanned = np.column_stack([along[near], beside[near], points[near, 2]])
         counts = np.bincount(np.floor(scanned[:, 0] / s.grid.cell).astype(np.int64))
         if np.count_nonzero(counts >= s.fewest) < _FEWEST_COLUMNS:  # as of a sector to the side
             return 0.0
@@ -154,7 +170,7 @@ class GroundSeen:
         s, (x, y, z) = self._settings, position.tolist()
         self._move_to(x, y)
         reach = self._reach + _PAST
-        near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width)
+        near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width, dense=True)
         near[:, 2] -= z
         slope = lateral_slope(near, s.grid.cell)
         found = self._columns(straightened(near, slope), s.fewest)
@@ -163,6 +179,7 @@ class GroundSeen:
             self._lift = self._first_lift(found, assumed, stance)
         line[:, 1] += self._lift
         line, unseen = with_assumed(line, assumed, _GAP / 2)
+        line, unseen = with_drops(line, unseen, _GAP, s.grid.cell / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
         gaps = clearances(stance.circles, stance.radius, points)

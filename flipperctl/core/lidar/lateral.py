@@ -43,4 +43,6 @@ def lateral_slope(points: FloatArray, cell: float) -> float:
 
 def straightened(points: FloatArray, slope: float) -> FloatArray:
     """Return ``points`` (P, 3) without a sideways slope; heights on the line stay [m]."""
-    return points - points[:, 1:2] * [0.0, 0.0, slope]
+    found = points.copy()
+    found[:, 2] -= slope * points[:, 1]
+    return found

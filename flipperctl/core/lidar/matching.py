@@ -43,11 +43,14 @@ _FEWEST = 100
 """Points without which a scan is not matched [-]."""
 _ERROR, _SHARED = 0.02, 10.0
 """Deviation of a point from its plane [m], and points that err alike [-]."""
-_SLIP, _JITTER, _TURN = 0.2, 0.002, 2e-4
-"""Deviation of the guess: per way [-], of any scan [m], and of the turn between two scans [rad]."""
-_SINKING = 2.0
-"""Deviation of the guess along the ground, per error of its height: belts slip where the robot
-tips over an edge or sinks with its flippers, and both show in its height [-]."""
+_SLIP, _STEEP, _JITTER, _TURN = 0.05, 0.5, 0.001, 2e-4
+"""Deviation of the guess: per way, per way and sine of the pitch [-], since belts hardly slip on
+level ground; of any scan [m], and of the turn between two scans [rad]. Larger corrections are
+weighted as outliers: belts that do slip may slip wholly."""
+_SINKING, _LIFTED = 2.0, 0.7
+"""Deviations of the guess along the ground and upwards, per error of its height: belts slip where
+the robot tips over an edge or sinks with its flippers, and both show in its height. Without the
+second, motion along a slope would explain that the robot was lifted [-]."""
 _STEPS = 5
 """Largest number of Gauss-Newton steps [-]."""
 _ENOUGH = 2e-4
@@ -85,12 +88,16 @@ class ScanMatcher:
         ``points`` (P, 3) of the scan are relative to the robot, in the directions of frame M [m].
         ``guess`` is the position by odometry, and ``facing`` (3,) the direction of the chassis.
         """
-        near = points[np.einsum("ij,ij->i", points, points) < _FAR**2]
+        x, y, z = points.T
+        near = points.compress(x * x + y * y + z * z < _FAR**2, axis=0)
         near = near[:: 1 + len(near) // _MOST]
         if len(near) < _FEWEST:
             self._latest = guess
             return guess, 0.0
-        found, turn = self._matched(near, guess) if self._keyframes else (guess, 0.0)
+        found, turn = guess, 0.0
+        if self._keyframes:
+            slip = _SLIP + _STEEP * abs(float(facing[2]))
+            found, turn = self._matched(near, guess, slip)
         self._latest = found
         view = np.concatenate([found, facing])
         if self._is_new(view):
@@ -113,14 +120,20 @@ class ScanMatcher:
         self._keyframes = (*self._keyframes, frame)[-_KEYFRAMES:]
         self._target = None
 
-    def _matched(self, points: FloatArray, guess: FloatArray) -> tuple[FloatArray, float]:
-        """Return position and turn of a scan by the keyframes; the guess if they do not tell."""
+    def _matched(
+        self, points: FloatArray, guess: FloatArray, slip: float
+    ) -> tuple[FloatArray, float]:
+        """Return position and turn of a scan by the keyframes; the guess if they do not tell.
+
+        ``slip``: deviation of the guess per way since the last scan [-].
+        """
         if self._target is None:
             self._target = self._searchable()
         target, tree = self._target
         thin = np.asarray(self._library.voxelgrid_sampling(points, _THINNER).points())[:, :3]
         way = 0.0 if self._latest is None else float(np.linalg.norm(guess - self._latest))
-        likely = np.array([_JITTER + _SLIP * way] * 3 + [_TURN])
+        usual = _JITTER + slip * way
+        likely = np.array([usual] * 3 + [_TURN])
         off = np.zeros(4)  # correction of the position, turn
         for _ in range(_STEPS):
             level = _turned(thin, off[3])
@@ -130,9 +143,11 @@ class ScanMatcher:
             if close.sum() < _FEWEST:
                 return guess, 0.0
             pairs = np.asarray(pairs)[close]
-            step = _step(level[close], placed[close], target, pairs, off, likely)
+            level, placed = (where.compress(close, axis=0) for where in (level, placed))
+            step = _step(level, placed, target, pairs, off, likely)
             off = off + step
-            likely[:2] = _JITTER + _SLIP * way + _SINKING * abs(off[2])
+            slipped = np.sqrt(usual * np.maximum(usual, np.abs(off[:3])))  # Huber's weights
+            likely[:3] = slipped + np.array([_SINKING, _SINKING, _LIFTED]) * abs(off[2])
             if np.linalg.norm(step[:3]) < _ENOUGH:
                 break
         if not np.linalg.norm(off[:3]) <= _LARGEST:
@@ -170,8 +185,9 @@ def _step(
     indices of the points whose planes they are matched to; ``off`` (4,): the correction so far;
     ``likely`` (4,): its standard deviations by odometry.
     """
-    normals = target.normals[pairs]
-    away = np.einsum("ij,ij->i", normals, placed - target.points[pairs])
+    normals = target.normals.take(pairs, axis=0)
+    apart = placed - target.points.take(pairs, axis=0)
+    away = np.einsum("ij,ij->i", normals, apart)
     turning = normals[:, 1] * level[:, 0] - normals[:, 0] * level[:, 1]
     slopes = np.column_stack([normals, turning])  # (P, 4) of the distances to the planes
     weights = 1.0 / np.maximum(1.0, np.abs(away) / _ERROR) / (_ERROR**2 * _SHARED)  # Huber's

@@ -36,14 +36,15 @@ def without_mixed(scan: Scan) -> Scan:
     distance = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) < 5 or not (distance > 0).all():
         return scan
-    rays = points / distance[:, None]
-    azimuth, elevation = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(np.clip(rays[:, 2], -1, 1))
+    rays = np.ascontiguousarray(points.T) / distance  # (3, P)
+    azimuth, elevation = np.arctan2(rays[1], rays[0]), np.arcsin(np.clip(rays[2], -1, 1))
     mixed = _between(distance, rays, _groups(elevation), azimuth)
     mixed |= _between(distance, rays, _groups(azimuth), elevation)
     if not mixed.any():
         return scan
     found = {field.name: getattr(scan, field.name) for field in fields(scan)}
-    return replace(scan, **{k: each[~mixed] for k, each in found.items() if each is not None})
+    alone = {k: each.compress(~mixed, axis=0) for k, each in found.items() if each is not None}
+    return replace(scan, **alone)
 
 
 def _groups(values: FloatArray) -> NDArray[np.int64]:
@@ -60,9 +61,10 @@ def _between(
 ) -> NDArray[np.bool_]:
     """Return which points lie between their neighbours of one group, by ``place``, (P,)."""
     order = np.lexsort((place, group))
-    r, ray = distance[order], rays[order]
-    sine = np.linalg.norm(np.diff(ray, axis=0), axis=1)  # of the small angle to the next ray
-    next_to = (np.diff(group[order]) == 0) & (sine < _NEIGHBOURS) & (sine > 0)
+    r, grouped = distance[order], group[order]
+    x, y, z = (np.diff(axis[order]) for axis in rays)
+    sine = np.sqrt(x * x + y * y + z * z)  # of the small angle to the next ray
+    next_to = (grouped[1:] == grouped[:-1]) & (sine < _NEIGHBOURS) & (sine > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = 1 - sine**2 / 2
         slope = np.where(next_to, (cosine - r[:-1] / r[1:]) / sine, np.nan)

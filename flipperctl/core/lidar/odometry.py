@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.messages import Inertial, Pose
-from flipperctl.core.lidar.rotations import attitude
+from flipperctl.core.lidar.rotations import heading
 
 _LONGEST = 0.5
 """Longest pause between two messages over which a motion is integrated [s]."""
@@ -24,7 +24,7 @@ def advanced(pose: Pose, inertial: Inertial, speed: float, elapsed: float) -> Po
     """
     elapsed = min(max(elapsed, 0.0), _LONGEST)
     yaw = pose.yaw + inertial.yaw_rate * elapsed
-    x, y, z = (speed * elapsed * attitude(inertial.roll, inertial.pitch, yaw)[:, 0]).tolist()
+    x, y, z = (speed * elapsed * heading(inertial.pitch, yaw)).tolist()
     return Pose(pose.x + x, pose.y + y, pose.z + z, inertial.roll, inertial.pitch, yaw)
 
 

@@ -25,6 +25,8 @@ _APART = 2.5
 """Columns this far apart are not neighbours, in lengths of the column [-]."""
 _FACE = 0.2
 """Fraction of a face's height at either end whose points do not tell where it stands [-]."""
+_HIDDEN = 0.7
+"""Slope of a fall through unseen ground from which an edge hides it [-]."""
 
 _INDEX, _HEIGHT, _QUANTUM = 20, 26, 1e-5
 """Bits of a point's index and of its height in a key for sorting [-]; unit of the height [m]."""
@@ -64,7 +66,7 @@ class Sorted:
     def where(self, chosen: Callable[[FloatArray], NDArray[np.bool_]]) -> Sorted:
         """Return the points for which ``chosen`` is true."""
         kept = chosen(self.points)
-        return Sorted(self.number[kept], self.points[kept])
+        return Sorted(self.number[kept], self.points.compress(kept, axis=0))
 
 
 def sorted_points(points: FloatArray, cell: float) -> Sorted:
@@ -78,7 +80,7 @@ def sorted_points(points: FloatArray, cell: float) -> Sorted:
         order = np.sort((key << _INDEX) + np.arange(len(points))) & ((1 << _INDEX) - 1)
     else:
         order = np.lexsort((points[:, 2], number))
-    return Sorted(number[order], points[order])
+    return Sorted(number[order], points.take(order, axis=0))
 
 
 def columns(found: Sorted, cell: float, fewest: int) -> Columns:
@@ -136,17 +138,24 @@ def _face(
     """Return the vertices of the steep columns ``first`` to ``last``.
 
     ``before`` and ``after`` are the heights of the ground on either side, None where unseen [m].
+    A face that falls away from the robot cannot be seen: what seems to be one beside unseen ground
+    are mixed returns, and one between seen ground stands at its beginning.
     """
     low, high = float(found.low[first : last + 1].min()), float(found.high[first : last + 1].max())
     middle = (low + high) / 2
     if before is None:
-        before = low if after is None or after > middle else high
+        if after is not None and after <= middle:
+            return []
+        before = low
     if after is None:
-        after = high if before < middle else low
+        if before > middle:
+            return []
+        after = high
     if abs(after - before) <= (high - low) / 2:  # a narrow ridge or trench, or an oblique edge
         run = slice(first, last + 1)
         return list(zip(found.x[run].tolist(), found.median[run].tolist(), strict=True))
-    x = _face_position(found, first, last, before, after)
+    falls = after < before and last > first + 1  # wider than a face: mixed returns behind its edge
+    x = _face_position(found, first, first + 1 if falls else last, before, after)
     return [(x, before), (x, after)]
 
 
@@ -183,6 +192,27 @@ def with_assumed(
     return both[order], flags[order]
 
 
+def with_drops(
+    line: FloatArray, assumed: NDArray[np.bool_], gap: float, half: float
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the polyline with a vertical face below each edge that hides the ground behind it.
+
+    A LiDAR above the ground sees nothing in the shadow of an edge. A straight line through it would
+    be as high as the ground can be at all; most often it falls at the edge. The face stands
+    ``half`` a column past the last one seen [m], is assumed, and so is what lies behind it.
+    """
+    step = np.diff(line, axis=0)
+    steep = -step[:, 1] > _HIDDEN * step[:, 0]
+    drops = np.flatnonzero((step[:, 0] > gap) & steep & ~assumed[:-1] & ~assumed[1:])
+    edge = line[drops, 0] + half
+    faces = np.empty((2 * len(drops), 2))
+    faces[0::2] = np.column_stack([edge, line[drops, 1]])
+    faces[1::2] = np.column_stack([edge, line[drops + 1, 1]])
+    at = np.repeat(drops + 1, 2)
+    flags = np.insert(assumed, at, np.tile([False, True], len(drops)))
+    return np.insert(line, at, faces, axis=0), flags
+
+
 def points_along(
     line: FloatArray,
     assumed: NDArray[np.bool_],
@@ -206,7 +236,7 @@ def points_along(
     unseen = (step[:, 0] > gap) | assumed[:-1] | assumed[1:]
     length = np.hypot(step[:, 0], step[:, 1])
     along = np.concatenate([[0.0], np.cumsum(length)])
-    upright = np.flatnonzero((step[:, 0] == 0) & (length > 0) & ~unseen)
+    upright = np.flatnonzero((step[:, 0] == 0) & (length > 0))
     regular = np.arange(0.0, along[-1], spacing)
     part = np.clip(np.searchsorted(along, regular, side="right") - 1, 0, len(step) - 1)
     part = np.concatenate([part, upright, upright])

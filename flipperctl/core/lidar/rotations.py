@@ -28,6 +28,12 @@ def attitude(roll: float, pitch: float, yaw: float) -> FloatArray:
     return np.column_stack([forward, left, up])
 
 
+def heading(pitch: float, yaw: float) -> FloatArray:
+    """Return the direction of frame R's x axis in a level frame, (3,), as ``attitude`` does."""
+    cos_p = math.cos(pitch)
+    return np.array([math.cos(yaw) * cos_p, math.sin(yaw) * cos_p, math.sin(pitch)])
+
+
 def mounting(axis: float) -> FloatArray:
     """Return the rotation from frame S to frame R.
 

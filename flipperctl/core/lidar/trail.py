@@ -6,6 +6,7 @@ LiDAR that turns measures the points of a scan at different times, from a robot 
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -51,14 +52,23 @@ class Trail:
         ones are interpolated.
         """
         steps = np.round(np.clip(ages, 0.0, _LONGEST) / _STEP).astype(np.int64)
-        distinct, which = np.unique(steps, return_inverse=True)
+        order = None
+        if (steps[1:] > steps[:-1]).any():  # not in the order of measurement
+            order = np.argsort(-steps, kind="stable")
+            points, steps = points.take(order, axis=0), steps[order]
+        borders = np.flatnonzero(np.diff(steps, prepend=-1, append=-1))
+        distinct = steps[borders[:-1]]
         poses = self._at(np.asarray(time - _STEP * distinct, np.float64))
         poses[:, :3] -= origin.x, origin.y, origin.z
         moved = np.empty_like(points)
-        for step, pose in enumerate(poses.tolist()):
-            then = which == step
-            moved[then] = points[then] @ attitude(*pose[3:]).T + pose[:3]
-        return moved
+        for then, pose in zip(pairwise(borders.tolist()), poses.tolist(), strict=True):
+            part = slice(*then)
+            moved[part] = points[part] @ attitude(*pose[3:]).T + pose[:3]
+        if order is None:
+            return moved
+        result = np.empty_like(moved)
+        result[order] = moved
+        return result
 
     def _at(self, times: FloatArray) -> FloatArray:
         """Return the poses at these times, (T, 6) in the order of ``Pose``."""

@@ -78,8 +78,10 @@ class Returns:
         if errors.mixed or self._grazes:
             sides = self._sides(true.reshape(self._azimuths, RINGS))
             mixes, between, grazes = rng.random((3, count))
-            gap = np.where(mixes < errors.mixed, _edges(sides, errors.mixed_gap).ravel(), 0.0)
-            returned &= grazes >= self._lost(sides).ravel()
+            gap = np.zeros(count)
+            (mixing,) = np.nonzero(mixes < errors.mixed)
+            gap[mixing] = _edges([_at(side, mixing) for side in sides], errors.mixed_gap)
+            returned &= grazes >= self._lost(sides)
             true = true + between * gap
         found = true + errors.bias + errors.noise * noise
         if errors.resolution:
@@ -87,10 +89,17 @@ class Returns:
         return found, returned
 
     def _lost(self, sides: list[_Neighbours]) -> FloatArray:
-        """Return the fraction of the returns that are lost by grazing incidence, (A, RINGS)."""
-        incidence = np.arctan(np.hypot(*(_flatter(*sides[i : i + 2]) for i in (0, 2))))
+        """Return the fraction of the returns that are lost by grazing incidence, (R,)."""
         errors = self._errors
-        return np.clip(0.5 + (incidence - errors.grazing) / errors.grazing_width, 0.0, 1.0)
+        lost = np.zeros(sides[0].slope.size)
+        if not self._grazes:
+            return lost
+        tangent = np.hypot(*(_flatter(*sides[i : i + 2]) for i in (0, 2))).ravel()
+        none_below = errors.grazing - errors.grazing_width / 2 - 1e-9
+        (grazing,) = np.nonzero(tangent > math.tan(max(0.0, none_below)))
+        incidence = np.arctan(tangent[grazing])
+        lost[grazing] = np.clip(0.5 + (incidence - errors.grazing) / errors.grazing_width, 0.0, 1.0)
+        return lost
 
     def _sides(self, true: FloatArray) -> list[_Neighbours]:
         """Return the neighbours on both sides along the rings, then across them."""
@@ -104,6 +113,11 @@ class Returns:
             _compared(true, above, across),
             _compared(true, below, across),
         ]
+
+
+def _at(side: _Neighbours, chosen: NDArray[np.int64]) -> _Neighbours:
+    """Return the neighbours of the ``chosen`` rays alone, as (C,) arrays."""
+    return _Neighbours(side.slope.ravel()[chosen], side.gap.ravel()[chosen])
 
 
 def _angle(one: FloatArray, other: FloatArray) -> FloatArray:

@@ -3,7 +3,8 @@
 In: the sampled ground, the robot's motion. Out: errors of the heights and of the places of its
 points. Heights are wrong by a stationary process along x, which stays on the map. Odometry moves
 the robot on its map by a random walk along the way, so ground that was seen earlier is displaced by
-as much as odometry has erred since; what is ahead is seen anew at each decision.
+as much as odometry has erred since; what is ahead is seen anew at each decision. Each new scan also
+displaces all of the map a bit, by an error of its own.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class MapErrorSize:
     """Distance along x over which the heights' error loses its correlation [m]."""
     drift: float
     """Standard deviation of the odometry's error over 1 m of the way [m]."""
+    jitter: float = 0.0
+    """Standard deviation of a displacement that is drawn anew at each decision [m]."""
 
 
 class MapErrors:
@@ -43,6 +46,7 @@ class MapErrors:
         self._height: FloatArray | None = None  # (P,) [m]; sampled at the first decision
         self._seen_at = np.zeros(len(x))  # odometry's error when each point was seen last [m]
         self._error = 0.0  # of odometry now [m]
+        self._jitter = 0.0  # displacement of the whole ground now [m]
         self._at: float | None = None  # the robot's x at the last decision [m]
 
     def advance(self, x: float, rng: np.random.Generator) -> None:
@@ -51,6 +55,8 @@ class MapErrors:
             self._height = self._size.height * correlated(self._x, self._size.length, rng)
         moved = 0.0 if self._at is None else abs(x - self._at)
         self._error += self._size.drift * math.sqrt(moved) * float(rng.standard_normal())
+        if self._size.jitter:  # without it, no other random number changes
+            self._jitter = self._size.jitter * float(rng.standard_normal())
         self._at = x
         self._seen_at[np.searchsorted(self._x, x + NEAREST) :] = self._error
 
@@ -62,16 +68,17 @@ class MapErrors:
         if self._height is None:
             return
         points[:, 1] += self._height[index]
-        points[:, 0] += np.clip(self._seen_at[index] - self._error, -LARGEST, LARGEST)
+        displaced = self._seen_at[index] - self._error + self._jitter
+        points[:, 0] += np.clip(displaced, -LARGEST, LARGEST)
         np.maximum.accumulate(points[:, 0], out=points[:, 0])
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later decisions do not change."""
-        return self._height, self._seen_at.copy(), self._error, self._at
+        return self._height, self._seen_at.copy(), self._error, self._at, self._jitter
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        self._height, seen_at, self._error, self._at = saved
+        self._height, seen_at, self._error, self._at, self._jitter = saved
         self._seen_at[:] = seen_at
 
 

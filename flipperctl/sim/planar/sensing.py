@@ -77,6 +77,13 @@ class PlanarSensor(Sensor):
         "ground that was seen earlier, below and behind the robot, is displaced; 0.065 is like "
         "perception=lidar perception.pose=matched [m]",
     )
+    map_jitter: float = Field(
+        0.0,
+        ge=0,
+        le=0.1,
+        description="standard deviation of a displacement of all the ground along x that is drawn "
+        "anew at each decision, as new scans change a map [m]",
+    )
     occlusion: bool = Field(
         False,
         description="points hidden from the mount are missing until they are seen; unseen ground "
@@ -107,9 +114,10 @@ class PlanarSensor(Sensor):
     @property
     def without_effect(self) -> frozenset[str]:
         """Settings that change nothing, so that hashes without a map's errors stay the same."""
-        if self.map_error or self.map_drift:
-            return frozenset()
-        return frozenset({"map_error", "map_length", "map_drift"})
+        unused = frozenset() if self.map_jitter else frozenset({"map_jitter"})
+        if self.map_error or self.map_drift or self.map_jitter:
+            return unused
+        return unused | {"map_error", "map_length", "map_drift"}
 
     def over(self, profile: Profile, margin: float) -> TerrainSensor:
         """Return a sensor that samples the profile once for the whole episode."""
@@ -129,8 +137,9 @@ class TerrainSensor:
 
         self._sum_heights = sum_heights
         self._map_errors: MapErrors | None = None
-        if settings.map_error or settings.map_drift:
-            size = MapErrorSize(settings.map_error, settings.map_length, settings.map_drift)
+        s = settings
+        if s.map_error or s.map_drift or s.map_jitter:
+            size = MapErrorSize(s.map_error, s.map_length, s.map_drift, s.map_jitter)
             self._map_errors = MapErrors(self._x, size)
         self._seen_ground: SeenGround | None = None
         if settings.occlusion:

@@ -42,3 +42,8 @@ def test_circles_follow_pitch_and_flippers() -> None:
     assert circles.min(axis=0) == pytest.approx([-0.28, -0.336])
     nose_up = BODY.circles(math.pi / 2, 0.0, 0.0)
     assert nose_up.max(axis=0) == pytest.approx([0.0, 0.616], abs=1e-12)
+
+
+def test_points_far_from_the_robot_are_not_its_own_and_do_not_hide_those_that_are() -> None:
+    points = np.array([[9.0, 0.0, 0.0], [0.7, 0.3, 0.0], [0.0, 0.0, -5.0]])
+    assert BODY.contains(points, 0.0, 0.0, 0.0).tolist() == [False, True, False]

@@ -51,3 +51,25 @@ def test_a_snapshot_is_left_alone_by_later_points() -> None:
         cells.add(point(0.0, 5.0), 0.0, 0.0)
     cells.load(saved)
     assert heights(cells, 0.0) == [1.0]
+
+
+def test_cells_with_few_points_beside_full_ones_are_left_out_on_request() -> None:
+    cells = Cells(Grid(cell=0.1, lane=0.1, keep=32), 2.0, 1.0)
+    for x, count in ((-0.15, 30), (-0.05, 30), (0.05, 30), (0.15, 30), (0.25, 2), (1.55, 2)):
+        cells.add(np.repeat(point(x, 0.0), count, axis=0), 0.0, 0.0)
+    found = cells.around(0.0, 0.0, 0.0, (-2.0, 2.0), 0.5, dense=True)
+    assert len(found) == 122  # few points far from others are all that is known there
+    assert not np.isclose(found[:, 0], 0.25).any()
+    assert len(cells.around(0.0, 0.0, 0.0, (-2.0, 2.0), 0.5)) == 124
+
+
+def test_a_strip_at_an_angle_finds_every_point_within_it() -> None:
+    rng = np.random.default_rng(2)
+    cells = Cells(Grid(keep=128), 2.0, 1.0)
+    points = np.column_stack([rng.uniform(-1, 1, 500), rng.uniform(-0.9, 0.9, 500), np.zeros(500)])
+    cells.add(points, 0.0, 0.0)
+    for yaw in (0.0, 0.3, -1.0):
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        along, beside = (points[:, :2] @ [[cos, -sin], [sin, cos]]).T
+        inside = (np.abs(along) < 0.8) & (np.abs(beside) <= 0.2)
+        assert len(cells.around(0.0, 0.0, yaw, (-0.8, 0.8), 0.2)) == inside.sum()

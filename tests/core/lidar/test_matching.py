@@ -80,3 +80,16 @@ def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten() ->
         counts.append(len(matcher.save()[0]))
     assert counts[:4] == [1, 1, 1, 2]  # after 0.3 m
     assert max(counts) == counts[-1] <= 12
+
+
+def test_a_robot_that_was_lifted_has_not_moved_along_a_slope() -> None:
+    pytest.importorskip("small_gicp")
+    matcher = ScanMatcher()
+    rng = np.random.default_rng(3)
+    ground = rng.uniform([-2, -2, 0], [2, 2, 0], (3000, 3))
+    ground[:, 2] = 0.1 * ground[:, 0]  # alike wherever it is seen from along the slope
+    matcher.corrected(ground, np.zeros(3), AHEAD)
+    lifted = ground - [0.0, 0.0, 0.02]
+    found, _ = matcher.corrected(lifted, np.array([0.02, 0.0, 0.002]), AHEAD)
+    assert found[2] == pytest.approx(0.022, abs=0.003)
+    assert found[0] == pytest.approx(0.02, abs=0.012)

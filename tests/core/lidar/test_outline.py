@@ -10,6 +10,7 @@ from flipperctl.core.lidar.outline import (
     polyline,
     sorted_points,
     with_assumed,
+    with_drops,
 )
 
 NOISE = 0.01
@@ -91,3 +92,37 @@ def test_points_are_sorted_by_column_and_height() -> None:
     assert np.array_equal(found.points, points[expected])
     left = found.where(lambda p: p[:, 1] > 0)
     assert np.array_equal(left.number, found.number[found.points[:, 1] > 0])
+
+
+def shadowed(edge: float, seen_from: float, depth: float) -> np.ndarray:
+    """Return noisy points of a fall at ``edge``; none is behind it before ``seen_from``, (P, 3)."""
+    points = step(-depth, edge)
+    hidden = (points[:, 0] > edge + 0.01) & (points[:, 0] < seen_from)
+    level = (points[:, 2] > -0.05) | (points[:, 2] < 0.05 - depth)
+    return points[level & ~hidden]
+
+
+def test_hidden_ground_falls_at_the_edge_that_hides_it() -> None:
+    line = polyline(sorted_columns(shadowed(0.0, 0.3, 0.4)), NOISE)
+    found, assumed = with_drops(line, np.zeros(len(line), np.bool_), 0.06, 0.0125)
+    (face,) = np.flatnonzero(np.diff(found[:, 0]) == 0)
+    assert found[face, 0] == pytest.approx(0.0, abs=0.026)
+    assert found[face : face + 2, 1] == pytest.approx([0.0, -0.4], abs=0.03)
+    points, filled = points_along(found, assumed, 0.02, 0.06, (-0.5, 0.5))
+    behind = (points[:, 0] > 0.03) & (points[:, 0] < 0.28)
+    assert filled[behind].all()
+    assert points[behind, 1] == pytest.approx(np.full(behind.sum(), -0.4), abs=0.03)
+
+
+def test_hidden_ground_that_falls_gently_is_a_straight_line() -> None:
+    line = polyline(sorted_columns(shadowed(0.0, 0.3, 0.15)), NOISE)
+    found, _ = with_drops(line, np.zeros(len(line), np.bool_), 0.06, 0.0125)
+    assert len(found) == len(line)
+
+
+def test_mixed_returns_at_the_end_of_a_shadow_are_no_face() -> None:
+    rng = np.random.default_rng(8)
+    ghosts = np.column_stack([np.full(30, 0.31), np.zeros(30), rng.uniform(-0.4, -0.1, 30)])
+    points = np.concatenate([shadowed(0.0, 0.3, 0.4), ghosts])
+    line = polyline(sorted_columns(points), NOISE)
+    assert (np.diff(line[:, 0]) > 0).all()

@@ -45,3 +45,15 @@ def test_a_clock_that_jumps_back_and_absurd_ages_give_finite_points() -> None:
         trail.record(time, Pose(time, 0.0, 0.0, 0.0, 0.0, 0.0))
     found = trail.levelled(np.zeros((3, 3)), np.array([-1.0, 0.1, 1e12]), 3.0, START)
     assert np.isfinite(found).all()
+
+
+def test_points_in_any_order_of_their_ages_are_moved_alike() -> None:
+    trail = Trail(START)
+    trail.record(5.0, START)
+    trail.record(5.1, end := Pose(0.02, 0.01, 0.01, 0.05, 0.2, 0.3))
+    rng = np.random.default_rng(1)
+    points, ages = rng.standard_normal((60, 3)), np.repeat([0.1, 0.06, 0.0], 20)
+    order = rng.permutation(60)
+    found = trail.levelled(points, ages, 5.1, end)
+    assert trail.levelled(points[order], ages[order], 5.1, end) == pytest.approx(found[order])
+    assert trail.levelled(points[:0], ages[:0], 5.1, end).shape == (0, 3)

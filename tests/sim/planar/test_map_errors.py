@@ -56,9 +56,30 @@ def test_what_was_passed_is_displaced_by_the_error_of_odometry_since() -> None:
     assert points[:, 0] - x == pytest.approx([-step - last, -step - last, 0.0])
 
 
+def test_jitter_displaces_all_of_the_ground_anew_at_each_decision() -> None:
+    x = np.array([0.0, 1.0, 2.0])
+    errors = MapErrors(x, MapErrorSize(0.0, 1.0, 0.0, 0.01))
+    rng, same = np.random.default_rng(5), np.random.default_rng(5)
+    same.standard_normal(3)  # the heights
+    for _ in range(3):
+        errors.advance(0.5, rng)
+        points = np.column_stack([x, np.zeros(3)])
+        errors.apply(points, slice(None))
+        _, drawn = same.standard_normal(2)  # the first one is odometry's
+        assert points[:, 0] - x == pytest.approx([0.01 * drawn] * 3)
+    saved = errors.save()
+    errors.advance(0.5, rng)
+    errors.load(saved)
+    again = np.column_stack([x, np.zeros(3)])
+    errors.apply(again, slice(None))
+    assert np.array_equal(again, points)
+
+
 def test_points_stay_in_order_and_within_reach_and_a_snapshot_repeats_them() -> None:
     for occlusion in (False, True):
-        of = TerrainSensor(STEP, PlanarSensor(map_drift=0.3, occlusion=occlusion), 3.0)
+        of = TerrainSensor(
+            STEP, PlanarSensor(map_drift=0.3, map_jitter=0.1, occlusion=occlusion), 3.0
+        )
         rng = np.random.default_rng(2)
         for x in np.arange(-2.0, 0.5, 0.12):
             points = sensed(of, x, rng)
@@ -75,5 +96,6 @@ def test_without_it_hashes_of_conditions_are_as_before() -> None:
     ((plain, _),) = scenes(["terrain=step"], None, "okada")
     ((other, _),) = scenes(["terrain=step", "perception.map_length=1"], None, "okada")
     ((wrong, _),) = scenes(["terrain=step", "perception.map_error=0.01"], None, "okada")
+    assert "map_jitter" not in Conditions.of(wrong).settings["perception"]
     assert "map_error" not in Conditions.of(plain).settings["perception"]
     assert Conditions.of(plain).hash == Conditions.of(other).hash != Conditions.of(wrong).hash
