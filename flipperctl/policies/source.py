@@ -22,7 +22,7 @@ from flipperctl.policies.exported import (
     is_exported,
 )
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
-from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.policies.values import learned_value, naming
 
 
@@ -181,7 +181,8 @@ def _trained(file: Path, config: EnvConfig) -> Policy:
     """Return the policy of a checkpoint for an environment."""
     checkpoint = read(file)
     trained = checkpoint.policy_config()
-    policy = TrainedPolicy(policy_module(checkpoint), trained.network.frames)
+    module, risk = policy_module(checkpoint), policy_risk(checkpoint)
+    policy = TrainedPolicy(module, trained.network.frames, risk)
     _check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
     return policy
 
