@@ -149,6 +149,13 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
             yield f"search on {name}, means: {'; '.join(parts)}"
 
 
+def risk_lines(result: EvaluationResult) -> Iterator[str]:
+    """Yield a line for each scene with a policy that tells its risk."""
+    for name, scene in _named(result):
+        if scene.summary.risk is not None:
+            yield f"risk on {name}: {scene.summary.risk.text}"
+
+
 def gap_cells(found: PairedSuccess) -> list[str]:
     """Return the difference of success, the episodes that only one crossed, and the p-value."""
     p = "<0.001" if found.p_holm < 0.001 else f"{found.p_holm:.3f}"
