@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Shapes = dict[str, tuple[str, list[int | str | None]]]
 """Type and shape of each input and output by name."""
-INPUT, OUTPUT = "observation", "q_values"
+INPUT, OUTPUT, RISK = "observation", "q_values", "risk"
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -112,13 +112,15 @@ def _reason(error: Exception) -> str:
     return "".join(sign if sign.isprintable() else "?" for sign in words[:300])
 
 
-def check_shapes(found: Shapes, size: int, where: str) -> None:
+def check_shapes(found: Shapes, size: int, where: str, *, risk: bool = False) -> None:
     """Check that the model maps inputs of ``size`` numbers to the Q-values of the actions.
+
+    ``risk``: whether it has a risk too, as its metadata say.
 
     Raises:
         PolicyError: it does not.
     """
-    expected = {INPUT: size, OUTPUT: len(ACTIONS)}
+    expected = {INPUT: size, OUTPUT: len(ACTIONS), **({RISK: 1} if risk else {})}
     fits = found.keys() == expected.keys() and all(
         kind == "tensor(float)" and len(shape) == 2 and shape[1] == expected[name]
         for name, (kind, shape) in found.items()
@@ -127,5 +129,6 @@ def check_shapes(found: Shapes, size: int, where: str) -> None:
         shown = ", ".join(f"{name} {kind} {shape}" for name, (kind, shape) in found.items())
         raise PolicyError(
             f"{where}: the model has {shown}; {INPUT} tensor(float) [batch, {size}] and "
-            f"{OUTPUT} tensor(float) [batch, {len(ACTIONS)}] is allowed"
+            f"{OUTPUT} tensor(float) [batch, {len(ACTIONS)}]"
+            f"{f' and {RISK} tensor(float) [batch, 1]' if risk else ''} is allowed"
         )
