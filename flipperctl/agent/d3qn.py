@@ -175,8 +175,8 @@ class D3qn:
             valued = groups[start // s.batch_size].to(self.device) if groups else None
             step = batch.rows(part)
             value = self._step(step, targets[part], rate, fraction, valued)
-            if self.risk is not None and step.failing is not None:
-                self.risk.step(step.observation, step.failing, rate)
+            if self.risk is not None:
+                self.risk.step(step, rate)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "

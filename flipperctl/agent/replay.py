@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.memory import gigabytes
-from flipperctl.agent.risk import UNKNOWN
+from flipperctl.core.risk import LAGS, resemblances
 from flipperctl.errors import ConfigError
 
 _Row = NDArray[np.float32] | None
+UNKNOWN: Final = -1.0
+"""Label of a transition whose episode has not ended, or was not played by this training [-]."""
 
 
 def row_bytes(size: int, labels: int = 0, privileged: int = 0) -> int:
@@ -51,8 +53,9 @@ class Batch:
     next_privileged: torch.Tensor | None = None
     """Privileged states at ``next_observation``, (B, P) float32."""
     failing: torch.Tensor | None = None
-    """1 where the episode failed soon, else 0, or ``risk.UNKNOWN``, (B,) float32, if a risk is
-    learnt."""
+    """1 where the episode failed soon, else 0, or ``UNKNOWN``, (B,) float32, for a risk."""
+    resembles: torch.Tensor | None = None
+    """How much the newest observation resembles those before it, (B, lags) float32, likewise."""
 
     def rows(self, part: slice) -> Batch:
         """Return a part of the batch."""
@@ -84,13 +87,15 @@ class Replay:
         *,
         privileged: int = 0,
         risk_horizon: int = 0,
+        newest: int = 0,
         cut_at_random: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
         ``privileged``: length of the privileged states, 0 without them. ``risk_horizon``: number of
-        decisions before a failure that ``failing`` marks, 0 without it. ``cut_at_random``: whether
-        a sum of rewards ends before the next random action.
+        decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
+        newest observation in a row, N + 3, which it needs. ``cut_at_random``: whether a sum of
+        rewards ends before the next random action.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -111,6 +116,7 @@ class Replay:
                     self.arrays[name] = np.zeros((capacity, privileged), np.float32)
             if risk_horizon:
                 self.arrays["failing"] = np.full(capacity, UNKNOWN, np.float32)
+                self.arrays["resembles"] = np.zeros((capacity, len(LAGS)), np.float32)
         except MemoryError as error:
             needed = gigabytes(capacity * row_bytes(size, labels, privileged))
             raise ConfigError(
@@ -123,7 +129,7 @@ class Replay:
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Row, _Row]] = deque()
         self._n_step, self._cut_at_random = n_step, cut_at_random
-        self._risk_horizon = risk_horizon
+        self._risk_horizon, self._newest = risk_horizon, newest
         self._episode = 0  # transitions of the running episode
 
     def __len__(self) -> int:
@@ -195,9 +201,12 @@ class Replay:
         """Mark each transition of the episode that has ended, unless it is overwritten already."""
         if "failing" in self.arrays and failed is not None:
             first = max(self.added - self._episode, self.added - (self.capacity - self.kept))
-            for number in range(first, self.added):
-                soon = self.added - number <= self._risk_horizon
-                self.arrays["failing"][self._row_of(number)] = failed and soon
+            rows = [self._row_of(number) for number in range(first, self.added)]
+            newest = self.arrays["observation"][rows, -self._newest :]
+            self.arrays["resembles"][rows] = resemblances(newest)
+            self.arrays["failing"][rows] = 0.0
+            if failed:
+                self.arrays["failing"][rows[-self._risk_horizon :]] = 1.0
         self._episode = 0
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:

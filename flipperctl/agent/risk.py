@@ -7,8 +7,9 @@ The labels are Monte-Carlo ones: every failure is an end of an episode, so an ep
 tells the label of each of its decisions exactly. A temporal difference with the failure as its
 reward would need a value for each number of decisions left, and would pass on its own errors.
 
-The network sees the same input as the policy and shares nothing with it, neither features,
-optimiser nor random numbers: the policy learns bit for bit the same with and without it.
+The network sees the same input as the policy, and how much the newest observation resembles earlier
+ones (``core.risk``). It shares nothing with the policy, neither features, optimiser nor random
+numbers: the policy learns bit for bit the same with and without it.
 """
 
 from __future__ import annotations
@@ -22,11 +23,10 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.adam import Adam
-from flipperctl.core.risk import RiskCalibration, RiskSign
+from flipperctl.agent.replay import UNKNOWN, Batch
+from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
 from flipperctl.errors import NonFiniteError
 
-UNKNOWN: Final = -1.0
-"""Label of a transition whose episode has not ended, or was not played by this training [-]."""
 POSITIVES: Final = 5.0
 """Weight in the loss of a transition shortly before a failure [-], which is rare once the policy is
 good. It multiplies the odds that the network learns, which the calibration's shift takes back."""
@@ -37,7 +37,7 @@ _WIDTH: Final = 64
 
 
 class RiskNetwork(torch.nn.Module):
-    """Maps inputs of the policy to log-odds."""
+    """Maps inputs of the policy to log-odds, and to what each resemblance adds to them."""
 
     def __init__(self, inputs: int) -> None:
         """``inputs``: length of an input row, frames · (N + 3)."""
@@ -45,35 +45,46 @@ class RiskNetwork(torch.nn.Module):
         self.layers = torch.nn.Sequential(
             *(torch.nn.Linear(inputs, _WIDTH), torch.nn.ReLU()),
             *(torch.nn.Linear(_WIDTH, _WIDTH), torch.nn.ReLU()),
-            torch.nn.Linear(_WIDTH, 1),
+            torch.nn.Linear(_WIDTH, 1 + len(LAGS)),
         )
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Return the log-odds, (B, 1), of input rows (B, frames · (N + 3)) in SI units."""
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the log-odds, (B, 1), and the coefficients of the resemblances, (B, lags).
+
+        ``observation``: input rows, (B, frames · (N + 3)) in SI units.
+        """
         found: torch.Tensor = self.layers(observation)
+        return found[:, :1], found[:, 1:]
+
+    def log_odds(self, observation: torch.Tensor, resembles: torch.Tensor) -> torch.Tensor:
+        """Return the log-odds of rows with their resemblances (B, lags), (B,)."""
+        alone, coefficients = self(observation)
+        found: torch.Tensor = alone.squeeze(1) + (coefficients * resembles).sum(dim=1)
         return found
 
 
 class Risk(torch.nn.Module):
-    """Maps inputs of the policy to calibrated probabilities."""
+    """Maps inputs of the policy to calibrated probabilities and coefficients."""
 
     def __init__(self, network: RiskNetwork, calibration: RiskCalibration) -> None:
         super().__init__()
         self.network, self.sign = network, calibration.sign
         self._slope, self._shift = calibration.slope, calibration.shift
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Return the probabilities of a failure, (B, 1), of input rows (B, frames · (N + 3))."""
-        return torch.sigmoid(self._slope * self.network(observation) + self._shift)
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the risks of input rows alone, (B, 1), and the coefficients, (B, lags)."""
+        alone, coefficients = self.network(observation)
+        return torch.sigmoid(self._slope * alone + self._shift), self._slope * coefficients
 
-    def of_one(self, observation: NDArray[np.float32]) -> float:
-        """Return the probability of one input row, (frames · (N + 3),).
+    def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
+        """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,).
 
         Raises:
             NonFiniteError: it is not a finite number.
         """
         with torch.inference_mode():
-            found = float(self(torch.from_numpy(observation).unsqueeze(0)))
+            alone, coefficients = self(torch.from_numpy(observation).unsqueeze(0))
+        found = with_recurrence(float(alone), coefficients[0].numpy(), resembles)
         if not math.isfinite(found):
             raise NonFiniteError(f"the risk of an observation is {found}")
         return found
@@ -101,14 +112,14 @@ def split_weights(
 
 
 def risk_loss(output: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
-    """Return the weighted log loss of log-odds (B, 1) for labels (B,), averaged over known ones.
+    """Return the weighted log loss of log-odds (B,) for labels (B,), averaged over known ones.
 
     A label is 1 shortly before a failure, else 0, or ``UNKNOWN``.
     """
     known = (label != UNKNOWN).to(output.dtype)
     weights = known * (1 + (POSITIVES - 1) * (label > 0).to(output.dtype))
     losses = torch.nn.functional.binary_cross_entropy_with_logits(
-        output.squeeze(1), label.clamp(min=0), reduction="none"
+        output, label.clamp(min=0), reduction="none"
     )
     return (weights * losses).sum() / known.sum().clamp(min=1)
 
@@ -128,13 +139,15 @@ class RiskLearner:
             parameter.data = part.view_as(parameter)  # one vector, as ``Adam`` needs it
         self.optimiser = Adam(vector)
 
-    def step(self, observation: torch.Tensor, label: torch.Tensor, rate: float) -> float:
+    def step(self, batch: Batch, rate: float) -> float:
         """Take a gradient step with the learning rate ``rate``; return the loss [-].
 
         Raises:
             NonFiniteError: the loss is not finite.
         """
-        loss = risk_loss(self.network(observation), label)
+        assert batch.failing is not None  # as in every batch of such a training
+        assert batch.resembles is not None
+        loss = risk_loss(self.network.log_odds(batch.observation, batch.resembles), batch.failing)
         if not math.isfinite(value := float(loss.detach())):
             raise NonFiniteError(f"the loss of the risk is {value}")
         gradients = torch.autograd.grad(loss, self._parameters)

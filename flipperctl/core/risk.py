@@ -1,7 +1,10 @@
 """The sign that an episode is about to fail: a probability, and the threshold of a warning.
 
-In: the risk at a decision, as a policy's network estimates it. Out: whether it is a warning.
-Simulator and robot share this definition.
+In: the observations of an episode, and what a policy's network tells of the newest one. Out: the
+risk, and whether it is a warning. Simulator and robot share this definition.
+
+One observation does not tell whether the robot still moves. What tells it is how much the newest
+observation resembles earlier ones: of a robot that is stuck, or rocks to and fro, it repeats.
 """
 
 from __future__ import annotations
@@ -10,12 +13,76 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+LAGS = (1, 2, 4, 8, 16)
+"""Numbers of decisions after which observations are compared [-]."""
+SCALE = 0.03
+"""Mean difference of the numbers of two observations that resemble each other by 1/e [m, rad]."""
 MEANING = (
-    "risk is the probability that the episode ends overturned, stuck or out of time within the "
-    "next horizon decisions, the one that follows included; a warning is a risk of threshold or "
-    "more"
+    "probability = 1 / (1 + exp(-(log-odds of risk + sum of risk_recurrence * resemblance))) that "
+    "the episode ends overturned, stuck or out of time within the next horizon decisions, the one "
+    "that follows included; resemblance = exp(-mean |observation - observation lag decisions "
+    "earlier| / scale) for each lag, 0 where the episode is shorter; a warning is a probability of "
+    "threshold or more"
 )
 """The sign in words, for the metadata of exported policies."""
+_CLOSE = 1e-5
+"""Distance from 0 and 1 at which a probability is cut, before its log-odds are taken [-]; closer to
+1, single precision has too few digits for them."""
+_FAR = 50.0
+"""Largest log-odds, both ways [-]; beyond it a probability in double precision is 0 or 1."""
+
+
+def resemblances(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return how much each observation of an episode resembles those before it, (T, lags) [-].
+
+    ``observations``: (T, N + 3) in SI units, oldest first. A resemblance is 1 for equal ones, and 0
+    for an observation from before the episode.
+    """
+    found = np.zeros((len(observations), len(LAGS)), np.float32)
+    for column, lag in enumerate(LAGS):
+        difference = np.abs(observations[lag:] - observations[:-lag]).mean(axis=1)
+        found[lag:, column] = np.exp(-difference / SCALE)
+    return found
+
+
+class Recurrence:
+    """The resemblances of an episode's newest observation, while the episode lasts."""
+
+    def __init__(self, size: int) -> None:
+        """``size``: length of an observation, N + 3."""
+        self._kept = np.zeros((LAGS[-1] + 1, size), np.float32)  # of a ring
+        self._lags = np.array(LAGS)
+        self._count = 0
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._count = 0
+
+    def add(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Add the newest observation, (N + 3,); return its resemblances, (lags,)."""
+        length = len(self._kept)
+        self._kept[self._count % length] = observation
+        earlier = self._kept[(self._count - self._lags) % length]  # (lags, N + 3)
+        difference = np.abs(earlier - observation).mean(axis=1)
+        found = np.where(self._lags <= self._count, np.exp(-difference / SCALE), 0.0)
+        self._count += 1
+        return found.astype(np.float32)
+
+
+def with_recurrence(
+    risk: float, coefficients: NDArray[np.float32], resembles: NDArray[np.float32]
+) -> float:
+    """Return the risk of an observation with its episode's past.
+
+    ``risk``: that of the observation alone, 0 to 1; ``coefficients``: what each resemblance adds to
+    its log-odds, (lags,); ``resembles``: the resemblances, (lags,).
+    """
+    cut = min(1 - _CLOSE, max(_CLOSE, risk))
+    score = math.log(cut / (1 - cut)) + float(coefficients @ resembles)
+    return 1 / (1 + math.exp(-min(_FAR, max(-_FAR, score))))
 
 
 @dataclass(frozen=True)

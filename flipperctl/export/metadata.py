@@ -15,8 +15,8 @@ from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
 from flipperctl.core import observation
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
-from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import MEANING
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 
@@ -52,6 +52,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
             "meaning": MEANING_OF_RISK,
             "horizon": risk.horizon,
             "threshold": risk.threshold,
+            "lags": LAGS,
+            "scale": SCALE,
         }
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)

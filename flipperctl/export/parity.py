@@ -25,8 +25,8 @@ TOLERANCE = 1e-4
 """Largest difference of Q-values that counts as rounding, relative to the largest |Q|."""
 
 Outputs = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], ...]]
-"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and to risks (M, 1) if it has a
-risk."""
+"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and if it has a risk, to what the
+network of the risk returns."""
 
 
 class _RecordingPolicy(TrainedPolicy):
@@ -101,14 +101,17 @@ def _compared_risks(
     risk: torch.nn.Module, others: Sequence[NDArray[np.float32]], observations: NDArray[np.float32]
 ) -> dict[str, float]:
     with torch.inference_mode():
-        expected = risk(torch.from_numpy(observations)).numpy()  # (M, 1)
-    shapes = [other.shape for other in others]
-    if shapes != [expected.shape]:
-        raise ExportError(f"the exported risk has the shapes {shapes}, torch {expected.shape}")
-    difference = float(np.abs(expected - others[0]).max())
-    if not difference <= TOLERANCE:
+        expected = [tensor.numpy() for tensor in risk(torch.from_numpy(observations))]
+    shapes, wanted = ([array.shape for array in found] for found in (others, expected))
+    if shapes != wanted:
+        raise ExportError(f"the exported risk has the shapes {shapes}, torch {wanted}")
+    both = list(zip(expected, others, strict=True))
+    difference = max(float(np.abs(a - b).max()) for a, b in both)
+    largest = max(float(np.abs(a).max()) for a in expected)
+    limit = TOLERANCE * max(1.0, largest)
+    if not difference <= limit:
         raise ExportError(
             f"the exported policy disagrees with torch: risks differ by up to {difference:g} "
-            f"(allowed {TOLERANCE:g}); nothing was written"
+            f"(allowed {limit:g}); nothing was written"
         )
     return {"largest_risk_difference": difference}

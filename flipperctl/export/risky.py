@@ -1,6 +1,6 @@
 """A policy's network and that of its risk as one network, for export.
 
-In: both networks. Out: one with a second output; the first one, the Q-values, stays as it is.
+In: both networks. Out: one with two further outputs; the first one, the Q-values, stays as it is.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from flipperctl.agent.risk import Risk
 
 
 class PolicyWithRisk(torch.nn.Module):
-    """Maps inputs (B, F · (N + 3)) to Q-values (B, 9) and probabilities of a failure (B, 1)."""
+    """Maps inputs (B, F · (N + 3)) to Q-values (B, 9), risks (B, 1), coefficients (B, lags)."""
 
     def __init__(self, policy: torch.nn.Module, risk: Risk) -> None:
         super().__init__()
         self.policy, self.risk = policy, risk
 
-    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the Q-values and the risk."""
-        return self.policy(observation), self.risk(observation)
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the Q-values, the risk of the input alone, and what recurrence adds to it."""
+        return self.policy(observation), *self.risk(observation)
 
 
 def with_risk(policy: torch.nn.Module, risk: Risk | None) -> torch.nn.Module:
@@ -29,4 +29,6 @@ def with_risk(policy: torch.nn.Module, risk: Risk | None) -> torch.nn.Module:
 
 def output_names(module: torch.nn.Module) -> tuple[str, ...]:
     """Return the names of a network's outputs in an exported file, in their order."""
-    return ("q_values", "risk") if isinstance(module, PolicyWithRisk) else ("q_values",)
+    if isinstance(module, PolicyWithRisk):
+        return ("q_values", "risk", "risk_recurrence")
+    return ("q_values",)

@@ -18,7 +18,7 @@ from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.layout import require_equal_layout
-from flipperctl.core.risk import RiskCalibration
+from flipperctl.core.risk import Recurrence, RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
 
 
@@ -35,12 +35,14 @@ class TrainedPolicy:
         """When its risk is a warning; None without a risk."""
         self.risk: float | None = None
         """Risk at the last decision; None without one."""
+        self._recurrence: Recurrence | None = None
         self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
     def reset(self, simulator: Simulator | None = None) -> None:
-        """Begin an episode; the policy has no memory."""
+        """Begin an episode; only the risk has a memory."""
+        self.risk = self._recurrence = None
 
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
@@ -50,7 +52,9 @@ class TrainedPolicy:
         """Return the action for the newest observations, each (N + 3,) in SI units."""
         observation = stacked(recent, self.frames)
         if self._risk is not None:
-            self.risk = self._risk.of_one(observation)
+            if self._recurrence is None:
+                self._recurrence = Recurrence(len(recent[-1]))
+            self.risk = self._risk.of_one(observation, self._recurrence.add(recent[-1]))
         return greedy(self.module, observation, self._device)
 
 

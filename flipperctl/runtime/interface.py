@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.actions import PAIRS
 from flipperctl.core.observation import ANGLES
-from flipperctl.core.risk import RiskSign
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
@@ -218,12 +218,14 @@ def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
         metadata,
         where,
         RISK.removeprefix(PREFIX),
-        "a mapping with the whole number horizon and the threshold, above 0 and at most 1",
+        "a mapping with the whole number horizon, the threshold, above 0 and at most 1, the lags "
+        f"{list(LAGS)} and the scale {SCALE}",
         lambda v: (
             isinstance(v, dict)
             and _is_count(v.get("horizon"))
             and _is_positive(v.get("threshold"))
             and v["threshold"] <= 1
+            and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
         ),
     )
     return RiskSign(sign["horizon"], float(sign["threshold"]))

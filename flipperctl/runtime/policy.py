@@ -16,10 +16,10 @@ from flipperctl.core.observation import ANGLES
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
 from flipperctl.runtime.observing import Frame, observe
+from flipperctl.runtime.risk import BoundRisk
 from flipperctl.runtime.session import (
     INPUT,
     OUTPUT,
-    RISK,
     check_shapes,
     open_session,
     read_model,
@@ -66,16 +66,15 @@ class OnnxPolicy:
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
-        self._risk = np.zeros((1, 1), np.float32) if has_risk else None
-        if self._risk is not None:
-            self._bound.bind_output(RISK, "cpu", 0, np.float32, (1, 1), self._risk.ctypes.data)
-        self._decided = False
+        self._risk = BoundRisk(self._bound, self.interface.size) if has_risk else None
         self.act(np.zeros(self.interface.size))  # the first run allocates
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode: the next observation also fills the frames before it."""
-        self._episode_begins, self._decided = True, False
+        self._episode_begins = True
+        if self._risk is not None:
+            self._risk.reset()
 
     @property
     def risk(self) -> float | None:
@@ -84,7 +83,7 @@ class OnnxPolicy:
         ``interface.risk`` has the number of these decisions. None before the first decision after
         ``reset``, and for a file without a risk.
         """
-        return self._risk.item() if self._risk is not None and self._decided else None
+        return None if self._risk is None else self._risk.value
 
     @property
     def warning(self) -> bool:
@@ -146,9 +145,8 @@ class OnnxPolicy:
         action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
-        self._decided = True
-        if self._risk is not None and not math.isfinite(self._risk.item()):
-            raise NonFiniteError(f"{self.path}: the risk is {self._risk.item()}")
+        if self._risk is not None:
+            self._risk.update(self._row, self.path)
         return action
 
     def next_targets(self, targets: ArrayLike, angles: ArrayLike, action: int) -> FloatPair:

@@ -21,6 +21,7 @@ def new_replay(config: TrainConfig, layout: ObservationLayout, privileged: int) 
         labels=len(ACTIONS) if config.teacher.teaches else 0,
         privileged=privileged,
         risk_horizon=agent.risk_horizon if agent.risk else 0,
+        newest=layout.size,
         cut_at_random=agent.cut_at_random,
     )
 

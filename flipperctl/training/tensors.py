@@ -9,8 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.replay import Replay
-from flipperctl.agent.risk import UNKNOWN
+from flipperctl.agent.replay import UNKNOWN, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
@@ -53,7 +52,8 @@ def run_arrays(
     found = arrays(saved, "replay")
     bounded = [("action", 0.0, len(ACTIONS) - 1), ("discount", 0.0, 1)]
     bounded += [("label", 0.0, 1)] if "label" in found else []
-    bounded += [("failing", UNKNOWN, 1)] if "failing" in found else []
+    if "failing" in found:
+        bounded += [("failing", UNKNOWN, 1), ("resembles", 0.0, 1)]
     for name, least, most in bounded:
         values = np.asarray(found[name], np.float64)
         if ((values < least) | (values > most)).any():
