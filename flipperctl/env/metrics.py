@@ -38,6 +38,7 @@ _RESERVED = frozenset(
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
         *("static_bound", "by", "mean_return", "failed_by", "risk", "risks"),
         *("risk_horizon", "risk_threshold", "risk_slope", "risk_shift", "risk_failures"),
+        "risk_reached",
         *("risk_announced", "risk_false_alarms", "risk_false_warnings", "risk_brier"),
     )
 )

@@ -5,7 +5,7 @@ In: episodes with the risk at each decision. Out: counts, their intervals and th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from flipperctl.api import FloatArray
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import proportion
-from flipperctl.rollout.risks import EpisodeRisks
+from flipperctl.rollout.risks import AHEAD, EpisodeRisks
 
 _EDGES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Edges of the bins in which told and true rates are compared; finer where most risks are."""
@@ -63,26 +63,26 @@ class RiskSummary:
     bins: tuple[RiskBin, ...]
     """Told and true rates, by risk; bins without decisions are left out."""
 
-    @property
-    def text(self) -> str:
-        """The result in one sentence."""
-        failed = (
-            f"{self.announced} of {self.failures} failures were announced three or more decisions "
-            "ahead"
-            if self.failures
-            else "no failure to announce"
-        )
-        share = (
-            "" if self.false_warnings is None else f", at {self.false_warnings:.1%} of decisions"
-        )
-        return (
-            f"{failed}; {self.false_alarms} of {self.reached} reached episodes had a warning{share}"
-            f" (risk of {self.threshold:.2g} or more within {self.horizon} decisions)"
-        )
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return asdict(self)
+
+
+def risk_text(found: Mapping[str, Any]) -> str:
+    """Return the counts of a summary, as plain data, in one sentence."""
+    failures, announced = found["failures"], found["announced"]
+    share = found["false_warnings"]
+    failed = (
+        f"{announced:.0f} of {failures:.0f} failures were announced {AHEAD} or more decisions ahead"
+        if failures
+        else "no failure to announce"
+    )
+    told = "" if share is None else f", at {share:.1%} of their decisions"
+    return (
+        f"{failed}; warnings in {found['false_alarms']:.0f} of {found['reached']:.0f} episodes "
+        f"that reached the finish{told} (risk of {found['threshold']:.2g} or more within "
+        f"{found['horizon']:.0f} decisions)"
+    )
 
 
 Ended = tuple[EpisodeRisks, bool]

@@ -101,6 +101,7 @@ def _metrics(episodes: Sequence[Ended]) -> dict[str, float]:
     found = summarise_risk(episodes)
     assert found is not None  # there are episodes
     return {
+        "risk_reached": float(found.reached),
         "risk_failures": float(found.failures),
         "risk_announced": float(found.announced),
         "risk_false_alarms": float(found.false_alarms),
