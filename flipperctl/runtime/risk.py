@@ -42,10 +42,9 @@ class BoundRisk:
             NonFiniteError: the risk is NaN or infinite; the text names ``path``.
         """
         resembles = self._recurrence.add(observation)
-        alone, coefficients = self._alone.item(), self._coefficients[0]
-        if not (math.isfinite(alone) and np.isfinite(coefficients).all()):
+        self.value = with_recurrence(self._alone.item(), self._coefficients[0], resembles)
+        if math.isnan(self.value):
             raise NonFiniteError(
                 f"{path}: the risk is not a finite number; the file is damaged, or the observation "
                 "is far from those of the training"
             )
-        self.value = with_recurrence(alone, coefficients, resembles)
