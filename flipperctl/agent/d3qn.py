@@ -31,6 +31,7 @@ from flipperctl.agent.losses import (
 )
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
+from flipperctl.agent.risk import RiskLearner
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
@@ -91,6 +92,12 @@ class D3qn:
                 if privileged
                 else None
             )
+        self.risk = (
+            RiskLearner(input_size(network, layout), seed=seed, device=self.device)
+            if settings.risk
+            else None
+        )
+        """The learner of the risk, if there is one."""
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(
                 network, "build", "built a network without trainable parameters", ConfigError
@@ -119,6 +126,10 @@ class D3qn:
     def policy(self) -> torch.nn.Module:
         """The network that is validated and exported."""
         return self.target if self.settings.act_with == "target" else self.online
+
+    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return a copy of the policy's weights, and of those of its risk, for other processes."""
+        return arrays(self.policy) | ({} if self.risk is None else self.risk.arrays())
 
     @contextmanager
     def evaluation_mode(self) -> Iterator[torch.nn.Module]:
@@ -162,7 +173,10 @@ class D3qn:
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
             valued = groups[start // s.batch_size].to(self.device) if groups else None
-            value = self._step(batch.rows(part), targets[part], rate, fraction, valued)
+            step = batch.rows(part)
+            value = self._step(step, targets[part], rate, fraction, valued)
+            if self.risk is not None:
+                self.risk.step(step, rate)
             if not math.isfinite(value):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
@@ -244,6 +258,8 @@ class D3qn:
         found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
         if self.baselines is not None:
             found |= {f"baselines.{k}": v for k, v in self.baselines.state_dict().items()}
+        if self.risk is not None:
+            found |= self.risk.tensors()
         return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
 
     def restore(self, tensors: dict[str, torch.Tensor], steps: int) -> None:
@@ -258,6 +274,8 @@ class D3qn:
         self.target.load_state_dict(parts["target"])
         if self.baselines is not None:
             self.baselines.load_state_dict(parts["baselines"])
+        if self.risk is not None:
+            self.risk.restore(tensors, steps)
         for name, moment in self.optimiser.moments.items():
             moment.copy_(parts["optimiser"][name])
         self.optimiser.steps = steps

@@ -38,7 +38,7 @@ def check_demand(
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)
     memory.require(
-        rows * row_bytes(inputs, n_actions if labelled else 0, privileged),
+        rows * row_bytes(inputs, n_actions if labelled else 0, privileged, risk=settings.risk),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "lower it, or use fewer bins or frames",
     )

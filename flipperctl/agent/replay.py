@@ -8,25 +8,29 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.memory import gigabytes
+from flipperctl.core.risk import LAGS, resemblances
 from flipperctl.errors import ConfigError
 
 _Row = NDArray[np.float32] | None
+UNKNOWN: Final = -1.0
+"""Label of a transition whose episode has not ended, or was not played by this training [-]."""
 
 
-def row_bytes(size: int, labels: int = 0, privileged: int = 0) -> int:
+def row_bytes(size: int, labels: int = 0, privileged: int = 0, *, risk: bool = False) -> int:
     """Return the memory of one transition [B].
 
     ``size``: length of an input row; ``labels``: length of a label, 0 without one;
-    ``privileged``: length of a privileged state, 0 without one.
+    ``privileged``: length of a privileged state, 0 without one; ``risk``: whether a risk is learnt.
     """
-    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels
+    further = 4 * (1 + len(LAGS)) if risk else 0
+    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels + further
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,10 @@ class Batch:
     """Privileged states at ``observation``, (B, P) float32, if the training has them."""
     next_privileged: torch.Tensor | None = None
     """Privileged states at ``next_observation``, (B, P) float32."""
+    failing: torch.Tensor | None = None
+    """1 where the episode failed soon, else 0, or ``UNKNOWN``, (B,) float32, for a risk."""
+    resembles: torch.Tensor | None = None
+    """How much the newest observation resembles those before it, (B, lags) float32, likewise."""
 
     def rows(self, part: slice) -> Batch:
         """Return a part of the batch."""
@@ -79,12 +87,16 @@ class Replay:
         labels: int = 0,
         *,
         privileged: int = 0,
+        risk_horizon: int = 0,
+        newest: int = 0,
         cut_at_random: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
-        ``privileged``: length of the privileged states, 0 without them. ``cut_at_random``: whether
-        a sum of rewards ends before the next random action.
+        ``privileged``: length of the privileged states, 0 without them. ``risk_horizon``: number of
+        decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
+        newest observation in a row, N + 3, which it needs. ``cut_at_random``: whether a sum of
+        rewards ends before the next random action.
 
         Raises:
             ConfigError: there is not enough memory.
@@ -103,8 +115,13 @@ class Replay:
             if privileged:
                 for name in ("privileged", "next_privileged"):
                     self.arrays[name] = np.zeros((capacity, privileged), np.float32)
+            if risk_horizon:
+                self.arrays["failing"] = np.full(capacity, UNKNOWN, np.float32)
+                self.arrays["resembles"] = np.zeros((capacity, len(LAGS)), np.float32)
         except MemoryError as error:
-            needed = gigabytes(capacity * row_bytes(size, labels, privileged))
+            needed = gigabytes(
+                capacity * row_bytes(size, labels, privileged, risk=risk_horizon > 0)
+            )
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
                 f"{needed} of memory, more than is available; lower it"
@@ -115,6 +132,8 @@ class Replay:
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Row, _Row]] = deque()
         self._n_step, self._cut_at_random = n_step, cut_at_random
+        self._risk_horizon, self._newest = risk_horizon, newest
+        self._episode = 0  # transitions of the running episode
 
     def __len__(self) -> int:
         return min(self.added, self.capacity)
@@ -129,6 +148,7 @@ class Replay:
         over: bool,
         bootstrap: bool,
         explored: bool = False,
+        failed: bool | None = None,
         label: _Row = None,
         privileged: _Row = None,
         next_privileged: _Row = None,
@@ -136,7 +156,8 @@ class Replay:
         """Add one decision.
 
         ``over``: whether it ended the episode; ``bootstrap``: whether the target still includes the
-        value after that end; ``explored``: whether the action was random; ``label``: the teacher's
+        value after that end; ``explored``: whether the action was random; ``failed``: at the end,
+        whether the episode failed, None if its risk shall not be learnt; ``label``: the teacher's
         distribution over actions, if any; ``privileged`` and ``next_privileged``: the privileged
         states at both observations, if the training has them.
         """
@@ -148,6 +169,8 @@ class Replay:
             self._flush(next_observation, next_privileged, continues)
         while over and self._pending:
             self._flush(next_observation, next_privileged, continues)
+        if over:
+            self._mark_episode(failed)
 
     def _flush(
         self, next_observation: NDArray[np.float32], next_privileged: _Row, continues: float
@@ -157,9 +180,7 @@ class Replay:
             total = reward + self._gamma * total
         length = len(self._pending)
         observation, action, _, label, privileged = self._pending.popleft()
-        row = self.added
-        if row >= self.capacity:
-            row = self.kept + (row - self.kept) % (self.capacity - self.kept)
+        row = self._row_of(self.added)
         values = (observation, action, total, next_observation, continues * self._gamma**length)
         for name, value in zip(self.FIELDS, values, strict=True):
             self.arrays[name][row] = value
@@ -168,7 +189,28 @@ class Replay:
         if "privileged" in self.arrays:
             self.arrays["privileged"][row] = privileged
             self.arrays["next_privileged"][row] = next_privileged
+        if "failing" in self.arrays:
+            self.arrays["failing"][row] = UNKNOWN
         self.added += 1
+        self._episode += 1
+
+    def _row_of(self, number: int) -> int:
+        """Return the row of a transition, counted from 0."""
+        if number < self.capacity:
+            return number
+        return self.kept + (number - self.kept) % (self.capacity - self.kept)
+
+    def _mark_episode(self, failed: bool | None) -> None:
+        """Mark each transition of the episode that has ended, unless it is overwritten already."""
+        if "failing" in self.arrays and failed is not None:
+            first = max(self.added - self._episode, self.added - (self.capacity - self.kept))
+            rows = [self._row_of(number) for number in range(first, self.added)]
+            newest = self.arrays["observation"][rows, -self._newest :]
+            self.arrays["resembles"][rows] = resemblances(newest)
+            self.arrays["failing"][rows] = 0.0
+            if failed:
+                self.arrays["failing"][rows[-self._risk_horizon :]] = 1.0
+        self._episode = 0
 
     def sample(self, size: int, rng: np.random.Generator) -> Batch:
         """Return ``size`` transitions, drawn uniformly with replacement."""
@@ -188,6 +230,7 @@ class Replay:
     def drop_pending(self) -> None:
         """Discard the decisions that still lack their n-th reward."""
         self._pending.clear()
+        self._episode = 0
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """Return the used part of each array.
@@ -211,4 +254,4 @@ class Replay:
         for name, array in self.arrays.items():
             array[: len(arrays[name])] = arrays[name]
         self.added, self.kept = added, kept
-        self._pending.clear()
+        self.drop_pending()

@@ -176,8 +176,8 @@ def read(path: Path) -> Checkpoint:
 
 def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
     """Check that every tensor belongs to a part that a checkpoint of this kind has."""
-    run = {"online", "target", "baselines", "optimiser", "replay"}
-    parts = {"policy"} if document.kind == "best" else run
+    run = {"online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"}
+    parts = {"policy", "risk"} if document.kind == "best" else run
     requests = document.state.orders if document.state else ()
     if document.state and document.state.groups_added:
         parts.add("groups")

@@ -11,6 +11,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from flipperctl.api import Outcome, Settings
+from flipperctl.config.risk import RiskFalseAlarms, RiskHorizon, RiskLearnt
 
 _STUCK_WINDOW = 20
 """Default of ``Episode.stuck_window`` [decisions]."""
@@ -127,6 +128,9 @@ class Agent(Settings):
         description="let a second network, which sees the ground ahead and the distance to the "
         "finish, learn what they change in all actions' values alike; policies do without it [-]",
     )
+    risk: RiskLearnt = False
+    risk_horizon: RiskHorizon = 10
+    risk_false_alarms: RiskFalseAlarms = 0.1
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"

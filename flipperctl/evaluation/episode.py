@@ -13,6 +13,7 @@ from flipperctl.api import Outcome
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.env.metrics import DRAWN, other_measures
 from flipperctl.rollout.episode import SEARCH
+from flipperctl.rollout.risks import EpisodeRisks
 
 _REWARD = "reward_"
 """Prefix of the columns of reward terms."""
@@ -59,6 +60,8 @@ class EpisodeResult:
     policy tried."""
     failed_by: str | None = None
     """What the failure is due to, a ``SensingCause``; None if it reached or was not looked into."""
+    risks: EpisodeRisks | None = None
+    """The risk that the policy told at each decision; None for a policy that tells none."""
     digest: str | None = field(default=None, compare=False, repr=False)
     """Digest of the actions and of the poses at 100 Hz; None if it was not computed."""
     recorded: RecordedEpisode | None = field(default=None, compare=False, repr=False)
@@ -72,6 +75,7 @@ class EpisodeResult:
             KeyError: the row lacks a measure.
         """
         rest = dict(row)
+        risks = EpisodeRisks.pop(rest)
         search = {n.removeprefix(SEARCH): rest.pop(n) for n in row if n.startswith(SEARCH)}
         drawn = {n.removeprefix(DRAWN): rest.pop(n) for n in row if n.startswith(DRAWN)}
         names = (m.plugin_name for m in other_measures())
@@ -93,6 +97,7 @@ class EpisodeResult:
             further=further,
             search=search,
             drawn=drawn,
+            risks=risks,
             digest=digest,
         )
 
@@ -127,4 +132,5 @@ class EpisodeResult:
             **{f"{SEARCH}{name}": value for name, value in self.search.items()},
             **({} if self.crossed_by is None else {"crossed_by": self.crossed_by}),
             **({} if self.failed_by is None else {"failed_by": self.failed_by}),
+            **({} if self.risks is None else self.risks.to_row()),
         }

@@ -11,7 +11,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from flipperctl import __version__, checkpoint
 from flipperctl.api import Outcome
@@ -101,6 +108,9 @@ class EpisodeRecord(_Frozen):
     digest: str | None = Field(
         None, description="SHA-256 of the actions and of the poses at 100 Hz [-]"
     )
+    risks: tuple[float, ...] | None = Field(
+        None, description="risk at each decision, of a policy that tells one [-]"
+    )
 
     @classmethod
     def of(cls, config: EvalConfig, source: PolicySource, episode: EpisodeResult) -> EpisodeRecord:
@@ -117,7 +127,13 @@ class EpisodeRecord(_Frozen):
             outcome=episode.outcome,
             measures=measures(episode),
             digest=episode.digest,
+            risks=None if episode.risks is None else episode.risks.told,
         )
+
+    @model_serializer(mode="wrap")
+    def _without_risks(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit the risks of a policy that tells none, as earlier versions do."""
+        return {n: v for n, v in serialize(self).items() if n != "risks" or v is not None}
 
     def evaluation(self, where: Path) -> EvalConfig:
         """Return the configuration of the evaluation, checked against the recorded conditions.

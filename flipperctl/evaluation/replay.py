@@ -6,6 +6,7 @@ In: the file of a record. Out: the episode, and whether it is the recorded one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,10 @@ class Replay:
         ]
         if recorded.digest is not None and episode.digest != recorded.digest:
             found.append(f"digest {episode.digest} ({recorded.digest})")
+        if recorded.risks is not None:
+            told = () if episode.risks is None else episode.risks.told
+            pairs = zip_longest(told, recorded.risks)
+            found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(pairs) if us != it][:1]
         return found
 
     def to_dict(self) -> dict[str, Any]:

@@ -16,6 +16,16 @@ from flipperctl.errors import RequestError
 
 MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel")
 """Measures of a row; those over the episodes that reached the finish, but ``max_pitch``."""
+RISK = (
+    "horizon",
+    "threshold",
+    "failures",
+    "announced",
+    "reached",
+    "false_alarms",
+    "false_warnings",
+)
+"""What a row keeps of how a policy's risk fits the ends of its episodes."""
 Ends = tuple[float, float | None, float | None]
 """Mean, and the ends of its 95 % interval, None for fewer than five values."""
 
@@ -43,6 +53,8 @@ class StoredRow:
     """Means by name in SI units; None if no episode reached the finish."""
     difference: Ends | None = None
     """The policy's θ̂_R at 100 Hz minus this baseline's, over the episodes that both reached."""
+    risk: Mapping[str, float | None] | None = None
+    """Counts of ``RiskSummary`` for a policy that tells its risk."""
 
     @property
     def reached(self) -> int:
@@ -51,7 +63,7 @@ class StoredRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, from which ``of`` makes an equal row."""
-        return asdict(self)
+        return {n: v for n, v in asdict(self).items() if n != "risk" or v is not None}
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> StoredRow:
@@ -118,7 +130,13 @@ def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool
         success=success,
         measures={name: _ends(method[name]) for name in MEASURES},
         difference=difference,
+        risk=_risk(method.get("risk")),
     )
+
+
+def _risk(found: Mapping[str, Any] | None) -> dict[str, float | None] | None:
+    """Return the counts of a summary, without intervals and bins."""
+    return None if found is None else {name: found[name] for name in RISK}
 
 
 def _ends(interval: Mapping[str, Any] | None) -> Ends | None:

@@ -19,6 +19,7 @@ from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
 from flipperctl.evaluation.failed_policies import Failure
 from flipperctl.evaluation.interruption import Interruption
 from flipperctl.evaluation.naming import NAMELESS, SceneName
+from flipperctl.evaluation.risk import RiskSummary
 from flipperctl.evaluation.sensing import counts
 
 
@@ -121,6 +122,8 @@ class Summary:
     and the count of each word."""
     static_bound: Estimate | None = None
     """Static lower bound of θ̂_R over the episodes that reached the finish [rad], if computed."""
+    risk: RiskSummary | None = None
+    """How the policy's risk fits the ends of the episodes; None for a policy that tells none."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -141,6 +144,7 @@ class Summary:
             "max_pitch": self.max_pitch.to_dict(),
             "return": self.episode_return.to_dict(),
             **({"search": dict(self.search)} if self.search else {}),
+            **({"risk": self.risk.to_dict()} if self.risk else {}),
             **plain.parts(self.parts),
         }
 

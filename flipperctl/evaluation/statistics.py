@@ -12,6 +12,7 @@ from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
 from flipperctl.evaluation.results import Differences, NotReached, Outcomes, Passable, Summary
+from flipperctl.evaluation.risk import summarise_risk
 
 Row = Mapping[str, Any]
 """A flat row of ``rollout.episode.play``."""
@@ -67,6 +68,7 @@ def _summary(
         not_reached=_not_reached([e for e in episodes if not e.reached]),
         search=_search(episodes),
         static_bound=_measure([e.static_bound for e in good if e.static_bound is not None]),
+        risk=summarise_risk([(e.risks, not e.reached) for e in episodes if e.risks is not None]),
     )
 
 

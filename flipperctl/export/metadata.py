@@ -15,14 +15,17 @@ from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
 from flipperctl.core import observation
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
+from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import MEANING
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 
 
-def policy_metadata(config: TrainConfig) -> dict[str, str]:
+def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
     """Return the metadata of a policy without its checksum; values other than text are JSON.
 
-    ``config``: configuration of the training, with the robot that the export is for.
+    ``config``: configuration of the training, with the robot that the export is for. ``risk``: when
+    the policy's risk is a warning, if it has one.
     """
     layout, robot = config.perception, config.robot
     values: dict[str, Any] = {
@@ -44,6 +47,14 @@ def policy_metadata(config: TrainConfig) -> dict[str, str]:
     }
     if files := [p for p in plugin_references(config) if p.file is not None]:
         values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
+    if risk is not None:
+        values["risk"] = {
+            "meaning": MEANING_OF_RISK,
+            "horizon": risk.horizon,
+            "threshold": risk.threshold,
+            "lags": LAGS,
+            "scale": SCALE,
+        }
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

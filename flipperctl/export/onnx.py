@@ -17,15 +17,16 @@ from flipperctl.agent.frames import input_size
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
 from flipperctl.export.folded import folded
-from flipperctl.export.parity import QFunction, compare
+from flipperctl.export.parity import Outputs, compare
+from flipperctl.export.risky import output_names
 
 OPSET = 18
 
 
 def export_onnx(
     module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
-) -> tuple[bytes, QFunction]:
-    """Return the bytes of the model, and a function that computes its Q-values.
+) -> tuple[bytes, Outputs]:
+    """Return the bytes of the model, and a function that computes its outputs.
 
     Raises:
         MissingExtraError: a package that ONNX needs is not installed.
@@ -39,7 +40,7 @@ def export_onnx(
             module,
             (example,),
             input_names=["observation"],
-            output_names=["q_values"],
+            output_names=list(output_names(module)),
             dynamic_shapes=({0: torch.export.Dim("batch")},),
             opset_version=OPSET,
             dynamo=True,
@@ -55,11 +56,10 @@ def export_onnx(
     data: bytes = model.SerializeToString()
     session = runtime.InferenceSession(data, providers=["CPUExecutionProvider"])
 
-    def q_values(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        result: NDArray[np.float32] = session.run(["q_values"], {"observation": observations})[0]
-        return result
+    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        return tuple(session.run(list(output_names(module)), {"observation": observations}))
 
-    return data, q_values
+    return data, outputs
 
 
 def compare_onnx(
@@ -74,12 +74,12 @@ def compare_onnx(
         ExportError: torch cannot export the network, or the exported one disagrees with torch.
     """
     try:
-        _, q_values = export_onnx(folded(module), config, {})
+        _, outputs = export_onnx(folded(module), config, {})
     except FlipperctlError:
         raise
     except Exception as error:  # the exporter's errors have no common type
         raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
-    return compare(module, q_values, observations)
+    return compare(module, outputs, observations)
 
 
 def _first_line(error: Exception) -> str:

@@ -5,7 +5,7 @@ In: a network in torch and its export. Out: their largest difference, or an erro
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,9 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 TOLERANCE = 1e-4
 """Largest difference of Q-values that counts as rounding, relative to the largest |Q|."""
 
-QFunction = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9)."""
+Outputs = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], ...]]
+"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and if it has a risk, to what the
+network of the risk returns."""
 
 
 class _RecordingPolicy(TrainedPolicy):
@@ -54,17 +55,23 @@ def rollout_observations(
 
 
 def compare(
-    module: torch.nn.Module, exported: QFunction, observations: NDArray[np.float32]
+    module: torch.nn.Module,
+    exported: Outputs,
+    observations: NDArray[np.float32],
+    risk: torch.nn.Module | None = None,
 ) -> dict[str, Any]:
     """Return the largest difference of the Q-values and the agreement of the chosen actions.
 
+    ``risk``: the network of the risk, if it was exported too; the result then has the largest
+    difference of the risks.
+
     Raises:
-        ExportError: the Q-values differ by more than rounding, or an action differs for another
-            reason.
+        ExportError: the Q-values or risks differ by more than rounding, or an action differs for
+            another reason.
     """
     with torch.inference_mode():
         expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
-    actual = exported(observations)
+    actual, *others = exported(observations)
     if actual.shape != expected.shape:
         raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
     difference = float(np.abs(expected - actual).max())
@@ -86,4 +93,25 @@ def compare(
         "largest_q_value": largest,
         "allowed_difference": limit,
         "action_agreement": agreement,
+        **({} if risk is None else _compared_risks(risk, others, observations)),
     }
+
+
+def _compared_risks(
+    risk: torch.nn.Module, others: Sequence[NDArray[np.float32]], observations: NDArray[np.float32]
+) -> dict[str, float]:
+    with torch.inference_mode():
+        expected = [tensor.numpy() for tensor in risk(torch.from_numpy(observations))]
+    shapes, wanted = ([array.shape for array in found] for found in (others, expected))
+    if shapes != wanted:
+        raise ExportError(f"the exported risk has the shapes {shapes}, torch {wanted}")
+    both = list(zip(expected, others, strict=True))
+    difference = max(float(np.abs(a - b).max()) for a, b in both)
+    largest = max(float(np.abs(a).max()) for a in expected)
+    limit = TOLERANCE * max(1.0, largest)
+    if not difference <= limit:
+        raise ExportError(
+            f"the exported policy disagrees with torch: risks differ by up to {difference:g} "
+            f"(allowed {limit:g}); nothing was written"
+        )
+    return {"largest_risk_difference": difference}

@@ -20,9 +20,10 @@ from flipperctl.export.metadata import policy_metadata
 from flipperctl.export.onnx import export_onnx
 from flipperctl.export.parity import compare, rollout_observations
 from flipperctl.export.pt2 import export_pt2
+from flipperctl.export.risky import with_risk
 from flipperctl.files import write_bytes
 from flipperctl.guard import naming
-from flipperctl.policies.trained import policy_module
+from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 
 Format = Literal["onnx", "pt2"]
@@ -49,18 +50,18 @@ def export(
     trained = checkpoint.config()
     changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
     config = with_overrides(trained, changes)
-    module = policy_module(checkpoint)
+    module, risk = policy_module(checkpoint), policy_risk(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
-    metadata = policy_metadata(config)
+    metadata = policy_metadata(config, None if risk is None else risk.sign)
     # The exporters run the network's code and wrap its errors.
     with naming(config.network, "forward", ExportError, while_=" (export)"):
         if format == "onnx":
             metadata = {**metadata, CHECKSUM: PLACEHOLDER}
-            data, q_values = export_onnx(folded(module), config, metadata)
+            data, outputs = export_onnx(with_risk(folded(module), risk), config, metadata)
             data = add_checksum(data)
         else:
-            data, q_values = export_pt2(folded(module), config, metadata)
-    found = compare(module, q_values, observations)
+            data, outputs = export_pt2(with_risk(folded(module), risk), config, metadata)
+    found = compare(module, outputs, observations, risk)
     write_bytes(output, data)
     return {
         "format": format,

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size
 from flipperctl.config import TrainConfig
-from flipperctl.export.parity import QFunction
+from flipperctl.export.parity import Outputs
 
 
 def export_pt2(
     module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
-) -> tuple[bytes, QFunction]:
-    """Return the bytes of the archive, and a function that computes its Q-values."""
+) -> tuple[bytes, Outputs]:
+    """Return the bytes of the archive, and a function that computes its outputs."""
     example = torch.zeros(2, input_size(config.network, config.perception))
     program = torch.export.export(
         module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
@@ -27,9 +27,10 @@ def export_pt2(
     # Read back what the file will hold; the bytes come from this process, so loading is safe.
     exported = torch.export.load(buffer).module()
 
-    def q_values(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         with torch.inference_mode():
-            result: NDArray[np.float32] = exported(torch.from_numpy(observations)).numpy()
-        return result
+            found = exported(torch.from_numpy(observations))
+        tensors = found if isinstance(found, tuple) else (found,)
+        return tuple(tensor.numpy() for tensor in tensors)
 
-    return buffer.getvalue(), q_values
+    return buffer.getvalue(), outputs

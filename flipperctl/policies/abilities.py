@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import Controller, Perception, Policy, RewardTerm, Simulator, StateGroups
+from flipperctl.core.risk import RiskSign
 from flipperctl.lookahead.learned import LearnedValue
 
 
@@ -36,6 +37,19 @@ class TrainingPolicy(Policy, Protocol):
     @property
     def explored(self) -> bool:
         """Whether the last action was random."""
+
+
+@runtime_checkable
+class RiskPolicy(Policy, Protocol):
+    """A policy that may tell how likely the episode is about to fail."""
+
+    @property
+    def risk(self) -> float | None:
+        """Risk at the last decision, 0 to 1; None if the policy knows none."""
+
+    @property
+    def risk_sign(self) -> RiskSign | None:
+        """When a risk is a warning; None if the policy knows no risk."""
 
 
 @runtime_checkable

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.config.absent import with_stand_ins
+from flipperctl.core.risk import RiskSign
 from flipperctl.errors import ConfigError, PolicyError
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
@@ -39,6 +40,16 @@ class ExportedPolicy:
         """
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
+
+    @property
+    def risk(self) -> float | None:
+        """Risk at the last decision; None without one in the file."""
+        return self._policy.risk
+
+    @property
+    def risk_sign(self) -> RiskSign | None:
+        """When the risk is a warning; None without one in the file."""
+        return self.interface.risk
 
     def reset(self, simulator: Simulator | None = None) -> None:
         """Forget the observations of the previous episode."""

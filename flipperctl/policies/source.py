@@ -184,11 +184,12 @@ def _exported(file: Path, config: EnvConfig) -> Policy:
 
 def _trained(file: Path, config: EnvConfig) -> Policy:
     """Return the policy of a checkpoint for an environment."""
-    from flipperctl.policies.trained import TrainedPolicy, policy_module
+    from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 
     checkpoint = read(file)
     trained = checkpoint.policy_config()
-    policy = TrainedPolicy(policy_module(checkpoint), trained.network.frames)
+    module, risk = policy_module(checkpoint), policy_risk(checkpoint)
+    policy = TrainedPolicy(module, trained.network.frames, risk)
     _check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
     return policy
 

@@ -13,25 +13,36 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.acting import greedy
 from flipperctl.agent.building import build_network
-from flipperctl.agent.frames import stacked
+from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.core.risk import Recurrence, RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
 
 
 class TrainedPolicy:
     """Acts greedily on the Q-values of a network in ``eval()`` mode."""
 
-    def __init__(self, module: torch.nn.Module, frames: int = 1) -> None:
-        """``frames``: number of observations that the network takes as one input."""
-        self.module = module
+    def __init__(self, module: torch.nn.Module, frames: int = 1, risk: Risk | None = None) -> None:
+        """``frames``: number of observations that the network takes as one input.
+
+        ``risk``: the network of its risk on the CPU, if there is one.
+        """
+        self.module, self._risk = module, risk
+        self.risk_sign = None if risk is None else risk.sign
+        """When its risk is a warning; None without a risk."""
+        self.risk: float | None = None
+        """Risk at the last decision; None without one."""
+        self._recurrence: Recurrence | None = None
         self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
     def reset(self, simulator: Simulator | None = None) -> None:
-        """Begin an episode; the policy has no memory."""
+        """Begin an episode; only the risk has a memory."""
+        self.risk = self._recurrence = None
 
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
@@ -39,7 +50,12 @@ class TrainedPolicy:
 
     def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
         """Return the action for the newest observations, each (N + 3,) in SI units."""
-        return greedy(self.module, stacked(recent, self.frames), self._device)
+        observation = stacked(recent, self.frames)
+        if self._risk is not None:
+            if self._recurrence is None:
+                self._recurrence = Recurrence(len(recent[-1]))
+            self.risk = self._risk.of_one(observation, self._recurrence.add(recent[-1]))
+        return greedy(self.module, observation, self._device)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
@@ -66,3 +82,36 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         ) from error
     module.load_state_dict(weights)
     return module.eval().requires_grad_(False)
+
+
+def policy_risk(checkpoint: Checkpoint) -> Risk | None:
+    """Return the network of a policy's risk with its calibration; None if it learnt none.
+
+    It maps observations (B, F · (N + 3)) of F frames in SI units to probabilities (B, 1).
+
+    Raises:
+        CheckpointError: a plugin is missing, or the weights or the calibration are not valid.
+    """
+    config = checkpoint.policy_config()
+    if not config.agent.risk:
+        return None
+    network = RiskNetwork(input_size(config.network, config.perception))
+    weights = checkpoint.part("risk")
+    try:
+        require_equal_layout(weights, network.state_dict())
+        calibration = _calibration(checkpoint, config.agent.risk_horizon)
+    except ValueError as error:
+        raise CheckpointError(f"{checkpoint.path}: its risk is not valid: {error}") from error
+    network.load_state_dict(weights)
+    return Risk(network, calibration).eval().requires_grad_(False)
+
+
+def _calibration(checkpoint: Checkpoint, horizon: int) -> RiskCalibration:
+    """Return the calibration of the policy's validation, or of the run's last one, if any."""
+    document = checkpoint.document
+    validation = document.validation
+    if validation is None and document.state is not None and document.state.validations:
+        validation = document.state.validations[-1]
+    if validation is None:
+        return uncalibrated(horizon)
+    return RiskCalibration.of(validation.__pydantic_extra__)

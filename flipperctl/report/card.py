@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from flipperctl.evaluation.result_rows import StoredRow
+from flipperctl.evaluation.risk import risk_text
 from flipperctl.report.result_table import ends_text, markdown_table
 
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")
@@ -180,6 +181,9 @@ def _limits(facts: CardFacts) -> Iterator[str]:
                 f"- `{row.terrain}` ({row.hash}): a larger θ̂_R than `{row.method}`, by "
                 f"{ends_text(row.difference, 2)} rad."
             )
+    for row in own:
+        if row.risk is not None:
+            yield f"- Its risk on `{row.terrain}` ({row.hash}): {risk_text(row.risk)}."
     yield "- Other robots, terrains and conditions than those above were not evaluated.\n"
 
 

@@ -11,7 +11,8 @@ import torch
 
 from flipperctl import plugins
 from flipperctl.agent.building import build_network, naming_network
-from flipperctl.agent.frames import stacked
+from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
@@ -43,6 +44,10 @@ class Actor:
         self._module = build_network(settings.network, self._env.layout, len(ACTIONS))
         self._module.requires_grad_(False)
         self._frames = settings.network.frames
+        self._risk = None
+        if settings.agent.risk:
+            size = input_size(settings.network, self._env.layout)
+            self._risk = plain_risk(RiskNetwork(size), settings.agent.risk_horizon)
         self._seed = settings.seed
         self._teaching, self._agent = settings.teacher, settings.agent
         self._privileged = settings.learns_privileged_value
@@ -55,7 +60,8 @@ class Actor:
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
         self._load(weights)
-        return play(self._env, TrainedPolicy(self._module.eval(), self._frames), seed)
+        policy = TrainedPolicy(self._module.eval(), self._frames, self._risk)
+        return play(self._env, policy, seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
@@ -100,7 +106,9 @@ class Actor:
         )
 
     def _load(self, weights: Weights) -> None:
-        state = {name: torch.from_numpy(array) for name, array in weights.items()}
+        risk, state = split_weights(weights)
+        if risk and self._risk is not None:
+            self._risk.network.load_state_dict(risk)
         with naming_network(self._module, "load_state_dict"):  # its shapes may have changed
             self._module.load_state_dict(state)
 

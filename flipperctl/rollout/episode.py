@@ -17,6 +17,8 @@ from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.observer import Observer
 from flipperctl.errors import FlipperctlError
+from flipperctl.policies.abilities import RiskPolicy
+from flipperctl.rollout.risks import EpisodeRisks
 
 Row = dict[str, Any]
 """Seed, outcome and metrics of one episode."""
@@ -74,6 +76,7 @@ def decisions(
     simulator = env.simulator(report_progress)
     policy.reset(simulator)
     ending: Row | None = None
+    risks, told = _risk_policy(policy), list[float]()
     while ending is None:
         if pace is not None:
             pace(env.state.time)
@@ -81,10 +84,14 @@ def decisions(
         action = policy.act(perception)
         if action_index(action) is None:
             raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
+        if risks is not None and risks.risk is not None:
+            told.append(risks.risk)
         _, reward, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
             ending |= {f"{SEARCH}{name}": value for name, value in simulator.results.items()}
+            if risks is not None and risks.risk_sign is not None:
+                ending |= EpisodeRisks.of(risks.risk_sign, told).to_row()
         yield Decision(
             perception=perception,
             action=action,
@@ -94,6 +101,10 @@ def decisions(
             next_perception=env.perception,
             ending=ending,
         )
+
+
+def _risk_policy(policy: Policy) -> RiskPolicy | None:
+    return policy if isinstance(policy, RiskPolicy) and policy.risk_sign is not None else None
 
 
 def play(

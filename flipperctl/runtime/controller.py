@@ -53,6 +53,11 @@ class Answer:
     """What was found and what is allowed; empty without a fault."""
     action: int | None = None
     """The action, if this step decided; a row of ``interface.actions``."""
+    risk: float | None = None
+    """Probability of a failure soon, at the last decision; None before one, while the flippers are
+    not driven, and for a file without a risk."""
+    warning: bool = False
+    """Whether the risk is the file's threshold or more."""
 
 
 class FlipperController:
@@ -240,11 +245,16 @@ class FlipperController:
             "" if fault is None else fault.name,
             "" if fault is None else fault.reason,
             action,
+            self.policy.risk,
+            self.policy.warning,
         )
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            self._log(json.dumps({"time": _number(now), **asdict(answer)}))
+            told = asdict(answer)
+            if self.policy.interface.risk is None:  # the lines of files without a risk stay
+                del told["risk"], told["warning"]
+            self._log(json.dumps({"time": _number(now), **told}))
         return answer
 
     def _state(self, fault: Fault | None) -> State:

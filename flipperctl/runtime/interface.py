@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.actions import PAIRS
 from flipperctl.core.observation import ANGLES
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
@@ -34,6 +35,9 @@ about -10 in centimetres and -100 in millimetres.
 """
 TARGETS = f"{PREFIX}targets"
 """Metadata entry of the rule for the flippers' targets."""
+
+RISK = f"{PREFIX}risk"
+"""Metadata entry of the risk, in files whose policy tells one."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,8 @@ class Interface:
     """Version of flipperctl that exported the policy."""
     plugins: tuple[PluginFile, ...] = ()
     """Plugins of the training that were not installed; a robot needs none of them."""
+    risk: RiskSign | None = None
+    """When the policy's risk is a warning; None for a policy that tells none."""
 
     @property
     def size(self) -> int:
@@ -184,6 +190,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
                 absent="[]",
             )
         ),
+        risk=_risk(metadata, where),
     )
 
 
@@ -201,6 +208,27 @@ def _targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]
         ),
     )
     return TargetRule(window=rule["window"], limit=rule["limit"])
+
+
+def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
+    """Return when the risk is a warning; None if the file has no risk."""
+    if RISK not in metadata:
+        return None
+    sign = _entry(
+        metadata,
+        where,
+        RISK.removeprefix(PREFIX),
+        "a mapping with the whole number horizon, the threshold, above 0 and at most 1, the lags "
+        f"{list(LAGS)} and the scale {SCALE}",
+        lambda v: (
+            isinstance(v, dict)
+            and _is_count(v.get("horizon"))
+            and _is_positive(v.get("threshold"))
+            and v["threshold"] <= 1
+            and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
+        ),
+    )
+    return RiskSign(sign["horizon"], float(sign["threshold"]))
 
 
 def _entry(

@@ -16,6 +16,7 @@ from flipperctl.core.observation import ANGLES
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
 from flipperctl.runtime.observing import Frame, observe
+from flipperctl.runtime.risk import BoundRisk
 from flipperctl.runtime.session import (
     INPUT,
     OUTPUT,
@@ -48,7 +49,8 @@ class OnnxPolicy:
         metadata, shapes = read_model(self._session, str(self.path))
         self.interface = read_interface(metadata, str(self.path))
         size = self.interface.inputs
-        check_shapes(shapes, size, str(self.path))
+        has_risk = self.interface.risk is not None
+        check_shapes(shapes, size, str(self.path), risk=has_risk)
         # The buffers are bound once: a decision then takes 10.5 µs inside onnxruntime, against
         # 12.9 µs with session.run and 46 µs with OrtValues (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
@@ -64,12 +66,30 @@ class OnnxPolicy:
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
+        self._risk = BoundRisk(self._bound, self.interface.size) if has_risk else None
         self.act(np.zeros(self.interface.size))  # the first run allocates
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode: the next observation also fills the frames before it."""
         self._episode_begins = True
+        if self._risk is not None:
+            self._risk.reset()
+
+    @property
+    def risk(self) -> float | None:
+        """Probability at the last decision that the episode fails soon, 0 to 1.
+
+        ``interface.risk`` has the number of these decisions. None before the first decision after
+        ``reset``, and for a file without a risk.
+        """
+        return None if self._risk is None else self._risk.value
+
+    @property
+    def warning(self) -> bool:
+        """Whether the risk is the file's threshold or more; False without a risk."""
+        sign = self.interface.risk
+        return sign is not None and sign.warns(self.risk)
 
     def observation(
         self, points: ArrayLike, *, front: float, rear: float, pitch: float, frame: Frame = "L"
@@ -125,6 +145,8 @@ class OnnxPolicy:
         action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
+        if self._risk is not None:
+            self._risk.update(self._row, self.path)
         return action
 
     def next_targets(self, targets: ArrayLike, angles: ArrayLike, action: int) -> FloatPair:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flipperctl.core.actions import ACTIONS
+from flipperctl.core.risk import LAGS
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.checksum import verify
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 
 Shapes = dict[str, tuple[str, list[int | str | None]]]
 """Type and shape of each input and output by name."""
-INPUT, OUTPUT = "observation", "q_values"
+INPUT, OUTPUT, RISK, RECURRENCE = "observation", "q_values", "risk", "risk_recurrence"
+_RISKS = f", {RISK} tensor(float) [batch, 1] and {RECURRENCE} tensor(float) [batch, {len(LAGS)}]"
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -112,13 +114,19 @@ def _reason(error: Exception) -> str:
     return "".join(sign if sign.isprintable() else "?" for sign in words[:300])
 
 
-def check_shapes(found: Shapes, size: int, where: str) -> None:
+def check_shapes(found: Shapes, size: int, where: str, *, risk: bool = False) -> None:
     """Check that the model maps inputs of ``size`` numbers to the Q-values of the actions.
+
+    ``risk``: whether it has a risk too, as its metadata say.
 
     Raises:
         PolicyError: it does not.
     """
-    expected = {INPUT: size, OUTPUT: len(ACTIONS)}
+    expected = {
+        INPUT: size,
+        OUTPUT: len(ACTIONS),
+        **({RISK: 1, RECURRENCE: len(LAGS)} if risk else {}),
+    }
     fits = found.keys() == expected.keys() and all(
         kind == "tensor(float)" and len(shape) == 2 and shape[1] == expected[name]
         for name, (kind, shape) in found.items()
@@ -127,5 +135,6 @@ def check_shapes(found: Shapes, size: int, where: str) -> None:
         shown = ", ".join(f"{name} {kind} {shape}" for name, (kind, shape) in found.items())
         raise PolicyError(
             f"{where}: the model has {shown}; {INPUT} tensor(float) [batch, {size}] and "
-            f"{OUTPUT} tensor(float) [batch, {len(ACTIONS)}] is allowed"
+            f"{OUTPUT} tensor(float) [batch, {len(ACTIONS)}]"
+            f"{_RISKS if risk else ''} is allowed"
         )

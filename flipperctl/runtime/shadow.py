@@ -39,6 +39,7 @@ class Shadow:
         self._last: tuple[float, Answer] | None = None
         self._states: defaultdict[str, float] = defaultdict(float)  # their times [s]
         self._actions: Counter[int] = Counter()
+        self._warnings = 0
         self._faults: dict[str, dict[str, Any]] = {}
 
     def take(self, now: float, messages: Mapping[str, object]) -> None:
@@ -66,6 +67,7 @@ class Shadow:
             self._states[self._last[1].state] += elapsed
         if answer.action is not None:
             self._actions[answer.action] += 1
+            self._warnings += answer.warning
         if answer.fault:
             found = self._faults.setdefault(
                 answer.fault, {"count": 0, "seconds": 0.0, "reason": answer.reason}
@@ -83,13 +85,15 @@ class Shadow:
         self._write(json.dumps({**json.loads(line), "measured": self._measured}))
 
     def summary(self) -> dict[str, Any]:
-        """Return seconds, decisions, the time in each state and the faults."""
+        """Return seconds, decisions, warnings, the time in each state and the faults."""
         seconds = 0.0
         if self._last is not None and self._begun is not None:
             seconds = self._last[0] - self._begun
+        tells = self._controller.policy.interface.risk is not None
         return {
             "seconds": seconds,
             "decisions": self._actions.total(),
+            **({"warnings": self._warnings} if tells else {}),
             "actions": {str(action): count for action, count in sorted(self._actions.items())},
             "states": {state: round(time, 3) for state, time in self._states.items()},
             "faults": {

@@ -20,6 +20,7 @@ from flipperctl.evaluation.results import (
     SceneResult,
     Summary,
 )
+from flipperctl.evaluation.risk import risk_text
 from flipperctl.evaluation.sensing import counts
 from flipperctl.evaluation.tables import interval_text
 from flipperctl.terminal.groups import BOUND, group_table
@@ -147,6 +148,13 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
                 parts.append(f"{key} {value:.6g}")
         if parts:
             yield f"search on {name}, means: {'; '.join(parts)}"
+
+
+def risk_lines(result: EvaluationResult) -> Iterator[str]:
+    """Yield a line for each scene with a policy that tells its risk."""
+    for name, scene in _named(result):
+        if scene.summary.risk is not None:
+            yield f"risk on {name}: {risk_text(scene.summary.risk.to_dict())}"
 
 
 def gap_cells(found: PairedSuccess) -> list[str]:

@@ -7,7 +7,13 @@ import sys
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.terminal.conditions import condition_lines
 from flipperctl.terminal.console import console, print_lines
-from flipperctl.terminal.evaluation import comparisons, group_tables, search_lines, table
+from flipperctl.terminal.evaluation import (
+    comparisons,
+    group_tables,
+    risk_lines,
+    search_lines,
+    table,
+)
 from flipperctl.terminal.published import published_table
 from flipperctl.terminal.streams import print_note
 
@@ -39,4 +45,4 @@ def _print_tables(result: EvaluationResult, label: str) -> None:
     if beside := published_table(result, label):
         beside.print(out)
     conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in result.scenes)
-    print_lines(out, (*search_lines(result), *conditions))
+    print_lines(out, (*search_lines(result), *risk_lines(result), *conditions))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.config import TrainConfig
+from flipperctl.evaluation.risk import risk_text
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.preflight import check_device
 from flipperctl.runs.training import Finished, Reports
@@ -43,10 +44,17 @@ def print_best(run: Finished) -> None:
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{pitch_variation_text(best, 2)}, {best['t_cost']:.1f} s{_return_text(best)}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
-        f"{regret_line(run.summary.get('regret'))}"
+        f"{_risk_line(best)}{regret_line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )
+
+
+def _risk_line(validation: Mapping[str, Any]) -> str:
+    """Return a line about the policy's risk, if it learnt one."""
+    start = "risk_"
+    found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
+    return f"Its risk, there: {risk_text(found)}.\n" if "threshold" in found else ""
 
 
 def _return_text(validation: Mapping[str, Any]) -> str:

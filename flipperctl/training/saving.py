@@ -67,6 +67,9 @@ class RunSaver:
         )
         policy = self._agent.policy.state_dict()
         tensors = {f"policy.{name}": tensor for name, tensor in policy.items()}
+        if self._agent.risk is not None:
+            weights = self._agent.risk.network.state_dict()
+            tensors |= {f"risk.{name}": tensor for name, tensor in weights.items()}
         checkpoint.write(self._directory / checkpoint.BEST, document, tensors)
 
     def restore(self, saved: checkpoint.Checkpoint) -> list[RolloutRequest]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
-from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.api import ACTIONS, ObservationLayout, Outcome
 from flipperctl.config import TrainConfig
 from flipperctl.rollout.values import Step
 
@@ -20,6 +20,8 @@ def new_replay(config: TrainConfig, layout: ObservationLayout, privileged: int) 
         *(agent.replay_size, input_size(config.network, layout), agent.n_step, agent.gamma),
         labels=len(ACTIONS) if config.teacher.teaches else 0,
         privileged=privileged,
+        risk_horizon=agent.risk_horizon if agent.risk else 0,
+        newest=layout.size,
         cut_at_random=agent.cut_at_random,
     )
 
@@ -35,6 +37,7 @@ def store(replay: Replay, step: Step, config: TrainConfig) -> None:
         over=ending is not None,
         bootstrap=ending is not None and ending["outcome"] in bootstrapped,
         explored=step.explored,
+        failed=ending is not None and ending["outcome"] != Outcome.REACHED,
         label=step.label,
         privileged=step.privileged,
         next_privileged=step.next_privileged,

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.replay import Replay
+from flipperctl.agent.replay import UNKNOWN, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
@@ -42,6 +42,7 @@ def run_arrays(
         **{"optimiser": agent.optimiser.moments, "replay": blank},
         **{f"weights{version}": network for version in versions},
         **({} if agent.baselines is None else {"baselines": agent.baselines.state_dict()}),
+        **_risk_parts(agent),
     }
     for part, tensors in expected.items():
         try:
@@ -49,13 +50,23 @@ def run_arrays(
         except ValueError as error:
             raise CheckpointError(f"{saved.path}: its part {part} is not valid: {error}") from error
     found = arrays(saved, "replay")
-    bounded = [("action", len(ACTIONS) - 1), ("discount", 1)]
-    bounded += [("label", 1)] if "label" in found else []
-    for name, most in bounded:
+    bounded = [("action", 0.0, len(ACTIONS) - 1), ("discount", 0.0, 1)]
+    bounded += [("label", 0.0, 1)] if "label" in found else []
+    if "failing" in found:
+        bounded += [("failing", UNKNOWN, 1), ("resembles", 0.0, 1)]
+    for name, least, most in bounded:
         values = np.asarray(found[name], np.float64)
-        if ((values < 0) | (values > most)).any():
-            raise CheckpointError(f"{saved.path}: replay.{name} lies outside of 0 to {most}")
+        if ((values < least) | (values > most)).any():
+            text = f"replay.{name} lies outside of {least:g} to {most}"
+            raise CheckpointError(f"{saved.path}: {text}")
     return found, {version: arrays(saved, f"weights{version}") for version in versions}
+
+
+def _risk_parts(agent: D3qn) -> dict[str, Mapping[str, torch.Tensor]]:
+    if agent.risk is None:
+        return {}
+    learner = agent.risk
+    return {"risk": learner.network.state_dict(), "risk_optimiser": learner.optimiser.moments}
 
 
 def arrays(saved: Checkpoint, part: str) -> Arrays:

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.risk import plain_risk
 from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
@@ -18,6 +19,7 @@ from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import validation_seed
+from flipperctl.training.calibrating import calibrated
 
 _BEST_BY: Final[dict[str, BestBy]] = {"success": "pitch_variation_100hz", "return": "return"}
 
@@ -27,6 +29,9 @@ class Validator:
 
     def __init__(self, config: TrainConfig, agent: D3qn, env: FlipperEnv) -> None:
         self._env, self._agent, self._frames = env, agent, config.network.frames
+        self._learner, self._risk = config.agent, None
+        if agent.risk is not None:
+            self._risk = plain_risk(agent.risk.network, config.agent.risk_horizon)
         settings = config.train
         self._seeds = [
             validation_seed(settings.validation_seed, index)
@@ -64,10 +69,11 @@ class Validator:
         ``decision``: number of decisions of the run so far. Returns None if the run is to stop
         before the last episode has ended.
         """
-        rows = collector.evaluate(arrays(self._agent.policy), self._seeds, self._play)
+        rows = collector.evaluate(self._agent.policy_arrays(), self._seeds, self._play)
         if rows is None:
             return None
         reached_rows = reached(rows)
+        risk = calibrated(rows, self._learner)
         numbers = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         names = [n for n in numbers if not n.startswith(DRAWN)]  # parts of a mix draw others
         # Means over the episodes that reached the finish, as in the paper; over all if none did.
@@ -81,10 +87,11 @@ class Validator:
                 success_rate=success,
                 mean_return=float(np.mean(returns)),
                 **means,
+                **({} if risk is None else risk[1]),
             )
         )
         return self.history[-1]
 
     def _play(self, seed: int) -> Row:
         with self._agent.evaluation_mode() as module:
-            return play(self._env, TrainedPolicy(module, self._frames), seed)
+            return play(self._env, TrainedPolicy(module, self._frames, self._risk), seed)

@@ -143,8 +143,8 @@ def test_a_mismatch_fails_and_writes_nothing(
     correct = policy.export_pt2
 
     def flipped(module: torch.nn.Module, *rest: object) -> object:
-        data, q_values = correct(module, *rest)
-        return data, lambda observations: q_values(-observations)
+        data, outputs = correct(module, *rest)
+        return data, lambda observations: outputs(-observations)
 
     monkeypatch.setattr(policy, "export_pt2", flipped)
     with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
@@ -153,8 +153,8 @@ def test_a_mismatch_fails_and_writes_nothing(
 
 
 def test_the_difference_is_stated_beside_what_is_allowed() -> None:
-    def exported(observations: np.ndarray) -> np.ndarray:
-        return module(torch.from_numpy(observations)).numpy() + np.float32(shift)
+    def exported(observations: np.ndarray) -> tuple[np.ndarray]:
+        return (module(torch.from_numpy(observations)).numpy() + np.float32(shift),)
 
     module = torch.nn.Identity()
     observations = np.full((2, 9), -200.0, np.float32)  # which are their own Q-values

@@ -35,6 +35,8 @@ RULE = {"window": STEP, "limit": math.pi / 3}
 """What a file for the controller also has: all of the robot, and the rule of its targets."""
 FORMAT_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
 """Arguments of ``write`` for a file of format 1."""
+RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
+"""Metadata of a file with a risk."""
 
 
 def write(
@@ -44,16 +46,39 @@ def write(
     output: str = "q_values",
     scale: float = 1.0,
     checksum: bool = True,
+    risky: bool = False,
     **changes: object,
 ) -> Path:
-    """Write the policy and return its path; ``changes`` replace metadata, None removes an entry."""
+    """Write the policy and return its path; ``changes`` replace metadata, None removes an entry.
+
+    ``risky``: whether it has a risk, whose log-odds are the first height, and twice that height for
+    an observation that equals the last one.
+    """
     weights = numpy_helper.from_array(np.eye(size, 9, dtype=np.float32) * np.float32(scale), "w")
-    graph = helper.make_graph(
+    nodes, held, outputs = (
         [helper.make_node("MatMul", ["observation", "w"], [output])],
+        [weights],
+        {output: 9},
+    )
+    if risky:
+        first = np.eye(size, 5, dtype=np.float32)
+        first[1:] = 0
+        held += [numpy_helper.from_array(first[:, :1], "r"), numpy_helper.from_array(first, "c")]
+        nodes += [
+            helper.make_node("MatMul", ["observation", "r"], ["odds"]),
+            helper.make_node("Sigmoid", ["odds"], ["risk"]),
+            helper.make_node("MatMul", ["observation", "c"], ["risk_recurrence"]),
+        ]
+        outputs |= {"risk": 1, "risk_recurrence": 5}
+    graph = helper.make_graph(
+        nodes,
         "linear",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", size])],
-        [helper.make_tensor_value_info(output, TensorProto.FLOAT, ["batch", 9])],
-        [weights],
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", length])
+            for name, length in outputs.items()
+        ],
+        held,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     entries = {k: v for k, v in {**METADATA, **changes}.items() if v is not None}

@@ -77,6 +77,7 @@ def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_requests(
         **{
             "train.mode": "fast",
             "train.workers": workers,
+            "agent.risk": workers == 1,
             # A request holds the difficulty of its episode.
             "terrain": {"name": "curriculum", "start": 0.5, "up": 0.2, "down": 0.1},
         }

@@ -1,0 +1,179 @@
+"""The risk that an episode fails soon, learnt beside the values by a small network of its own.
+
+In: batches of the replay, whose transitions tell whether their episode failed within the next
+``agent.risk_horizon`` decisions. Out: a network of log-odds, and one of probabilities.
+
+The labels are Monte-Carlo ones: every failure is an end of an episode, so an episode that has ended
+tells the label of each of its decisions exactly. A temporal difference with the failure as its
+reward would need a value for each number of decisions left, and would pass on its own errors.
+
+The network sees the same input as the policy, and how much the newest observation resembles earlier
+ones (``core.risk``). It shares nothing with the policy, neither features, optimiser nor random
+numbers: the policy learns bit for bit the same with and without it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.adam import Adam
+from flipperctl.agent.replay import UNKNOWN, Batch
+from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
+from flipperctl.errors import NonFiniteError
+
+POSITIVES: Final = 5.0
+"""Weight in the loss of a transition shortly before a failure [-], which is rare once the policy is
+good. It multiplies the odds that the network learns, which the calibration's shift takes back."""
+WEIGHTS: Final = ".risk."
+"""Prefix of the risk network's weights among those of the policy, which no module's name can have:
+the names of submodules are never empty."""
+_WIDTH: Final = 64
+
+
+class RiskNetwork(torch.nn.Module):
+    """Maps inputs of the policy to log-odds, and to what each resemblance adds to them."""
+
+    def __init__(self, inputs: int) -> None:
+        """``inputs``: length of an input row, frames · (N + 3)."""
+        super().__init__()
+        self.layers = torch.nn.Sequential(
+            *(torch.nn.Linear(inputs, _WIDTH), torch.nn.ReLU()),
+            *(torch.nn.Linear(_WIDTH, _WIDTH), torch.nn.ReLU()),
+            torch.nn.Linear(_WIDTH, 1 + len(LAGS)),
+        )
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the log-odds, (B, 1), and the coefficients of the resemblances, (B, lags).
+
+        ``observation``: input rows, (B, frames · (N + 3)) in SI units.
+        """
+        found: torch.Tensor = self.layers(observation)
+        return found[:, :1], found[:, 1:]
+
+    def log_odds(self, observation: torch.Tensor, resembles: torch.Tensor) -> torch.Tensor:
+        """Return the log-odds of rows with their resemblances (B, lags), (B,)."""
+        alone, coefficients = self(observation)
+        found: torch.Tensor = alone.squeeze(1) + (coefficients * resembles).sum(dim=1)
+        return found
+
+
+class Risk(torch.nn.Module):
+    """Maps inputs of the policy to calibrated probabilities and coefficients."""
+
+    def __init__(self, network: RiskNetwork, calibration: RiskCalibration) -> None:
+        super().__init__()
+        self.network, self.sign = network, calibration.sign
+        self._slope, self._shift = calibration.slope, calibration.shift
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the risks of input rows alone, (B, 1), and the coefficients, (B, lags)."""
+        alone, coefficients = self.network(observation)
+        return torch.sigmoid(self._slope * alone + self._shift), self._slope * coefficients
+
+    def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
+        """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,).
+
+        Raises:
+            NonFiniteError: it is not a finite number.
+        """
+        with torch.inference_mode():
+            alone, coefficients = self(torch.from_numpy(observation).unsqueeze(0))
+        found = with_recurrence(float(alone), coefficients[0].numpy(), resembles)
+        if not math.isfinite(found):
+            raise NonFiniteError(f"the risk of an observation is {found}")
+        return found
+
+
+def uncalibrated(horizon: int) -> RiskCalibration:
+    """Return the calibration before any validation, which only takes the weight back."""
+    return RiskCalibration(RiskSign(horizon, 0.5), 1.0, -math.log(POSITIVES))
+
+
+def plain_risk(network: RiskNetwork, horizon: int) -> Risk:
+    """Return the network's output as probabilities that no calibration has changed."""
+    return Risk(network, RiskCalibration(RiskSign(horizon, 0.5), 1.0, 0.0))
+
+
+def split_weights(
+    weights: Mapping[str, NDArray[np.generic]],
+) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+    """Return the weights of the risk network, if there are any, and those of the policy."""
+    risk, policy = dict[str, torch.Tensor](), dict[str, torch.Tensor]()
+    for name, array in weights.items():
+        part = risk if name.startswith(WEIGHTS) else policy
+        part[name.removeprefix(WEIGHTS)] = torch.from_numpy(array)
+    return risk, policy
+
+
+def risk_loss(output: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
+    """Return the weighted log loss of log-odds (B,) for labels (B,), averaged over known ones.
+
+    A label is 1 shortly before a failure, else 0, or ``UNKNOWN``.
+    """
+    known = (label != UNKNOWN).to(output.dtype)
+    weights = known * (1 + (POSITIVES - 1) * (label > 0).to(output.dtype))
+    losses = torch.nn.functional.binary_cross_entropy_with_logits(
+        output, label.clamp(min=0), reduction="none"
+    )
+    return (weights * losses).sum() / known.sum().clamp(min=1)
+
+
+class RiskLearner:
+    """The risk network of a training with its own optimiser."""
+
+    def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
+        """``inputs``: length of an input row; ``seed``: of the first weights."""
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            self.network = RiskNetwork(inputs).to(device)
+        self._parameters = list(self.network.parameters())
+        vector = torch.cat([p.detach().reshape(-1) for p in self._parameters])
+        parts = torch.split(vector, [p.numel() for p in self._parameters])
+        for parameter, part in zip(self._parameters, parts, strict=True):
+            parameter.data = part.view_as(parameter)  # one vector, as ``Adam`` needs it
+        self.optimiser = Adam(vector)
+
+    def step(self, batch: Batch, rate: float) -> float:
+        """Take a gradient step with the learning rate ``rate``; return the loss [-].
+
+        Raises:
+            NonFiniteError: the loss is not finite.
+        """
+        assert batch.failing is not None  # as in every batch of such a training
+        assert batch.resembles is not None
+        loss = risk_loss(self.network.log_odds(batch.observation, batch.resembles), batch.failing)
+        if not math.isfinite(value := float(loss.detach())):
+            raise NonFiniteError(f"the loss of the risk is {value}")
+        gradients = torch.autograd.grad(loss, self._parameters)
+        with torch.no_grad():
+            self.optimiser.step(torch.cat([g.reshape(-1) for g in gradients]), rate)
+        return value
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return a copy of the weights, named for policies in other processes."""
+        state = self.network.state_dict()
+        return {f"{WEIGHTS}{n}": tensor.cpu().numpy().copy() for n, tensor in state.items()}
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the weights and the optimiser's moments, as parts of a checkpoint."""
+        found = {f"risk.{name}": tensor for name, tensor in self.network.state_dict().items()}
+        moments = self.optimiser.moments.items()
+        return found | {f"risk_optimiser.{name}": moment for name, moment in moments}
+
+    def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
+        """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
+        parts: dict[str, dict[str, torch.Tensor]] = {"risk": {}, "risk_optimiser": {}}
+        for name, tensor in tensors.items():
+            part, _, key = name.partition(".")
+            if part in parts:
+                parts[part][key] = tensor
+        self.network.load_state_dict(parts["risk"])
+        for name, moment in self.optimiser.moments.items():
+            moment.copy_(parts["risk_optimiser"][name])
+        self.optimiser.steps = steps

@@ -1,0 +1,85 @@
+"""Which failures a risk announced, counted by hand."""
+
+import pytest
+
+from flipperctl.core.risk import RiskSign
+from flipperctl.evaluation.result_rows import StoredRow
+from flipperctl.evaluation.risk import risk_text, summarise_risk, threshold_for
+from flipperctl.evaluation.statistics import summarise
+from flipperctl.report.card import card_text
+from flipperctl.rollout.risks import EpisodeRisks
+from tests.evaluation.samples import sample
+from tests.report.test_card import FACTS, POLICY, replace
+
+SIGN = RiskSign(horizon=6, threshold=0.5)
+
+
+def risks(*told: float) -> EpisodeRisks:
+    return EpisodeRisks.of(SIGN, told)
+
+
+@pytest.mark.parametrize(
+    ("warned_at", "in_time"),
+    [(9, False), (7, False), (6, True), (4, True), (3, False)],  # of the decisions 0 to 9
+)
+def test_a_warning_is_in_time_within_the_horizon_and_three_decisions_ahead(
+    warned_at: int, in_time: bool
+) -> None:
+    assert risks(*(0.9 if t == warned_at else 0.1 for t in range(10))).in_time is in_time
+
+
+def test_an_episode_shorter_than_the_horizon_can_be_announced() -> None:
+    assert risks(0.9, 0, 0, 0).in_time
+    assert not risks(0.9, 0, 0).in_time
+
+
+def test_counts_and_scores_are_those_worked_by_hand() -> None:
+    found = summarise_risk(
+        [
+            (risks(*[0.0] * 4, *[1.0] * 6), True),  # announced, and right at each decision
+            (risks(*[0.0] * 10), True),  # not announced: wrong at 6 of 10
+            (risks(*[0.0] * 9, 0.5), False),  # a false alarm at its last decision
+            (risks(*[0.0] * 10), False),
+        ]
+    )
+    assert found is not None
+    assert (found.failures, found.announced, found.reached, found.false_alarms) == (2, 1, 2, 1)
+    assert found.false_warnings == pytest.approx(1 / 20)
+    assert found.brier == pytest.approx((6 + 0.25) / 40)
+    assert found.brier_of_mean == pytest.approx(0.3 * 0.7)  # 12 of 40 came before a failure
+    first, *_, last = found.bins
+    assert (first.decisions, first.true) == (33, pytest.approx(6 / 33))
+    assert (last.decisions, last.told, last.true) == (6, 1.0, 1.0)
+    assert summarise_risk([]) is None
+
+
+def test_a_threshold_lies_above_the_episodes_that_must_not_warn() -> None:
+    reached = [(risks(0.1 * i), False) for i in range(1, 6)]
+    assert 0.5 < threshold_for(reached, 0.0, 0.05) < 0.501
+    assert 0.4 < threshold_for(reached, 0.2, 0.05) < 0.401
+    assert threshold_for(reached, 1.0, 0.05) == 0.05
+    assert threshold_for([(risks(1.0), False)], 0.0, 0.05) == 1.0
+    assert threshold_for([(risks(1.0), True)], 0.0, 0.05) == 0.05
+
+
+def test_a_summary_has_the_risk_of_a_policy_that_tells_one() -> None:
+    told = [sample(0, "reached", 1.0, risks=risks(0.9)), sample(1, "stuck", 1.0, risks=risks(0.1))]
+    found = summarise("step", told).to_dict()["risk"]
+    assert (found["false_alarms"], found["announced"], found["threshold"]) == (1, 0, 0.5)
+    assert "risk" not in summarise("step", [sample(0, "reached", 1.0)]).to_dict()
+
+
+def test_the_card_has_a_line_and_rows_without_a_risk_stay() -> None:
+    counts = {"horizon": 10, "threshold": 0.25, "failures": 3, "announced": 2, "reached": 97}
+    row = replace(POLICY, risk={**counts, "false_alarms": 9, "false_warnings": 0.004})
+    text = (
+        "2 of 3 failures were announced 3 or more decisions ahead; warnings in 9 of 97 episodes "
+        "that reached the finish, at 0.4% of their decisions (risk of 0.25 or more within 10 "
+        "decisions)"
+    )
+    assert row.risk is not None
+    assert risk_text(row.risk) == text
+    assert f"- Its risk on `stair` (01234567): {text}." in card_text(replace(FACTS, rows=(row,)))
+    assert StoredRow.of(row.to_dict()) == row
+    assert "risk" not in POLICY.to_dict()
+    assert StoredRow.of(POLICY.to_dict()) == POLICY
