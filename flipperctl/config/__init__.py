@@ -5,6 +5,7 @@ whole configurations; ``resolver`` builds them from names and overrides, and ``i
 plugins.
 """
 
+from flipperctl.config.agent import Agent
 from flipperctl.config.identity import identity
 from flipperctl.config.models import (
     DEFAULT_ENGINE,
@@ -16,7 +17,6 @@ from flipperctl.config.models import (
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import parse, to_dict, with_overrides
 from flipperctl.config.sections import (
-    Agent,
     Episode,
     Eval,
     LocalCollector,

@@ -26,6 +26,7 @@ from flipperctl.api import (
     Terrain,
     is_plugin_name,
 )
+from flipperctl.config.agent import Agent
 from flipperctl.config.combinations import check_decisions, check_episode
 from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
@@ -33,7 +34,6 @@ from flipperctl.config.resolver import create, to_dict
 from flipperctl.config.robots import robot_or_name
 from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
-    Agent,
     Episode,
     Eval,
     LocalCollector,

@@ -10,8 +10,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from flipperctl.api import Outcome, Settings
-from flipperctl.config.risk import RiskFalseAlarms, RiskHorizon, RiskLearnt
+from flipperctl.api import Settings
 
 _STUCK_WINDOW = 20
 """Default of ``Episode.stuck_window`` [decisions]."""
@@ -107,91 +106,6 @@ class Episode(Settings):
         if self.stuck_time is None:
             return self.stuck_window
         return max(2, round(self.stuck_time / period))
-
-
-class Agent(Settings):
-    """The double dueling DQN. The paper gives none of these numbers."""
-
-    learning_rate: float = Field(1e-3, gt=0, le=1, description="Adam step at the start [-]")
-    learning_rate_end: float = Field(
-        2e-5, ge=0, le=1, description="Adam step at the end, reached linearly [-]"
-    )
-    gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
-    n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
-    cut_at_random: bool = Field(
-        False,
-        description="end a sum of n_step rewards before the next random action, so that it rates "
-        "the policy instead of its exploration [-]",
-    )
-    privileged_value: bool = Field(
-        False,
-        description="let a second network, which sees the ground ahead and the distance to the "
-        "finish, learn what they change in all actions' values alike; policies do without it [-]",
-    )
-    risk: RiskLearnt = False
-    risk_horizon: RiskHorizon = 10
-    risk_false_alarms: RiskFalseAlarms = 0.1
-    batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
-    replay_size: int = Field(
-        100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
-    )
-    learning_starts: int = Field(
-        1000,
-        ge=1,
-        le=10_000_000,
-        description="decisions before the first update, including those of teacher.episodes [-]",
-    )
-    update_every: int = Field(2, ge=1, le=1000, description="decisions per update [-]")
-    updates_together: int = Field(
-        4,
-        ge=1,
-        le=64,
-        description="updates in a row whose targets are computed in one pass before the first; "
-        "1 is the textbook algorithm [-]",
-    )
-    target_rate: float = Field(
-        0.005,
-        gt=0,
-        le=1,
-        description="fraction of the online weights mixed into the target per update [-]",
-    )
-    epsilon_start: float = Field(
-        1.0,
-        ge=0,
-        le=1,
-        description="fraction of random actions at the start; 0, with epsilon_end=0, suits "
-        "networks that explore with their own noise [-]",
-    )
-    epsilon_end: float = Field(
-        0.05, ge=0, le=1, description="fraction of random actions at the end [-]"
-    )
-    epsilon_decisions: int = Field(
-        15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
-    )
-    exploring_share: float = Field(
-        1.0,
-        ge=0,
-        le=1,
-        description="share of the episodes that have random actions; the others show where the "
-        "policy gets stuck without them [-]",
-    )
-    gradient_norm: float = Field(
-        10.0, gt=0, le=1e6, description="gradients are clipped to this norm [-]"
-    )
-    reward_scale: float = Field(
-        0.1,
-        gt=0,
-        le=1e6,
-        description="rewards are multiplied by this factor inside the learner [-]",
-    )
-    act_with: Literal["target", "online"] = Field(
-        "target",
-        description="weights that are validated and exported: the slowly following target "
-        "or the online network [-]",
-    )
-    bootstrap_outcomes: tuple[Outcome, ...] = Field(
-        (), description="outcomes after which the target bootstraps [-]"
-    )
 
 
 class Train(Settings):
