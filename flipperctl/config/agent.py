@@ -12,6 +12,11 @@ from flipperctl.api import Outcome, Settings
 class Agent(Settings):
     """The double dueling DQN. The paper gives none of these numbers."""
 
+    start_from: str | None = Field(
+        None,
+        description="a run, a checkpoint or a shipped policy whose weights the networks start "
+        "with; its network must be the same; null: random weights [-]",
+    )
     learning_rate: float = Field(1e-3, gt=0, le=1, description="Adam step at the start [-]")
     learning_rate_end: float = Field(
         2e-5, ge=0, le=1, description="Adam step at the end, reached linearly [-]"

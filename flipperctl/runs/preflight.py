@@ -26,6 +26,7 @@ def check(config: TrainConfig) -> None:
     check_device(config)
     _check_terrain(config)
     _check_network(config, _recorded_decisions(config))
+    _check_start(config)
 
 
 def check_resumable(words: Iterable[str]) -> None:
@@ -68,6 +69,12 @@ def _recorded_decisions(config: TrainConfig) -> int:
 
     recording = read_teacher(config)
     return 0 if recording is None else recording.decisions
+
+
+def _check_start(config: TrainConfig) -> None:
+    from flipperctl.training.starting import read_start
+
+    read_start(config)
 
 
 def _check_network(config: TrainConfig, recorded: int) -> None:

@@ -38,6 +38,7 @@ from flipperctl.training.recorded import fill, read_teacher
 from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.saving import RunSaver
+from flipperctl.training.starting import start
 from flipperctl.training.storing import new_replay, store
 from flipperctl.training.timing import Stopwatch
 from flipperctl.training.validation import Validator
@@ -107,6 +108,7 @@ class Trainer:
             self._stopwatch.start()
             if not self.progress.decision:
                 self._recorder.restore(0)
+                start(self.config, self.agent)
                 self._add_recorded()
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop)

@@ -1,0 +1,102 @@
+"""The weights that a training starts with in place of random ones.
+
+In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: its networks' weights in
+those of the training.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from flipperctl.agent.building import build_network
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.frames import input_size
+from flipperctl.api import ACTIONS
+from flipperctl.checkpoint import find, read
+from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.config import TrainConfig
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.policies.exported import is_exported
+from flipperctl.policies.trained import policy_module, policy_risk
+from flipperctl.policies.values import naming
+
+_SETTING = "agent.start_from"
+_ROWS = 64
+"""Random inputs on which the two networks must agree [-]."""
+
+
+def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | None] | None:
+    """Return the networks of the policy and of its risk that a training starts with.
+
+    The second is None if the training learns no risk or the policy has none; the result is None if
+    the training starts with random weights.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or an exported one.
+        ConfigError: it has other observations or another network than the training.
+    """
+    name = config.agent.start_from
+    if name is None:
+        return None
+    with naming(_SETTING):
+        file = find(Path(name))
+        if is_exported(file):
+            raise CheckpointError(
+                f"{file}: an exported file cannot be trained; give its run or checkpoint"
+            )
+        checkpoint = read(file)
+        module = policy_module(checkpoint)
+        risk = policy_risk(checkpoint) if config.agent.risk else None
+    ours, theirs = config.perception, checkpoint.policy_config().perception
+    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
+        raise ConfigError(
+            f"{_SETTING}: {name} takes observations of {theirs.bins} bins of {theirs.bin_width:g} "
+            f"m; perception.bins and perception.bin_width ask for {ours.bins} of "
+            f"{ours.bin_width:g} m"
+        )
+    _check_network(config, name, module)
+    return module, None if risk is None else risk.network
+
+
+def start(config: TrainConfig, agent: D3qn) -> None:
+    """Give the networks of a new training the weights that it starts with, if it names any.
+
+    Raises:
+        CheckpointError: the file is missing, damaged or an exported one.
+        ConfigError: it has other observations or another network than the training.
+    """
+    found = read_start(config)
+    if found is None:
+        return
+    module, risk = found
+    for network in (agent.online, agent.target):
+        network.load_state_dict(module.state_dict())
+    if risk is not None and agent.risk is not None:
+        agent.risk.network.load_state_dict(risk.state_dict())
+
+
+def _check_network(config: TrainConfig, name: str, module: torch.nn.Module) -> None:
+    """Refuse a network that is another function of the same weights.
+
+    Settings that only change how it learns, such as a dropout, may differ.
+    """
+    layout, network = config.perception.layout, config.network
+    built = build_network(network, layout, len(ACTIONS)).eval()
+    inputs = torch.randn(
+        (_ROWS, input_size(network, layout)), generator=torch.Generator().manual_seed(0)
+    )
+    text = (
+        f"{_SETTING}: {name} has another network than this training; give it the same network and "
+        "settings of the network"
+    )
+    try:
+        require_equal_layout(module.state_dict(), built.state_dict())
+        built.load_state_dict(module.state_dict())
+        with torch.inference_mode():
+            equal = torch.allclose(built(inputs), module(inputs), rtol=1e-4, atol=1e-4)
+    except (ValueError, RuntimeError) as error:
+        raise ConfigError(f"{text} ({str(error).splitlines()[0]})") from error
+    if not equal:
+        raise ConfigError(text)

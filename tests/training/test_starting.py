@@ -1,0 +1,56 @@
+"""A training that starts with the weights of another one."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.config import to_dict
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.runs import preflight
+from tests.short import short_config, trainer
+
+
+def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_path: Path) -> None:
+    new = trainer(
+        short_config(**{"agent.start_from": str(short_run), "train.decisions": 1}), tmp_path
+    )
+    new.run()
+    theirs = checkpoint.read(checkpoint.find(short_run)).part("policy")
+    for network in (new.agent.online, new.agent.target):
+        assert all(torch.equal(network.state_dict()[name], theirs[name]) for name in theirs)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"network": {"name": "mlp"}}, "has another network than this training"),
+        ({"perception.bins": 12}, "takes observations of 15 bins of"),
+    ],
+)
+def test_another_network_or_observation_is_refused(
+    short_run: Path, settings: dict[str, object], text: str
+) -> None:
+    config = short_config(**{"agent.start_from": str(short_run), **settings})
+    with pytest.raises(ConfigError, match=text):
+        preflight.check(config)
+
+
+def test_a_missing_file_is_refused_by_the_name_of_the_setting() -> None:
+    with pytest.raises(
+        CheckpointError, match=r"^agent\.start_from: .*nothing: there is no such run"
+    ):
+        preflight.check(short_config(**{"agent.start_from": "nothing"}))
+
+
+def test_the_same_weights_in_another_arrangement_are_refused() -> None:
+    """The network has the same shapes if one of the earlier observations is another one."""
+    trained = checkpoint.read(checkpoint.find(Path("generalist"))).policy_config()
+    network: dict[str, Any] = dict(to_dict(trained.network))
+    config = {"agent.start_from": "generalist", "network": network}
+    preflight.check(short_config(**config))
+    network["earlier"] = [4, *network["earlier"][1:]]
+    with pytest.raises(ConfigError, match=r"network and settings of the network$"):
+        preflight.check(short_config(**config))
