@@ -93,13 +93,18 @@ def test_rewards_alone_take_no_other_objective_s_value() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=generalist"], ["experiment=taught_td"]],
+    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=taught_td"]],
     ids=" ".join,
 )
 def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
     assert taught(*words)["value"] == ""
     own = taught(*words, "teacher.controller.value=null")
     assert (own["value"], own["fallback"]) == ("mpc_value", True)
+
+
+def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
+    found = taught("experiment=generalist")
+    assert (found["value"], bool(found["fallback"])) == ("mpc_value", False)
 
 
 def test_a_name_beside_another_policy_is_the_hand_set_cost() -> None:
