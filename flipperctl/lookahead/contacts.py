@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from flipperctl.api import FloatArray
-from flipperctl.lookahead.layout import FAST, FRICTION, ITERATIONS, SPEED, STEP
+from flipperctl.lookahead.layout import FAST, FORCE, FRICTION, ITERATIONS, SPEED, STEP
 from flipperctl.sim.jit import cached
 
 MOST = 24
@@ -143,13 +143,17 @@ def solve(
         row[7] = 1 / (light + across * across * slow)
         row[8] = row[9] = 0.0
     vx, vz, turn = motion[0], motion[1], motion[2]
-    friction = k[FRICTION]
+    strongest, pressed = k[FORCE] * dt, 0.0  # of all belts; normal impulses so far
     for _ in range(int(k[ITERATIONS])):
+        friction = k[FRICTION]
+        if friction * pressed > strongest:  # the motors stall before the belts slip
+            friction = strongest / pressed
         for c in range(count):
             row = rows[c]
             nx, nz, arm, across = row[0], row[1], row[2], row[3]
             whole = max(0.0, row[8] - (vx * nx + vz * nz + turn * arm + row[4]) * row[6])
             impulse, row[8] = whole - row[8], whole
+            pressed += impulse
             vx += impulse * nx * light
             vz += impulse * nz * light
             turn += impulse * arm * slow

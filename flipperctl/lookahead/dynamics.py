@@ -23,6 +23,8 @@ from flipperctl.lookahead.layout import (
     FLIPPER,
     GRAVITY,
     HINGE,
+    LOAD_X,
+    LOAD_Z,
     OVERTURN,
     OVERTURNED,
     RADIUS,
@@ -44,8 +46,10 @@ def mass_centre(front: float, rear: float, k: FloatArray) -> tuple[float, float,
     fx, fz = k[HINGE] + 0.5 * k[AXLE] * math.cos(front), 0.5 * k[AXLE] * math.sin(front)
     bx, bz = -k[HINGE] - 0.5 * k[AXLE] * math.cos(rear), 0.5 * k[AXLE] * math.sin(rear)
     mass = k[CHASSIS] + 2 * k[FLIPPER]
-    x, z = k[FLIPPER] * (fx + bx) / mass, k[FLIPPER] * (fz + bz) / mass
-    inertia = k[TURN_CHASSIS] + k[CHASSIS] * (x * x + z * z) + 2 * k[TURN_FLIPPER]
+    x = (k[CHASSIS] * k[LOAD_X] + k[FLIPPER] * (fx + bx)) / mass
+    z = (k[CHASSIS] * k[LOAD_Z] + k[FLIPPER] * (fz + bz)) / mass
+    inertia = k[TURN_CHASSIS] + 2 * k[TURN_FLIPPER]
+    inertia += k[CHASSIS] * ((k[LOAD_X] - x) ** 2 + (k[LOAD_Z] - z) ** 2)
     inertia += k[FLIPPER] * ((fx - x) ** 2 + (fz - z) ** 2 + (bx - x) ** 2 + (bz - z) ** 2)
     return x, z, inertia
 

@@ -75,7 +75,9 @@ class Model:
         k[layout.CHASSIS], k[layout.FLIPPER] = robot.carried_mass, robot.flipper_mass
         k[layout.TURN_CHASSIS] = _inertia(
             robot.chassis_mass, 2 * robot.hinge_offset, robot.track_radius
-        )
+        ) + sum(robot.load_inertia)
+        k[layout.LOAD_X], k[layout.LOAD_Z] = robot.centre_of_mass
+        k[layout.FORCE] = math.inf if robot.track_force is None else robot.track_force
         k[layout.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
         k[layout.SPEED], k[layout.RATE] = robot.track_speed, robot.flipper_speed
         k[layout.GRAVITY], k[layout.FRICTION] = gravity, friction

@@ -48,6 +48,26 @@ def test_it_climbs_a_slope_below_its_friction_and_slides_above(
     assert (state[0] > 0.3) == climbs
 
 
+@pytest.mark.parametrize(("share", "climbs"), [(1.2, True), (0.8, False)])
+def test_it_climbs_a_slope_if_its_tracks_are_strong_enough(share: float, climbs: bool) -> None:
+    slope = math.atan(0.5)
+    force = share * ROBOT.mass * 9.81 * math.sin(slope)
+    robot = ROBOT.model_copy(update={"track_force": force})
+    model = Model(np.array([[-50.0, -25.0], [50.0, 25.0]]), robot)
+    state = model.state((0.0, 0.1 / math.cos(slope), slope), (0.3, 0.3))
+    state = drive(model, state, 3.0)
+    assert (state[0] > 0.3) == climbs
+
+
+def test_a_load_moves_the_centre_of_mass() -> None:
+    robot = ROBOT.model_copy(update={"payload": 10.0, "payload_x": 0.3, "payload_z": 0.2})
+    model = Model(FLAT, robot)
+    state = model.state((0.0, 0.1, 0.0), (0.0, 0.0))
+    assert state[0] == pytest.approx(10 * 0.3 / robot.mass)
+    assert state[1] == pytest.approx(0.1 + 10 * 0.2 / robot.mass)
+    assert model.chassis(state) == pytest.approx((0.0, 0.1))
+
+
 def test_it_falls_as_gravity_says() -> None:
     model = Model(np.array([[0.0, -50.0]]), ROBOT)
     state = model.state((0.0, 0.0, 0.2), (0.5, -0.5), (0.3, 0.0, 0.1))
@@ -64,10 +84,17 @@ def test_a_state_names_the_chassis_whatever_the_flippers_do() -> None:
     assert math.hypot(state[0] - 1.5, state[1] - 0.4) > 0.003  # the centre of mass is elsewhere
 
 
-@pytest.mark.parametrize("terrain", ["paper_stair", "rubble", "uplift"])
-def test_one_decision_agrees_with_the_engine(terrain: str) -> None:
+LOAD = {"payload": 15, "payload_x": 0.2, "payload_z": 0.3, "track_force": 400}
+
+
+@pytest.mark.parametrize(
+    ("terrain", "robot"),
+    [("paper_stair", {}), ("rubble", {}), ("uplift", {}), ("rubble", LOAD)],
+    ids=["paper_stair", "rubble", "uplift", "rubble with a load"],
+)
+def test_one_decision_agrees_with_the_engine(terrain: str, robot: dict[str, float]) -> None:
     """Within a centimetre and 0.01 rad at the median over random decisions."""
-    env = FlipperEnv(terrain)
+    env = FlipperEnv(terrain, robot=robot)
     rng = np.random.default_rng(3)
     places, turns, variations = [], [], []
     for seed in range(2):
