@@ -32,7 +32,7 @@ EPISODES: Final = "episodes"
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
-BestBy = Literal["pitch_variation_100hz", "pitch_variation", "return"]
+BestBy = Literal["pitch_variation_100hz", "pitch_variation", "return", "decision"]
 """What ranks validations: success and θ̂_R at 100 Hz, or at decisions for runs that began with an
 earlier version; or the mean return."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
@@ -129,9 +129,11 @@ class Validation(Record):
     def score(self, best_by: BestBy) -> tuple[float, float]:
         """Return the key that the best validation maximises: success rate, then negated θ̂_R.
 
-        With ``return`` it is the mean return, then the success rate. Without a θ̂_R at 100 Hz, that
-        at decisions is used.
+        With ``return`` it is the mean return, then the success rate; with ``decision``, the newest
+        is the best. Without a θ̂_R at 100 Hz, that at decisions is used.
         """
+        if best_by == "decision":
+            return float(self.decision), self.success_rate
         if best_by == "return" and self.mean_return is not None:
             return self.mean_return, self.success_rate
         variation = self.pitch_variation_100hz

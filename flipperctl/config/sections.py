@@ -131,11 +131,11 @@ class Train(Settings):
         description="episodes per validation, always with the same terrains and starts [-]",
     )
     validation_seed: int = Field(0, ge=0, description="seed of the validation episodes [-]")
-    best_by: Literal["success", "return"] = Field(
+    best_by: Literal["success", "return", "last"] = Field(
         "success",
         description="what the best policy is chosen by. success: success rate of its validation, "
-        "then θ̂_R at 100 Hz; return: mean return of the rewards without potential-based shaping "
-        "[-]",
+        "then θ̂_R at 100 Hz; return: mean return of the rewards without potential-based shaping; "
+        "last: the newest validation, for a learning rate that falls to the end [-]",
     )
     regret_episodes: int = Field(
         12,

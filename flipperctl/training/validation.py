@@ -21,7 +21,11 @@ from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import validation_seed
 from flipperctl.training.calibrating import calibrated
 
-_BEST_BY: Final[dict[str, BestBy]] = {"success": "pitch_variation_100hz", "return": "return"}
+_BEST_BY: Final[dict[str, BestBy]] = {
+    "success": "pitch_variation_100hz",
+    "return": "return",
+    "last": "decision",
+}
 
 
 class Validator:

@@ -201,6 +201,16 @@ def test_the_best_policy_by_return_is_the_one_that_its_rewards_pay_most(tmp_path
     assert validator.best_by == "return"
 
 
+def test_the_last_policy_may_be_the_best(tmp_path: Path) -> None:
+    validator = trainer(short_config(**{"train.best_by": "last"}), tmp_path).validator
+    early, late = validation(1.0, 1.0, 1.0), validation(0.9, 2.0, 2.0)
+    validator.history[:] = [
+        early.model_copy(update={"decision": 300}),
+        late.model_copy(update={"decision": 600}),
+    ]
+    assert validator.best is validator.history[1]
+
+
 def test_a_validation_s_return_counts_every_episode_and_no_shaping(tmp_path: Path) -> None:
     shaped = {"rewards": {"shaped_progress": {"name": "shaped_progress"}}}  # beside the paper's
     run = trainer(short_config(**{"train.validation_episodes": 6, **shaped}), tmp_path)
