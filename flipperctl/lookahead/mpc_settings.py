@@ -23,7 +23,7 @@ HAND_SET = (
     *("swing", "pitch", "lean", "flippers", "turn", "standstill", "standstill_from", "steep"),
     *("steep_from", "wider", "stuck_from"),
 )
-"""Fields of the hand-set cost, which have no effect with ``value``."""
+"""Fields of the hand-set cost, which have no effect with ``value`` unless it hurries."""
 
 
 class MpcSettings(Settings):
@@ -54,6 +54,13 @@ class MpcSettings(Settings):
         lt=1,
         description="with ``value``: share of the estimates at smaller depths in the return of a "
         "plan; the errors of a learned value average out [-]",
+    )
+    hurry_below: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="with ``value``: share of full speed below which the best plan is replaced by "
+        "one of the hand-set cost, which hurries; also where the robot stands; 0: never [-]",
     )
     beam: int = Field(12, ge=1, le=64, description="nodes kept at each depth of the search [-]")
     horizon: int = Field(9, ge=1, le=20, description="depth of the search in decisions [-]")

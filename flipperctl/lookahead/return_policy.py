@@ -34,6 +34,8 @@ _EDGE = 0.03
 """Height difference to the ground ahead that counts as an edge [m]."""
 _PATIENCE, _WIDEST = 3, 4
 """Decisions of standing after which the search widens again, and its largest multiple [-]."""
+_STANDS_STILL = 2
+"""Decisions of standing from which plans hurry, with ``hurry_below`` [-]."""
 _SLIPPERY = 0.8
 """Factor of the assumed friction after as many decisions of standing [-]."""
 
@@ -87,6 +89,25 @@ class ReturnPolicy(MpcPolicy):
         return edge + _EPISODE.run_out, level + robot.track_radius + _EPISODE.clearance
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search for the largest return, or with the hand-set cost where the robot shall hurry.
+
+        A learned value may rate a robot that waits above one that rocks on, on ground that it does
+        not know well.
+        """
+        slowest = self._settings.hurry_below
+        simulated = 0
+        if not slowest or self._standing < _STANDS_STILL:
+            plan = self._search_return(model, root, robot, deadline)
+            if _speed(plan, robot) >= slowest * robot.track_speed:
+                return plan
+            simulated = plan.simulated
+        else:
+            self._hurried = True
+        plan = super()._search(model, root, robot, deadline)
+        self.simulated += simulated
+        return plan
+
+    def _search_return(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
         """Search for the largest return, the wider the longer the robot has stood."""
         settings, learned = self._settings, self._learned
         ground = Ground(self._line, learned.layout)
@@ -112,3 +133,9 @@ class ReturnPolicy(MpcPolicy):
         plan = search.run(model, root, self._former, deadline)
         self.simulated = plan.simulated
         return plan
+
+
+def _speed(plan: Plan, robot: Robot) -> float:
+    """Return the mean speed of a plan along x [m/s]; 0 for one without decisions."""
+    lasts = len(plan.actions) * robot.decision_period
+    return float(plan.states[-1, 0] - plan.states[0, 0]) / lasts if lasts else 0.0

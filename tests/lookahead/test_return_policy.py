@@ -73,6 +73,16 @@ def saved_run(folder: Path, **settings: object) -> str:
     return str(folder)
 
 
+def test_it_hurries_where_the_plan_of_the_largest_return_waits() -> None:
+    """Rewards of swing alone pay most for a robot that leans on the step and stays there."""
+    waits, hurries = (
+        policy(terms(swing=4.0), hurry_below=share, beam=4, horizon=5) for share in (0.0, 0.4)
+    )
+    env = FlipperEnv({"name": "step", "low": 0.3, "high": 0.3})
+    assert play(env, waits, seed=3)["outcome"] != Outcome.REACHED
+    assert play(env, hurries, seed=3)["outcome"] == Outcome.REACHED
+
+
 @pytest.mark.parametrize("terrain", ["flat", "step"])
 def test_it_drives_by_its_rewards_to_the_finish(terrain: str) -> None:
     driven = policy(terms(end=2.0, shaped_progress=10.0, swing=4.0), low)
