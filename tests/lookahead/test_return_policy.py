@@ -19,6 +19,7 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.lookahead import return_policy
 from flipperctl.lookahead.learned import LearnedValue, Value
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.return_policy import ReturnPolicy
@@ -73,14 +74,24 @@ def saved_run(folder: Path, **settings: object) -> str:
     return str(folder)
 
 
-def test_it_hurries_where_the_plan_of_the_largest_return_waits() -> None:
-    """Rewards of swing alone pay most for a robot that leans on the step and stays there."""
-    waits, hurries = (
-        policy(terms(swing=4.0), hurry_below=share, beam=4, horizon=5) for share in (0.0, 0.4)
-    )
-    env = FlipperEnv({"name": "step", "low": 0.3, "high": 0.3})
-    assert play(env, waits, seed=3)["outcome"] != Outcome.REACHED
-    assert play(env, hurries, seed=3)["outcome"] == Outcome.REACHED
+@pytest.mark.parametrize(("speed", "hurries"), [(0.07, True), (0.09, False)])
+def test_it_takes_the_hand_set_plan_where_its_own_is_slow(
+    speed: float, hurries: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The default robot drives at 0.2 m/s."""
+    monkeypatch.setattr(return_policy, "_speed", lambda plan, robot: speed)
+    env = FlipperEnv("step")
+    drives = [
+        play(env, driven, seed=3)["pitch_variation_100hz"]
+        for driven in (
+            policy(terms(end=2.0, swing=4.0), low, hurry_below=0.4, friction=0.8),
+            policy(terms(end=2.0, swing=4.0), low, friction=0.8),
+            Mpc(value="", friction=0.8, **SMALL).build(),
+        )
+    ]
+    own, returns, hand_set = drives
+    assert returns != hand_set
+    assert own == (hand_set if hurries else returns)
 
 
 @pytest.mark.parametrize("terrain", ["flat", "step"])
