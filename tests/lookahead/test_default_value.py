@@ -93,7 +93,7 @@ def test_rewards_alone_take_no_other_objective_s_value() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=taught_td"]],
+    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=generalist"], ["experiment=taught_td"]],
     ids=" ".join,
 )
 def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
@@ -102,8 +102,8 @@ def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
     assert (own["value"], own["fallback"]) == ("mpc_value", True)
 
 
-def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
-    found = taught("experiment=generalist")
+def test_the_widest_generalist_is_taught_by_learned_values_for_every_robot() -> None:
+    found = taught("experiment=generalist_widest")
     assert (found["value"], bool(found["fallback"])) == ("mpc_value", False)
 
 
