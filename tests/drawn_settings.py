@@ -20,6 +20,7 @@ NOT_DRAWN = {
     "train.decisions": "60",
     "device": "what this machine has",
     "collector": "mode exact plays episodes in the learner's process",
+    "agent.start_from": "a file",
     "teacher.episodes": "a file",
     "terrain.path": "a file",
     "eval.ray": "the address of a cluster",

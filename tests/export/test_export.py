@@ -103,9 +103,11 @@ def test_the_file_for_another_robot_drives_it_as_the_checkpoint_does(
 ) -> None:
     compared = []
 
-    def watched(module: torch.nn.Module, exported: object, observations: np.ndarray) -> object:
+    def watched(
+        module: torch.nn.Module, exported: object, observations: np.ndarray, risk: None
+    ) -> object:
         compared.append(observations)
-        return compare(module, exported, observations)
+        return compare(module, exported, observations, risk)
 
     monkeypatch.setattr(policy, "compare", watched)
     path = tmp_path / "narrow.onnx"
