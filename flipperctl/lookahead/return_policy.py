@@ -7,6 +7,7 @@ the last edge that is.
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 
@@ -94,11 +95,13 @@ class ReturnPolicy(MpcPolicy):
         A learned value may rate a robot that waits above one that rocks on, on ground that it does
         not know well.
         """
-        slowest = self._settings.hurry_below
+        least = self._settings.hurry_below * robot.track_speed
+        if not least:
+            return self._search_return(model, root, robot, deadline)
         simulated = 0
-        if not slowest or self._standing < _STANDS_STILL:
+        if self._standing < _STANDS_STILL:
             plan = self._search_return(model, root, robot, deadline)
-            if _speed(plan, robot) >= slowest * robot.track_speed:
+            if _speed(plan, robot) >= least or time.perf_counter() > deadline:
                 return plan
             simulated = plan.simulated
         else:

@@ -74,24 +74,24 @@ def saved_run(folder: Path, **settings: object) -> str:
     return str(folder)
 
 
-@pytest.mark.parametrize(("speed", "hurries"), [(0.07, True), (0.09, False)])
+@pytest.mark.parametrize(
+    ("share", "speed", "hurries"),
+    [(0.4, 0.07, True), (0.4, 0.09, False), (0.0, -0.01, False)],
+    ids=["slow", "fast", "never"],
+)
 def test_it_takes_the_hand_set_plan_where_its_own_is_slow(
-    speed: float, hurries: bool, monkeypatch: pytest.MonkeyPatch
+    share: float, speed: float, hurries: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The default robot drives at 0.2 m/s."""
-    monkeypatch.setattr(return_policy, "_speed", lambda plan, robot: speed)
-    env = FlipperEnv("step")
-    drives = [
+    env, own = FlipperEnv("step"), terms(end=2.0, swing=4.0)
+    returns, hand_set = (
         play(env, driven, seed=3)["pitch_variation_100hz"]
-        for driven in (
-            policy(terms(end=2.0, swing=4.0), low, hurry_below=0.4, friction=0.8),
-            policy(terms(end=2.0, swing=4.0), low, friction=0.8),
-            Mpc(value="", friction=0.8, **SMALL).build(),
-        )
-    ]
-    own, returns, hand_set = drives
+        for driven in (policy(own, low, friction=0.8), Mpc(value="", friction=0.8, **SMALL).build())
+    )
     assert returns != hand_set
-    assert own == (hand_set if hurries else returns)
+    monkeypatch.setattr(return_policy, "_speed", lambda plan, robot: speed)
+    row = play(env, policy(own, low, friction=0.8, hurry_below=share), seed=3)
+    assert row["pitch_variation_100hz"] == (hand_set if hurries else returns)
 
 
 @pytest.mark.parametrize("terrain", ["flat", "step"])
