@@ -34,7 +34,7 @@ RECENT = 100
 
 BestBy = Literal["pitch_variation_100hz", "pitch_variation", "return", "decision"]
 """What ranks validations: success and θ̂_R at 100 Hz, or at decisions for runs that began with an
-earlier version; or the mean return."""
+earlier version; the mean return; or how late they are."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error

@@ -177,7 +177,7 @@ def _exported(file: Path, config: EnvConfig) -> Policy:
     """Return the policy of an exported file for an environment with a matching robot."""
     policy = ExportedPolicy(file)
     interface = policy.interface
-    _check_layout(file, interface.bins, interface.bin_width, config)
+    check_layout(file, interface.bins, interface.bin_width, config)
     check_robot(interface, config.robot, file)
     return policy
 
@@ -190,12 +190,16 @@ def _trained(file: Path, config: EnvConfig) -> Policy:
     trained = checkpoint.policy_config()
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
     policy = TrainedPolicy(module, trained.network.frames, risk)
-    _check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
+    check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
     return policy
 
 
-def _check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
-    """Check that an environment has the observation layout of a policy; ``bin_width`` [m]."""
+def check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
+    """Check that an environment has the observation layout of a policy; ``bin_width`` [m].
+
+    Raises:
+        CheckpointError: it has another one; the text names ``file``.
+    """
     layout = config.perception
     if (bins, bin_width) != (layout.bins, layout.bin_width):
         raise CheckpointError(

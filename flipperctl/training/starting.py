@@ -19,6 +19,7 @@ from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.exported import is_exported
+from flipperctl.policies.source import check_layout
 from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.policies.values import naming
 
@@ -34,8 +35,9 @@ def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | 
     the training starts with random weights.
 
     Raises:
-        CheckpointError: the file is missing, damaged or an exported one.
-        ConfigError: it has other observations or another network than the training.
+        CheckpointError: the file is missing, damaged or an exported one, or takes other
+            observations than the training.
+        ConfigError: it has another network than the training.
     """
     name = config.agent.start_from
     if name is None:
@@ -48,14 +50,9 @@ def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | 
             )
         checkpoint = read(file)
         module = policy_module(checkpoint)
+        theirs = checkpoint.policy_config().perception
+        check_layout(file, theirs.bins, theirs.bin_width, config.environment())
         risk = policy_risk(checkpoint) if config.agent.risk else None
-    ours, theirs = config.perception, checkpoint.policy_config().perception
-    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
-        raise ConfigError(
-            f"{_SETTING}: {name} takes observations of {theirs.bins} bins of {theirs.bin_width:g} "
-            f"m; perception.bins and perception.bin_width ask for {ours.bins} of "
-            f"{ours.bin_width:g} m"
-        )
     _check_network(config, name, module)
     return module, None if risk is None else risk.network
 
@@ -64,8 +61,9 @@ def start(config: TrainConfig, agent: D3qn) -> None:
     """Give the networks of a new training the weights that it starts with, if it names any.
 
     Raises:
-        CheckpointError: the file is missing, damaged or an exported one.
-        ConfigError: it has other observations or another network than the training.
+        CheckpointError: the file is missing, damaged or an exported one, or takes other
+            observations than the training.
+        ConfigError: it has another network than the training.
     """
     found = read_start(config)
     if found is None:

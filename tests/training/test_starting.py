@@ -8,7 +8,7 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.config import to_dict
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.runs import preflight
 from tests.short import short_config, trainer
 
@@ -27,14 +27,14 @@ def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_pat
     ("settings", "text"),
     [
         ({"network": {"name": "mlp"}}, "has another network than this training"),
-        ({"perception.bins": 12}, "takes observations of 15 bins of"),
+        ({"perception.bins": 12}, "the policy was trained on 15 bins of"),
     ],
 )
 def test_another_network_or_observation_is_refused(
     short_run: Path, settings: dict[str, object], text: str
 ) -> None:
     config = short_config(**{"agent.start_from": str(short_run), **settings})
-    with pytest.raises(ConfigError, match=text):
+    with pytest.raises(RequestError, match=text):
         preflight.check(config)
 
 
