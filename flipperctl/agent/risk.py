@@ -69,12 +69,12 @@ class Risk(torch.nn.Module):
     def __init__(self, network: RiskNetwork, calibration: RiskCalibration) -> None:
         super().__init__()
         self.network, self.sign = network, calibration.sign
-        self._slope, self._shift = calibration.slope, calibration.shift
+        self.slope, self.shift = calibration.slope, calibration.shift
 
     def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the risks of input rows alone, (B, 1), and the coefficients, (B, lags)."""
         alone, coefficients = self.network(observation)
-        return torch.sigmoid(self._slope * alone + self._shift), self._slope * coefficients
+        return torch.sigmoid(self.slope * alone + self.shift), self.slope * coefficients
 
     def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
         """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,).
