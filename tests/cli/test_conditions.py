@@ -149,7 +149,7 @@ def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(
     assert line.count("\n") == 1  # once for both scenes
     assert "generalist: trained with episode.start_noise=0.1 (0.05)" in line
     assert "conditions=trained" in line
-    for chosen in ("conditions=trained", "conditions=wide"):
+    for chosen in ("conditions=trained", "conditions=widest"):
         scenes(["terrain=step", chosen], GENERALIST, None)
         assert capsys.readouterr().err == ""
     scenes(["terrain=step", "episode.start_noise=0.1"], GENERALIST, None)

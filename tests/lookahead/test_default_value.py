@@ -79,7 +79,7 @@ def test_other_settings_and_defaults_do_not() -> None:
 
 def test_settings_of_version_0_2_keep_the_hand_set_cost() -> None:
     """They hold every field of the cost at its default, and no value."""
-    file = checkpoint.shipped_policies()["generalist"]
+    file = checkpoint.shipped_policies()["generalist_first"]
     saved = checkpoint.read(file).document.config.model_dump(mode="json")["teacher"]["controller"]
     assert "value" not in saved
     assert saved["swing"] == Mpc.model_fields["swing"].default
@@ -93,7 +93,12 @@ def test_rewards_alone_take_no_other_objective_s_value() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [["teacher=mpc"], ["teacher=lookahead"], ["experiment=generalist"], ["experiment=taught_td"]],
+    [
+        ["teacher=mpc"],
+        ["teacher=lookahead"],
+        ["experiment=generalist_first"],
+        ["experiment=taught_td"],
+    ],
     ids=" ".join,
 )
 def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
@@ -102,8 +107,8 @@ def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
     assert (own["value"], own["fallback"]) == ("mpc_value", True)
 
 
-def test_the_widest_generalist_is_taught_by_learned_values_for_every_robot() -> None:
-    found = taught("experiment=generalist_widest")
+def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
+    found = taught("experiment=generalist")
     assert (found["value"], bool(found["fallback"])) == ("mpc_value", False)
 
 

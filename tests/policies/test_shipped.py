@@ -33,7 +33,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_th
     for train in (trained["train"], wanted["train"]):
         del train["best_by"]  # newer than the policies; the weights of mpc_value are the last ones
     assert trained == wanted
-    # The mix has grown by long flights since the generalist was trained; its card says so.
+    # The mix has grown by long flights since generalist_first was trained; its card says so.
     added = [part for part in grown["parts"] if part not in mix["parts"]]
     assert [part for part in grown["parts"] if part not in added] == mix["parts"]
     assert all(part["name"] == "building_stair" and part["most"] == 16 for part in added)
