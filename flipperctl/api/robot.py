@@ -20,6 +20,10 @@ class Robot(RobotGeometry):
     factors: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "size": ("chassis_length", "flipper_length", "track_radius")
     }
+    null_values: ClassVar[Mapping[str, float]] = {
+        "track_force": math.inf,
+        **dict.fromkeys(("payload", "payload_x", "payload_z"), 0.0),
+    }
     chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
     flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
     track_speed: float = Field(

@@ -37,6 +37,9 @@ class Settings(BaseModel):
     factors: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Factors that ``randomise`` can sample by name, and the settings that each multiplies."""
 
+    null_values: ClassVar[Mapping[str, float]] = {}
+    """Numbers as which settings count where they are null, such as infinity for no limit."""
+
     @classmethod
     def nearest_allowed(cls, name: str, value: float) -> float:
         """Return the value nearest to ``value`` that the setting ``name`` can have.

@@ -94,6 +94,8 @@ SWITCHES = {"occlusion": "perception"}
 
 PATH_SECTIONS = ("sim", "robot", "perception")
 """Sections whose settings are sampled by path, after all short forms and in this order."""
+OMITTED: Mapping[str, Any] = {**dict.fromkeys(PATH_SECTIONS, {}), "spread": None}
+"""Settings that files have only if they are used, with what they are otherwise."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ class Randomise(Settings):
     ``randomise.robot.size`` is a factor on all lengths of the robot. Each
     range has the unit of its setting and must lie within its bounds, and all combinations must be
     possible; a switch has a probability. The start is sampled by
-    ``episode.start_noise`` and ``episode.start_angle_noise``.
+    ``episode.start_noise`` and ``episode.start_angle_noise``. With ``spread`` many episodes are
+    close to the configured values and some far from them.
     """
 
     friction: Range = Field(None, description="of sim.friction [-]")
@@ -170,6 +173,11 @@ class Randomise(Settings):
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )
+    spread: Range = Field(
+        None,
+        description="share of the way from a configured value to the ends of its range, sampled for "
+        "each episode and common to all settings; null for the whole ranges [-]",
+    )
     sim: Paths = Field(
         default_factory=dict, description="ranges of settings of the engine, by name [-]"
     )
@@ -179,6 +187,12 @@ class Randomise(Settings):
     perception: Paths = Field(
         default_factory=dict, description="ranges of settings of the sensor, by name [-]"
     )
+
+    @model_validator(mode="after")
+    def _spread_is_a_share(self) -> Self:
+        if self.spread is not None and not 0 <= self.spread[0] <= self.spread[1] <= 1:
+            raise ValueError(f"randomise.spread: 0 to 1 is allowed; the value is {[*self.spread]}")
+        return self
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -194,9 +208,9 @@ class Randomise(Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out sections without a path, so that files and hashes stay as in version 0.2."""
+        """Leave out what is newer and not used, so that files and hashes stay as in version 0.2."""
         plain = serialize(self).items()
-        return {name: value for name, value in plain if value or name not in PATH_SECTIONS}
+        return {name: value for name, value in plain if value or name not in OMITTED}
 
     def sampled(self) -> Iterator[Sampled]:
         """Yield each sampled setting, in the order in which values are sampled.

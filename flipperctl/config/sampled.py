@@ -40,13 +40,32 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
     ``randomise`` has passed ``check_ranges`` with these sections.
     """
     values = {}
+    share = None if randomise.spread is None else rng.uniform(*randomise.spread)
     for one in randomise.sampled():
-        settings = type(sections[one.section])
+        section = sections[one.section]
+        settings, (low, high) = type(section), one.ends
+        if share is not None:
+            middle = _configured(section, one.field, low, high)
+            low, high = middle + share * (low - middle), middle + share * (high - middle)
         if _kind(settings, one.field) is bool:
-            values[one.name] = float(rng.random() < one.ends[0])
+            values[one.name] = float(rng.random() < low)
         else:
-            values[one.name] = _allowed(settings, one.field, rng.uniform(*one.ends))
+            values[one.name] = _allowed(settings, one.field, rng.uniform(low, high))
     return values
+
+
+def _configured(settings: Settings, field: str, low: float, high: float) -> float:
+    """Return the configured value of a setting, or the end of its range that is nearest to it.
+
+    A factor is 1; the setting of a switch is 0 or 1.
+    """
+    cls = type(settings)
+    if _kind(cls, field) is bool:
+        return float(getattr(settings, field))
+    value = 1.0 if field in cls.factors else getattr(settings, field)
+    if value is None:
+        value = cls.null_values.get(field, 0.5 * (low + high))
+    return min(high, max(low, float(value)))
 
 
 def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[str, Any]:

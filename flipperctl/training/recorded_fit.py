@@ -14,7 +14,7 @@ from typing import Any
 from flipperctl.api import ObservationLayout, Robot
 from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, to_dict
-from flipperctl.config.randomise import PATH_SECTIONS
+from flipperctl.config.randomise import OMITTED
 from flipperctl.errors import ConfigError
 
 _SECTIONS = ("sim", "perception", "episode", "randomise")
@@ -42,7 +42,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     It is empty if none differ.
     """
     ours = to_dict(config.environment())
-    ours["randomise"] = _with_paths(ours["randomise"])
+    ours["randomise"] = {**OMITTED, **ours["randomise"]}
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
         "perception": ObservationLayout.model_fields.keys(),
@@ -64,12 +64,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
 
 def _section(environment: PartialEnvironment, section: str) -> dict[str, Any]:
     found = environment.model_dump(mode="json").get(section, {})
-    return _with_paths(found) if section == "randomise" else found
-
-
-def _with_paths(randomise: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section with its mappings of paths, which files omit if they are empty."""
-    return {**randomise, **{section: randomise.get(section, {}) for section in PATH_SECTIONS}}
+    return {**OMITTED, **found} if section == "randomise" else found
 
 
 def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from flipperctl.api import ObservationLayout, Plugin, Robot, registry
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.defaults import LISTS, entries, sections
-from flipperctl.config.randomise import PATH_SECTIONS
+from flipperctl.config.randomise import OMITTED, PATH_SECTIONS
 from flipperctl.runs.inherited import NOMINAL, TRAINED, Inherited
 from flipperctl.runs.search import SearchSettings
 
@@ -56,7 +56,7 @@ def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
         section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
         for section in PATH_SECTIONS
     }
-    return {**sections, "randomise": {**randomise, **open_for_keys}}
+    return {**sections, "randomise": {**OMITTED, **randomise, **open_for_keys}}
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:
