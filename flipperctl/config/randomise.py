@@ -94,7 +94,7 @@ SWITCHES = {"occlusion": "perception"}
 
 PATH_SECTIONS = ("sim", "robot", "perception")
 """Sections whose settings are sampled by path, after all short forms and in this order."""
-OMITTED: Mapping[str, Any] = {**dict.fromkeys(PATH_SECTIONS, {}), "spread": None}
+OMITTED: Mapping[str, Any] = {"sim": {}, "robot": {}, "perception": {}, "spread": None}
 """Settings that files have only if they are used, with what they are otherwise."""
 
 
@@ -175,8 +175,8 @@ class Randomise(Settings):
     )
     spread: Range = Field(
         None,
-        description="share of the way from a configured value to the ends of its range, sampled for "
-        "each episode and common to all settings; null for the whole ranges [-]",
+        description="share of the way from the configured values to the ends of all ranges, sampled "
+        "for each episode; null for the whole ranges [-]",
     )
     sim: Paths = Field(
         default_factory=dict, description="ranges of settings of the engine, by name [-]"
@@ -191,7 +191,8 @@ class Randomise(Settings):
     @model_validator(mode="after")
     def _spread_is_a_share(self) -> Self:
         if self.spread is not None and not 0 <= self.spread[0] <= self.spread[1] <= 1:
-            raise ValueError(f"randomise.spread: 0 to 1 is allowed; the value is {[*self.spread]}")
+            text = f"[{self.spread[0]:g}, {self.spread[1]:g}]"
+            raise ConfigError(f"randomise.spread: 0 to 1 is allowed; the value is {text}")
         return self
 
     @model_validator(mode="after")

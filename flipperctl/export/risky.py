@@ -20,6 +20,7 @@ class PolicyWithRisk(torch.nn.Module):
     def __init__(self, policy: torch.nn.Module, risk: Risk) -> None:
         super().__init__()
         *hidden, last = risk.network.layers
+        assert isinstance(last, torch.nn.Linear)
         self.policy, self.hidden = policy, torch.nn.Sequential(*hidden)
         weight, bias = risk.slope * last.weight, risk.slope * last.bias
         self.alone = _layer(weight[:1], bias[:1] + risk.shift)

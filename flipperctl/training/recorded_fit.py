@@ -42,7 +42,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     It is empty if none differ.
     """
     ours = to_dict(config.environment())
-    ours["randomise"] = {**OMITTED, **ours["randomise"]}
+    ours["randomise"] = _complete(ours["randomise"])
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
         "perception": ObservationLayout.model_fields.keys(),
@@ -64,7 +64,12 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
 
 def _section(environment: PartialEnvironment, section: str) -> dict[str, Any]:
     found = environment.model_dump(mode="json").get(section, {})
-    return {**OMITTED, **found} if section == "randomise" else found
+    return _complete(found) if section == "randomise" else found
+
+
+def _complete(randomise: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section with what files omit."""
+    return {**randomise, **{name: randomise.get(name, none) for name, none in OMITTED.items()}}
 
 
 def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
