@@ -175,8 +175,8 @@ class Randomise(Settings):
     )
     spread: Range = Field(
         None,
-        description="share of the way from the configured values to the ends of all ranges, sampled "
-        "for each episode; null for the whole ranges [-]",
+        description="share of the way from the configured values to the ends of all ranges, "
+        "sampled for each episode; null for the whole ranges [-]",
     )
     sim: Paths = Field(
         default_factory=dict, description="ranges of settings of the engine, by name [-]"

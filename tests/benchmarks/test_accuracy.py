@@ -13,7 +13,7 @@ def test_each_substep_is_compared_with_the_finest() -> None:
     found = accuracy.measure(small_benchmark(starts=2))
     check(found)
     assert len(found["quantities"]) == 2 * 2 * 4 + 4
-    for policy in ("okada", "generalist"):
+    for policy in ("okada", "generalist_first"):
         change = found["quantities"][f"{policy}.change"]["values"]
         assert len(change) == 2  # both starts reach the finish, at both substeps
         assert all(0 < value < 0.5 for value in change)
