@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import shipped
+from benchmarks import cells, shipped, tables
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
@@ -29,26 +29,40 @@ FOLDER = Path(__file__).parents[1] / "docs" / "results"
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
-    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 60241 "
-    f"--baseline okada,level,random conditions=trained terrain={_TEN}",
+    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 60521 "
+    f"--baseline okada,level,random conditions=wide terrain={_TEN}",
+    "generalist_first": "flipperctl eval --checkpoint generalist_first --episodes 100 "
+    f"--seed 60241 --baseline okada,level,random conditions=trained terrain={_TEN}",
     "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 100 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
+    "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
+    "--episodes 100 --seed 60522 --baseline okada,level",
+    "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
+    "--episodes 30 --seed 60523 --baseline okada,level",
+    "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
+    "--episodes 30 --seed 60524 --baseline okada,level",
 }
-"""The command of each file."""
+"""The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"
 """Name of the results of everything that ships, with a file for each suite."""
 NAMES = (*COMMANDS, SHIPPED)
 """What can be played."""
 
 
-def play(name: str, jobs: int = 1) -> None:
+def play(name: str, output: Path, jobs: int = 1) -> None:
     """Run the command of a file and keep its results.
+
+    ``output``: folder for the episodes of a suite, which goes on where an earlier call ended.
 
     Raises:
         FlipperctlError: the command failed.
     """
-    out = _run([*shlex.split(COMMANDS[name])[1:], "--jobs", str(jobs), "--json"])
-    rows = [row.to_dict() for row in rows_of(json.loads(out))]
+    words = [*shlex.split(COMMANDS[name])[1:], "--jobs", str(jobs)]
+    if name.startswith(tables.CELLS):
+        _run([*words, "--output", str(output / name)])
+        rows = cells.rows(output / name)
+    else:
+        rows = [row.to_dict() for row in rows_of(json.loads(_run([*words, "--json"])))]
     _keep(name, {"command": COMMANDS[name], "version": __version__}, {"rows": rows})
 
 
@@ -96,7 +110,7 @@ def main() -> int:
     for option, kind, default, text in (
         ("--jobs", int, 1, "processes"),
         ("--runs", Path, Path("runs/shipped"), f"{SHIPPED}: folder of the trainings"),
-        ("--output", Path, Path("judged"), f"{SHIPPED}: folder of the episodes"),
+        ("--output", Path, Path("judged"), f"{SHIPPED}, {tables.CELLS}…: folder of the episodes"),
         ("--fast", int, few.fast, f"{SHIPPED}: episodes a scene of rules and learned policies"),
         ("--slow", int, few.slow, f"{SHIPPED}: episodes a scene of mpc and planner"),
     ):
@@ -107,7 +121,7 @@ def main() -> int:
             numbers = shipped.Numbers(asked.fast, asked.slow)
             play_shipped(asked.runs, asked.output, asked.jobs, numbers)
         else:
-            play(name, asked.jobs)
+            play(name, asked.output, asked.jobs)
     return 0
 
 

@@ -4,7 +4,8 @@
 
 A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->``; its columns are
 those of ``flipperctl.report.result_table``; files ``shipped_SUITE.json`` have the tables
-``overview`` and ``scenes`` instead (``benchmarks.shipped_table``). ``--check`` writes nothing and
+``overview`` and ``scenes`` instead (``benchmarks.shipped_table``), and files ``cells_NAME.json``
+the table ``cells`` (``benchmarks.cells``). ``--check`` writes nothing and
 exits with code 1 if a page disagrees with its results. ``python -m benchmarks.results`` makes the
 results.
 """
@@ -18,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from benchmarks import cells
 from benchmarks.shipped_table import markdown
 from flipperctl import entry
 from flipperctl.errors import RequestError
@@ -28,6 +30,8 @@ from flipperctl.report.result_table import markdown_table
 ROOT = Path(__file__).parents[1]
 SHIPPED = "shipped_"
 """Beginning of the names of files of ``benchmarks.shipped``; their tables are others."""
+CELLS = "cells_"
+"""Beginning of the names of files of ``benchmarks.cells``."""
 FOLDER = ROOT / "docs" / "results"
 _TABLE = re.compile(
     r"(<!-- results: (\S+) ([^>]*?) -->\n).*?(^<!-- end -->$)", re.DOTALL | re.MULTILINE
@@ -54,6 +58,8 @@ def rewritten(text: str, folder: Path = FOLDER) -> str:
         path, names = folder / found[2], found[3].split()
         if found[2].startswith(SHIPPED):
             lines = markdown(_document(path), names)
+        elif found[2].startswith(CELLS):
+            lines = list(cells.markdown(_document(path)))
         else:
             lines = markdown_table(stored(path), names)
         return found[1] + "\n".join(["", *lines, "", ""]) + found[4]
