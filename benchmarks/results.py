@@ -38,9 +38,9 @@ COMMANDS: Mapping[str, str] = {
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
     "--episodes 100 --seed 60522 --baseline okada,level",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
-    "--episodes 20 --seed 60523 --baseline okada,level",
+    "--episodes 10 --seed 60523 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
-    "--episodes 30 --seed 60524 --baseline okada,level",
+    "--episodes 20 --seed 60524 --baseline okada,level",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"
