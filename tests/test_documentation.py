@@ -127,7 +127,8 @@ def with_budget(command: list[str]) -> list[str]:
         command, few = fewer(command), list[str]()
         if any(word.startswith("experiment=taught,") for word in command):
             command = [*command, "teacher=okada"]  # whose labels cost no search
-        if {"experiment=taught", "experiment=generalist"} & set(command):
+        searching = {"experiment=taught", "experiment=generalist", "experiment=generalist_first"}
+        if searching & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
         if {"experiment=searched", "experiment=mpc_value"} & set(command):
             fast = {"beam": 1, "horizon": 1, "groups": 4}
