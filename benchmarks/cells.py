@@ -103,10 +103,10 @@ def markdown(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _text(ends: Sequence[float | None] | None, *, interval: bool = True) -> str:
-    if ends is None or ends[0] is None:
+    if ends is None:
         return NONE
     mean, low, high = ends
-    return ends_text((mean, low, high), 2, interval=interval)
+    return NONE if mean is None else ends_text((mean, low, high), 2, interval=interval)
 
 
 def _line(cells: Sequence[str]) -> str:
