@@ -44,9 +44,10 @@ def test_the_default_is_nominal_for_both() -> None:
     assert policy.rewards != rule.rewards  # a policy keeps those of its training
 
 
-def test_the_generalists_training_is_wide_and_moves_neither_ground_nor_start() -> None:
+def test_the_first_generalists_training_is_wide_and_moves_neither_ground_nor_start() -> None:
     words = ["nominal", "wide", "trained"]
-    found = scenes(["terrain=rubble", f"conditions={','.join(words)}"], GENERALIST, None)
+    first = Path("generalist_first")
+    found = scenes(["terrain=rubble", f"conditions={','.join(words)}"], first, None)
     nominal, wide, trained = (config for config, _ in found)
     assert [config.conditions for config, _ in found] == words
     assert wide.environment() == trained.environment()
