@@ -87,7 +87,7 @@ def test_the_widest_conditions_are_possible_together(name: str, sim: str) -> Non
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
-    assert {*RANGES, "occlusion", *PATH_SECTIONS} == set(Randomise.model_fields)
+    assert {*RANGES, "occlusion", "spread", *PATH_SECTIONS} == set(Randomise.model_fields)
     for seed in range(5):
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
