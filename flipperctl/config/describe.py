@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
-from flipperctl.config.randomise import SECTION_OF
+from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import PluginError
 from flipperctl.messages import bounds, close_match, meaning, unit
 
@@ -78,6 +78,9 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
         if field.name == _CHOICE and not isinstance(config, Plugin):
             continue  # yielded by ``_choice``
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
+        if isinstance(config, Randomise) and field.name in PATH_SECTIONS and value:
+            yield from _sampled_by_path(field.name, plain[field.name], path)
+            continue
         nested = list(_nested(value, where))
         if not nested or isinstance(value, tuple | list):
             yield Setting(path, where, plain.get(field.name, {}), field)
@@ -145,6 +148,16 @@ def paths_named(
     return ends if len(ends) <= 3 else []
 
 
+def _sampled_by_path(section: str, ranges: Mapping[str, Any], path: str) -> Iterator[Setting]:
+    """Yield the range or probability of each setting of ``section`` that is sampled."""
+    cls = _sampled_from(section)
+    for name, value in ranges.items():
+        known = name in cls.model_fields
+        words = (bounds(cls, name), unit(cls, name)) if known else ("", "-")
+        field = Field(name, "Range", None, *words, f"of {section}.{name}")
+        yield Setting(path, f"{path}.{section}.{name}", value, field)
+
+
 def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
     """Yield the settings in a field's value, each with its path."""
     if isinstance(value, Settings):
@@ -172,15 +185,16 @@ def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
 def _allowed(cls: type[Settings], name: str) -> str:
     """Return the bounds of a field, or its allowed values."""
     if issubclass(cls, Randomise) and name in SECTION_OF:
-        section = SECTION_OF[name]
-        sampled_from = (
-            Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
-        )
-        return bounds(sampled_from, name)
+        return bounds(_sampled_from(SECTION_OF[name]), name)
     info = cls.model_fields[name]
     lengths = [getattr(item, "min_length", None) for item in info.metadata]
     least = "".join(f"length ≥ {length}" for length in lengths if length is not None)
     return bounds(cls, name) or ", ".join(_values(info.annotation)) or least
+
+
+def _sampled_from(section: str) -> type[Settings]:
+    """Return the settings of the robot, or of the default engine or sensor."""
+    return Robot if section == "robot" else resolver.get(section, DEFAULT_ENGINE, section)
 
 
 def _values(annotation: Any) -> Iterator[str]:
