@@ -18,6 +18,8 @@ from flipperctl.evaluation.intervals import interval
 from flipperctl.report.result_table import NONE, ends_text
 
 _SWING = "pitch_variation_100hz"
+_ROCKED = 5.0
+"""θ̂_R above which a failed episode counts as one that rocked [rad]."""
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -34,18 +36,15 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for scene in summary["scenes"]:
         conditions = scene["conditions"]
-        methods = played[scene["terrain"], conditions["hash"]]
         key = scene["suite_scene"], conditions["hash"]
-        found.setdefault(
-            key,
-            {
+        if key not in found:  # each method has an entry
+            found[key] = {
                 "scene": scene["suite_scene"],
                 "terrain": scene["terrain"],
                 "engine": conditions["sim"]["name"],
                 "hash": conditions["hash"],
-                **_compared(methods),
-            },
-        )
+                **_compared(played[scene["terrain"], conditions["hash"]]),
+            }
     return list(found.values())
 
 
@@ -58,8 +57,8 @@ def _compared(methods: Mapping[str, Mapping[str, Mapping[str, str]]]) -> dict[st
         }
         for name, episodes in methods.items()
     }
-    policy = next(iter(swings))
-    ours, others = swings[policy], {n: each for n, each in swings.items() if n != policy}
+    policy, *others = swings
+    ours = swings[policy]
     failed = [line for line in methods[policy].values() if line["outcome"] != "reached"]
     return {
         "episodes": len(methods[policy]),
@@ -72,7 +71,7 @@ def _compared(methods: Mapping[str, Mapping[str, Mapping[str, str]]]) -> dict[st
             )
             for other in others
         },
-        "rocked": sum(float(line[_SWING]) > 5.0 for line in failed),
+        "rocked": sum(float(line[_SWING]) > _ROCKED for line in failed),
     }
 
 

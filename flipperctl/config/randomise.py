@@ -190,7 +190,7 @@ class Randomise(Settings):
 
     @model_validator(mode="after")
     def _spread_is_a_share(self) -> Self:
-        if self.spread is not None and not 0 <= self.spread[0] <= self.spread[1] <= 1:
+        if self.spread is not None and (self.spread[0] < 0 or self.spread[1] > 1):
             text = f"[{self.spread[0]:g}, {self.spread[1]:g}]"
             raise ConfigError(f"randomise.spread: 0 to 1 is allowed; the value is {text}")
         return self

@@ -57,7 +57,7 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
 def _configured(settings: Settings, field: str, low: float, high: float) -> float:
     """Return the configured value of a setting, or the end of its range that is nearest to it.
 
-    A factor is 1; the setting of a switch is 0 or 1.
+    A factor is 1, a switch 0 or 1, and null what ``null_values`` say, else the range's centre.
     """
     cls = type(settings)
     if _kind(cls, field) is bool:

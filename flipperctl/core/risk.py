@@ -55,7 +55,7 @@ class Recurrence:
         """``size``: length of an observation, N + 3."""
         length, lags = LAGS[-1] + 1, np.array(LAGS)
         self._kept = np.zeros((length, size), np.float32)  # a ring
-        # Tables, one product and results in place: 4 µs a decision, not 23.
+        # Tables, one product and results in place, since this runs at each decision on the robot.
         self._rows = [*((np.arange(length)[:, None] - lags) % length)]  # length arrays, (lags,)
         self._known = [*(lags <= np.arange(length)[:, None]).astype(np.float32)]
         self._mean = np.full(size, -1 / (SCALE * size), np.float32)
@@ -89,7 +89,7 @@ def with_recurrence(
     ``risk``: that of the observation alone, 0 to 1; ``coefficients``: what each resemblance adds to
     its log-odds, (lags,); ``resembles``: the resemblances, (lags,).
     """
-    added = float(coefficients.dot(resembles))  # dot takes half the time of @
+    added = float(coefficients.dot(resembles))
     if not math.isfinite(risk + added):
         return math.nan
     cut = min(_MOST, max(_LEAST, risk))

@@ -13,8 +13,8 @@ from flipperctl.agent.risk import Risk
 class PolicyWithRisk(torch.nn.Module):
     """Maps inputs (B, F · (N + 3)) to Q-values (B, 9), risks (B, 1), coefficients (B, lags).
 
-    The calibration is folded into the last layer, which becomes two: without a product, a sum and
-    two slices a decision takes 2 µs less.
+    The calibration is folded into the last layer, which becomes two, so that a
+    decision computes no product, sum and slices for it.
     """
 
     def __init__(self, policy: torch.nn.Module, risk: Risk) -> None:
