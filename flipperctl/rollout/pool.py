@@ -54,8 +54,10 @@ class WorkerPool:
         if several:
             context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
 
+        given = dict(os.environ), initializer, arguments
+
         def create() -> ProcessPoolExecutor:
-            return ProcessPoolExecutor(1, context, _initialize_process, (initializer, arguments))
+            return ProcessPoolExecutor(1, context, _initialize_process, given)
 
         self._workers = [_Worker(number, create) for number in range(count)]
         self._idle: LifoQueue[_Worker] = LifoQueue()
@@ -180,7 +182,11 @@ def _without_script() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _initialize_process(initializer: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+def _initialize_process(
+    environment: dict[str, str], initializer: Callable[..., None], arguments: tuple[Any, ...]
+) -> None:
+    os.environ.clear()  # a fork server keeps that of its start, with the plugins of then
+    os.environ.update(environment)
     with contextlib.suppress(ValueError):  # not in the main thread
         for number in _STOPS:  # the main process handles them and stops its workers
             signal.signal(number, signal.SIG_IGN)

@@ -34,6 +34,10 @@ def fail() -> None:
     raise FlipperctlError("on purpose")
 
 
+def value(name: str) -> str | None:
+    return os.environ.get(name)
+
+
 def wait_for(path: Path, limit: float = 20.0) -> bool:
     end = time.monotonic() + limit
     while not path.exists() and time.monotonic() < end:
@@ -120,6 +124,20 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     with pytest.raises(WorkerDiedError):
         call.result(timeout=0)
     assert queued[-1].cancelled()
+
+
+@pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
+def test_workers_have_the_environment_of_now(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server, which lives as long as this process, has that of its start."""
+    found = []
+    for text in ("first", "second"):
+        monkeypatch.setenv("WORKER_SHALL_KNOW", text)
+        workers = WorkerPool(count, initialize, ())
+        try:
+            found.append(workers.submit(value, "WORKER_SHALL_KNOW").result())
+        finally:
+            workers.close()
+    assert found == ["first", "second"]
 
 
 @pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
