@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read once, by numpy and torch; children inherit it
 
@@ -17,6 +18,9 @@ from tests.short import short_config, trainer
 pytest_plugins = ["tests.quick"]
 
 os.environ.pop("COLUMNS", None)  # pytest-xdist sets it, and tables would keep to it
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as shells start what runs behind them
+    # Processes inherit it, and tests interrupt them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 plugins.load()  # at import, since tests are parametrised over the registry
 
 
