@@ -17,13 +17,13 @@ pytestmark = pytest.mark.slow
 PROGRAMS = {
     "command": "from flipperctl.__main__ import main; main()",
     "runtime": "from flipperctl.runtime.__main__ import main; main()",
-    "clock": "import runpy; runpy.run_module('flipperctl.bench.onnx_clock', run_name='__main__')",
+    "clock": "runpy.run_module('flipperctl.bench.onnx_clock', run_name='__main__')",
 }
 
 
 def start(program: str, words: list[str], cwd: Path) -> subprocess.Popen[str]:
     """Start a program as its console script does, and wait until the interpreter is ready."""
-    head = "import re, sys; sys.stderr.write('ready\\n'); sys.stderr.flush(); "
+    head = "import re, runpy, sys; sys.stderr.write('ready\\n'); sys.stderr.flush(); "
     process = subprocess.Popen(
         [sys.executable, "-c", head + PROGRAMS[program], *words],
         cwd=cwd, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
