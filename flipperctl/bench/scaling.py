@@ -132,14 +132,19 @@ def ray_collector(config: TrainConfig, workers: int) -> Collector:
     return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))
 
 
-def factories() -> dict[str, tuple[Factory, tuple[int, ...]]]:
-    """Return the factory and the numbers of workers of each kind of collector, by name."""
+def factories(config: TrainConfig) -> dict[str, tuple[Factory, tuple[int, ...]]]:
+    """Return the factory and the numbers of workers of each kind of collector, by name.
+
+    With a teacher, which labels what workers collect, there is none in this process.
+    """
     counts = worker_counts()
-    return {
-        "in_process": (InProcessCollector, (1,)),
+    found: dict[str, tuple[Factory, tuple[int, ...]]] = {
         "processes": (process_collector, counts),
         "ray": (ray_collector, counts),
     }
+    if config.teacher.controller is not None:
+        return found
+    return {"in_process": (InProcessCollector, (1,)), **found}
 
 
 def worker_counts(cores: int | None = None) -> tuple[int, ...]:
@@ -160,7 +165,7 @@ def measure(
     collectors: dict[str, Collector] = {}
     missing: list[str] = []
     try:
-        for name, (factory, counts) in (found or factories()).items():
+        for name, (factory, counts) in (found or factories(bench.config)).items():
             try:
                 for workers in counts:
                     bench.report_progress(f"starting {name} with {workers}", 0.0)

@@ -3,6 +3,7 @@
 import pytest
 
 from flipperctl.bench import scaling
+from flipperctl.config import TrainConfig
 from flipperctl.errors import MissingExtraError
 from tests.bench.small import check, check_ratio, small_bench
 
@@ -23,9 +24,15 @@ class Counting:
 
 def test_the_reference_plays_what_is_asked() -> None:
     # tests/rollout/test_ray.py plays on a cluster; a lone worker would import torch anew.
-    counts = {"in_process": (1,), "processes": (2,)}
-    found = {name: (scaling.factories()[name][0], workers) for name, workers in counts.items()}
-    check(scaling.measure(small_bench(), found))
+    bench, counts = small_bench(), {"in_process": (1,), "processes": (2,)}
+    made = scaling.factories(bench.config)
+    found = {name: (made[name][0], workers) for name, workers in counts.items()}
+    check(scaling.measure(bench, found))
+
+
+def test_what_a_teacher_labels_is_collected_by_workers_alone() -> None:
+    config = TrainConfig(terrain="step", teacher={"controller": "okada"})
+    assert [*scaling.factories(config)] == ["processes", "ray"]
 
 
 def test_every_collector_is_measured_and_closed() -> None:
