@@ -31,7 +31,7 @@ def test_the_reference_plays_what_is_asked() -> None:
 
 
 def test_what_a_teacher_labels_is_collected_by_workers_alone() -> None:
-    config = TrainConfig(terrain="step", teacher={"controller": "okada"})
+    config = TrainConfig(terrain="step", network="at_d3qn", teacher={"controller": "okada"})
     assert [*scaling.factories(config)] == ["processes", "ray"]
 
 
