@@ -72,6 +72,10 @@ def _compared(methods: Mapping[str, Mapping[str, Mapping[str, str]]]) -> dict[st
             for other in others
         },
         "rocked": sum(float(line[_SWING]) > _ROCKED for line in failed),
+        "overturned": {
+            name: sum(line["outcome"] == "overturned" for line in episodes.values())
+            for name, episodes in methods.items()
+        },
     }
 
 
@@ -84,11 +88,15 @@ def _ends(values: Sequence[float]) -> list[float | None] | None:
 
 
 def markdown(document: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of the table of a file of results."""
+    """Yield the lines of the table of a file of results.
+
+    Where its rows know who overturned, one column has the numbers of all, in their order.
+    """
     found: list[dict[str, Any]] = document["rows"]
     policy, *others = found[0]["reached"]
     headings = ["scene", "passable", "reached"]
     headings += [f"`{name}` reached" for name in others]
+    headings += ["overturned"] if "overturned" in found[0] else []
     headings += ["θ̂_R [rad]", *(f"minus `{name}`'s" for name in others)]
     yield _line(headings)
     yield "|" + "---|" * len(headings)
@@ -96,6 +104,8 @@ def markdown(document: Mapping[str, Any]) -> Iterator[str]:
     for row in found:
         name = f"{row['scene']}, `{row['terrain']}`" if several else row["scene"]
         cells = [name, str(row["passable"]), *(str(row["reached"][m]) for m in (policy, *others))]
+        if "overturned" in row:
+            cells.append(", ".join(str(row["overturned"][m]) for m in (policy, *others)))
         cells.append(_text(row["swing"][policy], interval=False))
         cells += [_text(row["difference"][name]) for name in others]
         yield _line(cells)

@@ -37,7 +37,8 @@ def folder(tmp_path: Path) -> Path:
         for scene in scenes:
             method = str(scene["controller"])
             for index, swing in enumerate(SWINGS[method]):
-                ended = "stuck" if index in FAILED[method] else "reached"
+                failure = "overturned" if index == 7 else "stuck"
+                ended = failure if index in FAILED[method] else "reached"
                 name = "step in 3-D" if scene["conditions"]["hash"] == "bbbb" else "step"
                 values = ["step", hashes[name], method, index, ended, swing]
                 writer.writerow(dict(zip(writer.fieldnames, values, strict=True)))
@@ -51,15 +52,18 @@ def test_a_row_compares_episodes_that_both_reached(folder: Path) -> None:
     assert first["reached"] == {"mine": 6, "okada": 6}
     assert first["passable"] == 7  # all but the last one
     assert first["rocked"] == 2  # failures with more than 5 rad
+    assert first["overturned"] == {"mine": 1, "okada": 1}
     mean, low, high = first["difference"]["okada"]
     assert mean == pytest.approx(-0.8)  # of episodes 0 to 4
     assert low < mean < high
 
 
 def test_a_table_has_a_line_for_each_scene(folder: Path) -> None:
-    lines = list(cells.markdown({"rows": cells.rows(folder)}))
-    assert lines[0] == (
-        "| scene | passable | reached | `okada` reached | θ̂_R [rad] | minus `okada`'s |"
-    )
-    assert lines[2].startswith("| step | 7 | 6 | 6 | 1.42 | -0.80 [")
+    rows = cells.rows(folder)
+    lines = list(cells.markdown({"rows": rows}))
+    assert lines[0].split(" | ")[3:6] == ["`okada` reached", "overturned", "θ̂_R [rad]"]
+    assert lines[2].startswith("| step | 7 | 6 | 6 | 1, 1 | 1.42 | -0.80 [")
     assert len(lines) == 4
+    for row in rows:  # as in a file from before they were counted
+        del row["overturned"]
+    assert "overturned" not in next(cells.markdown({"rows": rows}))
