@@ -15,6 +15,7 @@ import pytest
 from flipperctl.errors import FlipperctlError
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 from flipperctl.training.trainer import Trainer
+from tests.rollout.notes import Notes
 from tests.short import short_config, trainer
 
 
@@ -157,25 +158,6 @@ def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count:
         assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
     finally:
         workers.close()
-
-
-class Notes:
-    """A listener that collects the notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def episode(self, row: dict) -> None:
-        pass
-
-    def validation(self, row: dict) -> None:
-        pass
-
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_training_run_continues_when_a_worker_is_killed(

@@ -11,6 +11,7 @@ import pytest
 from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.rollout import ray_workers
+from tests.rollout.notes import Notes
 from tests.short import short_config, trainer
 from tests.training.test_searched import tiny
 
@@ -107,25 +108,6 @@ def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
         assert time.monotonic() - begun < 30
     finally:
         ray.shutdown()
-
-
-class Notes:
-    """A listener that collects the notes."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-
-    def episode(self, row: dict) -> None:
-        pass
-
-    def validation(self, row: dict) -> None:
-        pass
-
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path: Path) -> None:
