@@ -17,8 +17,9 @@ from flipperctl.sim.resting import resting
 
 _DEEPEST = 0.005
 """Largest overlap of the robot with the ground at the start [m]."""
-_TURNED, _LIFTED = 0.1, 0.05
-"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]."""
+_TURNED, _LIFTED = 0.1, 0.15
+"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]. In 3-D
+a heading makes the pitch smaller, and rough ground lifts the robot."""
 
 
 def sampled(
@@ -76,7 +77,7 @@ def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile
     run_up = run_up_of(profile, config.episode)
     if start.height is not None:
         turned, lifted = world.pitch - start.pitch, world.position[1] - start.height
-        if abs(turned) > _TURNED or abs(lifted) > _LIFTED:
+        if abs(turned) > max(_TURNED, abs(start.pitch) / 2) or abs(lifted) > _LIFTED:
             raise ConfigError(
                 f"episode.run_up: {run_up:g} m starts past the first edge, where "
                 f"sim={config.sim.plugin_name} does not place the robot along the ground; 0 m or "

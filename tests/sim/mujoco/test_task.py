@@ -15,7 +15,8 @@ from gymnasium.utils.env_checker import check_env
 from flipperctl import checkpoint
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.scene import HEIGHT, WIDTH
-from flipperctl.errors import PluginFailedError, RequestError
+from flipperctl.errors import PluginFailedError, RequestError, TerrainError
+from flipperctl.sim.mujoco import world
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import EXACT, call
 
@@ -28,6 +29,24 @@ def test_the_environment_keeps_gymnasiums_contract() -> None:
     first, second = (env.reset(seed=3)[0] for _ in range(2))
     assert np.array_equal(first, second)
     env.close()
+
+
+@pytest.mark.parametrize("sim", [{"roughness": 0.1}, {"yaw": 0.7, "offset": 0.3}], ids=str)
+def test_a_start_on_a_slope_lies_on_what_stands_above_the_line(
+    sim: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = {"name": "building_stair", "fewest": 8, "most": 16}
+    ground = {"name": "midway", "terrain": inner, "start": 1.0}
+    env = FlipperEnv(ground, sim={"name": "mujoco", **sim})
+
+    def begin() -> None:
+        for seed in range(8):
+            env.reset(seed=seed)
+
+    begin()
+    monkeypatch.setattr(world, "_OVERLAP", 1.0)
+    with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
+        begin()
 
 
 @pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
