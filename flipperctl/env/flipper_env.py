@@ -128,6 +128,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
         self._sections = sections
         self.drive = self._drive()
+        if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
+            self.profile = start.ahead(self.profile)
+            self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
+            self.drive = self._drive()
         start.check_placed(self.drive.world, self._start, config, self.profile)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)

@@ -6,6 +6,8 @@ the engine places.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from flipperctl.api import Profile, Robot, Start, World
@@ -65,6 +67,20 @@ def sampled(
 def run_up_of(profile: Profile, episode: Episode) -> float:
     """Return the distance of the start before the first edge, without the random shift [m]."""
     return episode.run_up if profile.run_up is None else profile.run_up
+
+
+def is_lifted(world: World, start: Start) -> bool:
+    """Return whether the engine placed the robot far above a start past the first edge.
+
+    In 3-D it does so where the ground beside the profile is far above it.
+    """
+    return start.height is not None and world.position[1] - start.height > _LIFTED
+
+
+def ahead(profile: Profile) -> Profile:
+    """Return a profile that chose its start without that choice, to start before its first edge."""
+    drawn = {name: value for name, value in profile.drawn.items() if name != "start_on"}
+    return replace(profile, run_up=None, drawn=drawn)
 
 
 def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile) -> None:

@@ -9,6 +9,7 @@ from flipperctl import plugins
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.methods import MethodScenes, method_scenes
 from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.runs.methods import Entrant
@@ -45,6 +46,18 @@ def test_methods_stand_scene_by_scene() -> None:
     assert names == ["step", "step", "flat", "flat"]
     assert [name.method for name in made.names] == ["okada", "level"] * 2
     assert {name.scene for name in made.names} == {"families"}
+
+
+def test_starts_on_slopes_go_with_all_that_3d_adds() -> None:
+    made = composed("generalist_3d", "terrain=midway", "terrain.start=1")
+    configs = {
+        scene.scene: config for scene, (config, _) in zip(made.names, made.scenes, strict=True)
+    }
+    assert len(configs) == 7
+    for config in configs.values():
+        env = FlipperEnv(config=config.environment())
+        for seed in range(6):
+            env.reset(seed=seed)
 
 
 def test_overrides_replace_those_of_the_suite() -> None:
