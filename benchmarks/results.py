@@ -37,6 +37,8 @@ COMMANDS: Mapping[str, str] = {
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
     "--episodes 100 --seed 60522 --baseline okada,level",
+    "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
+    "--episodes 30 --seed 60523 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
     "--controller okada,level --episodes 100 --seed 60524",
 }
