@@ -120,18 +120,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
         # Spawned from the start's, so that the others stay the same, here and in later episodes.
         (self._engine_rng,) = start_rng.spawn(1)
-        config, episode = self.config, self.config.episode
+        config = self.config
         sampled = config.sample(randomise_rng)
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
         self.profile = self._generate(terrain_rng, float(difficulty))
-        self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
         self._sections = sections
-        self.drive = self._drive()
+        starts = self._place(start_rng)
         if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
-            self.profile = start.ahead(self.profile)
-            self._start, starts = start.sampled(self.profile, self.robot, episode, start_rng)
-            self.drive = self._drive()
+            self.profile = start.ahead(self.profile)  # beside the line there is no place for it
+            starts = self._place(start_rng)
         start.check_placed(self.drive.world, self._start, config, self.profile)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
@@ -144,6 +142,12 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
         return self.perception.observation, {}
+
+    def _place(self, rng: np.random.Generator) -> dict[str, float]:
+        """Place the robot at a sampled start; return what was drawn for it, by name."""
+        self._start, drawn = start.sampled(self.profile, self.robot, self.config.episode, rng)
+        self.drive = self._drive()
+        return drawn
 
     def _drive(self) -> Drive:
         config = self.config

@@ -15,13 +15,12 @@ from flipperctl.config import EnvConfig, Episode
 from flipperctl.env.finish import run_out_of
 from flipperctl.env.places import nearest_rest
 from flipperctl.errors import ConfigError, TerrainError
-from flipperctl.sim.resting import resting
+from flipperctl.sim.resting import OVERLAP, resting
 
-_DEEPEST = 0.005
-"""Largest overlap of the robot with the ground at the start [m]."""
 _TURNED, _LIFTED = 0.1, 0.15
-"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]. In 3-D
-a heading makes the pitch smaller, and rough ground lifts the robot."""
+"""Largest differences of an engine's start from the given one: pitch [rad] and height [m]. A steep
+pitch may be half of that: an engine that starts level misses all of it, and a heading in 3-D up to
+a quarter. Rough ground in 3-D lifts the robot."""
 
 
 def sampled(
@@ -78,7 +77,10 @@ def is_lifted(world: World, start: Start) -> bool:
 
 
 def ahead(profile: Profile) -> Profile:
-    """Return a profile that chose its start without that choice, to start before its first edge."""
+    """Return a profile that chose its start without that choice, to start before its first edge.
+
+    What it drew for it, which is called ``start_on``, is left out.
+    """
     drawn = {name: value for name, value in profile.drawn.items() if name != "start_on"}
     return replace(profile, run_up=None, drawn=drawn)
 
@@ -99,7 +101,7 @@ def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile
                 f"sim={config.sim.plugin_name} does not place the robot along the ground; 0 m or "
                 "more is allowed"
             )
-    if (depth := world.penetration()) > _DEEPEST:
+    if (depth := world.penetration()) > OVERLAP:
         raise TerrainError(
             f"terrain {config.terrain.plugin_name!r} overlaps the robot at the start by "
             f"{depth:.3f} m, with the chassis centre {abs(run_up):g} m "

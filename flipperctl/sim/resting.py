@@ -13,6 +13,8 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Profile, Robot, Start
 
+OVERLAP = 0.005
+"""Largest overlap of the robot with the ground at the start [m]."""
 _GRID = 0.001
 """Distance of the places at which the ground is known [m]."""
 _ALONG = 0.002

@@ -41,12 +41,12 @@ def cluster() -> Iterator[Any]:
         found.shutdown()
 
 
-class NodeKiller:
+class NodeKiller(Notes):
     """A listener that removes a node after an episode."""
 
     def __init__(self, cluster: Any, episode: int) -> None:
+        super().__init__()
         self._cluster, self._at = cluster, episode
-        self.notes: list[str] = []
         self.lags: list[int] = []
 
     def episode(self, row: dict) -> None:
@@ -54,15 +54,6 @@ class NodeKiller:
         if row["episode"] == self._at:
             node = next(n for n in self._cluster.list_all_nodes() if not n.head)
             self._cluster.remove_node(node, allow_graceful=False)
-
-    def validation(self, row: dict) -> None:
-        pass
-
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_run_goes_on_with_the_workers_that_have_a_cpu(

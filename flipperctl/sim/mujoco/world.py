@@ -35,7 +35,7 @@ from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
 from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.mujoco.tracks import Tracks
-from flipperctl.sim.resting import height_at
+from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
@@ -44,7 +44,6 @@ _SERVO_RATE = 25.0
 """Velocity that a servo demands for each rad of its angle's error [1/s]."""
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _HINGES = slice(7, 11)  # of qpos, after the free joint
-_OVERLAP = 0.005  # largest overlap with the ground after a start on it [m]
 _RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)
 _BAD = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -102,7 +101,7 @@ class MujocoWorld:
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
-        while start.height is not None and (depth := self.penetration()) > _OVERLAP:
+        while start.height is not None and (depth := self.penetration()) > OVERLAP:
             pose[2] += depth  # off what stands above the profile: rough patches, turned edges
 
     def command(self, front: float, rear: float) -> None:

@@ -44,7 +44,7 @@ def test_a_start_on_a_slope_lies_on_what_stands_above_the_line(
             env.reset(seed=seed)
 
     begin()
-    monkeypatch.setattr(world, "_OVERLAP", 1.0)
+    monkeypatch.setattr(world, "OVERLAP", 1.0)
     with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
         begin()
 
