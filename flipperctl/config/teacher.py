@@ -52,6 +52,13 @@ class Teacher(Settings):
         description="fraction of episodes in which the student acts once it learns; the teacher "
         "acts in the others [-]",
     )
+    label_share: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="fraction of the decisions in the student's episodes that the teacher labels; "
+        "fewer labels an episode let it learn from more episodes [-]",
+    )
     random: float = Field(
         0.1, ge=0, le=1, description="fraction of random actions while the teacher acts [-]"
     )

@@ -49,10 +49,11 @@ class MpcPolicy:
 
     def _forget(self) -> None:
         self._map = GroundMap(self._settings.memory, kept_points)
-        self._targets = 0.0, 0.0
-        self._plan: Plan | None = None
+        self._begun = False
+        self._targets = self._angles = 0.0, 0.0
+        self._plan: Plan | None = None  # of the last decision
         self._former: tuple[int, ...] = ()
-        self._angles = 0.0, 0.0
+        self._motion = 0.0, 0.0  # in the last decision [m]
         self._hurried = False
         self._standing = 0
         self.simulated = 0
@@ -78,21 +79,35 @@ class MpcPolicy:
         """Turn the remembered targets; keep the rest of the plan if the action is its first."""
         assert self._plan is not None  # costs() or act() made it
         self._former = self._plan.actions[1:] if action == self._plan.actions[0] else ()
+        self._turn(action)
+
+    def follow(self, p: Perception, action: int) -> None:
+        """Remember a decision that another policy made, without a plan of its own."""
+        self._measure(p)
+        self._perceive(p, self._robot)
+        self._plan, self._former = None, ()
+        self._turn(action)
+
+    def _turn(self, action: int) -> None:
         robot = self._robot
         turns = [turn * robot.angle_step for turn in ACTIONS[action]]
         self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
+
+    def _measure(self, p: Perception) -> None:
+        """Remember robot and angles; an episode begins with the angles as targets."""
+        self._robot = nominal(p.robot)
+        self._angles = p.front, p.rear
+        if not self._begun:
+            self._targets, self._begun = self._angles, True
 
     def _plan_from(self, p: Perception) -> Plan:
         """Search from here; remember the plan and the measured angles."""
         settings = self._settings
         begun = time.perf_counter()
         deadline = begun + settings.time_limit if settings.time_limit else math.inf
-        robot = self._robot = nominal(p.robot)
-        self._angles = p.front, p.rear
-        if self._plan is None:
-            self._targets = p.front, p.rear
-        model, root = self._scene(p, robot)
-        self._plan = self._search(model, root, robot, deadline)
+        self._measure(p)
+        model, root = self._scene(p, self._robot)
+        self._plan = self._search(model, root, self._robot, deadline)
         return self._plan
 
     def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
@@ -158,11 +173,11 @@ class MpcPolicy:
 
     def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
         """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""
-        guess = (0.0, 0.0)
+        guess = self._motion
         if self._plan is not None:
             before, expected = self._plan.states[:2]
             guess = float(expected[0] - before[0]), float(expected[1] - before[1])
-        motion = self._map.add(p.points, guess)
+        motion = self._motion = self._map.add(p.points, guess)
         self._standing = self._standing + 1 if self._stood(motion) else 0
         line = self._map.line()
         if not len(line):  # nothing was perceived: assume level ground under the tracks

@@ -66,6 +66,12 @@ class ReturnPolicy(MpcPolicy):
         super().took(action)
         self._history.took(action, self._robot.decision_period)
 
+    def follow(self, p: Perception, action: int) -> None:
+        """Remember a decision that another policy made, without a plan of its own."""
+        self._history.saw(p.pitch)
+        super().follow(p, action)
+        self._history.took(action, self._robot.decision_period)
+
     def _plan_from(self, p: Perception) -> Plan:
         self._history.saw(p.pitch)
         return super()._plan_from(p)

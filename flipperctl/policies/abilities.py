@@ -12,7 +12,15 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import Controller, Perception, Policy, RewardTerm, Simulator, StateGroups
+from flipperctl.api import (
+    Controller,
+    CostPolicy,
+    Perception,
+    Policy,
+    RewardTerm,
+    Simulator,
+    StateGroups,
+)
 from flipperctl.core.risk import RiskSign
 from flipperctl.lookahead.learned import LearnedValue
 
@@ -28,6 +36,14 @@ class LabellingPolicy(Policy, Protocol):
     @property
     def groups(self) -> StateGroups | None:
         """States of the episode's ground with their values; None if they are not known."""
+
+
+@runtime_checkable
+class FollowingPolicy(CostPolicy, Protocol):
+    """A teacher that labels single decisions of others, since it can follow the rest."""
+
+    def follow(self, p: Perception, action: int, /) -> None:
+        """Receive a decision without being asked for its costs."""
 
 
 @runtime_checkable

@@ -30,6 +30,11 @@ def from_action(action: int) -> NDArray[np.float32]:
     return label
 
 
+def none() -> NDArray[np.float32]:
+    """Return the zeros of a state without a label, (9,)."""
+    return np.zeros(len(ACTIONS), np.float32)
+
+
 class Labeller:
     """Asks a policy for actions and labels them, by their costs if the policy offers them."""
 

@@ -19,7 +19,7 @@ from flipperctl.api import (
 from flipperctl.api.controllers import Rule
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.guard import naming, refusal, short_repr
-from flipperctl.policies.abilities import ValuingPolicy
+from flipperctl.policies.abilities import FollowingPolicy, ValuingPolicy
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
@@ -34,11 +34,14 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
         complete = all(callable(getattr(policy, name, None)) for name in ("reset", "act"))
         offers_costs = isinstance(policy, CostPolicy)
         offers_groups = offers_costs and isinstance(policy, ValuingPolicy)
+        follows = offers_costs and isinstance(policy, FollowingPolicy)
     if not complete:
         text = f"returned {short_repr(policy)}; an object with reset and act is allowed"
         raise refusal(controller, "build", text)
     if offers_groups:
         return PluginValuingPolicy(controller, policy)
+    if follows:
+        return PluginFollowingPolicy(controller, policy)
     return (PluginCostPolicy if offers_costs else PluginPolicy)(controller, policy)
 
 
@@ -88,6 +91,15 @@ class PluginCostPolicy(PluginPolicy):
         """Tell the policy which action was taken after its ``costs``."""
         with naming(self._controller, "took"):
             self._policy.took(action)
+
+
+class PluginFollowingPolicy(PluginCostPolicy):
+    """Runs a policy that follows decisions of others."""
+
+    def follow(self, p: Perception, action: int) -> None:
+        """Tell the policy what another one perceived and did."""
+        with naming(self._controller, "follow"):
+            self._policy.follow(p, action)
 
 
 class PluginValuingPolicy(PluginCostPolicy):

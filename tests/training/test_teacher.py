@@ -78,6 +78,41 @@ def test_the_teacher_drives_the_other_episodes_and_all_before_the_student_learns
         assert all(action == label for action, label in driven)
 
 
+def shared_labels(share: float, student: float, count: int = 40) -> NDArray[np.float32]:
+    """Return the labels of the first decisions of an episode, (count, 9)."""
+    mpc = {"name": "mpc", "value": "", "beam": 4, "horizon": 2}
+    settings = Teacher(
+        controller=mpc, random=0, student_share=student, label_share=share, privileged=True
+    )
+    assert settings.controller is not None
+    policy = TaughtPolicy(
+        *(_Half(np.random.default_rng(1)), plugin_policy(settings.controller), settings),
+        *(lambda: True, np.random.default_rng(0)),
+    )
+    driven = decisions(FlipperEnv("building_stair"), policy, 1)
+    return np.array([policy.label for _ in islice(driven, count)])
+
+
+def test_fewer_labels_are_those_of_the_same_states() -> None:
+    """The teacher follows what it does not label: its ground, its targets, its standing."""
+    every, some = shared_labels(1.0, student=1), shared_labels(0.3, student=1)
+    labelled = some.sum(axis=1) > 0
+    assert 5 <= labelled.sum() <= 20
+    assert (some[~labelled] == 0).all()
+    # A plan for which no former one was kept differs by what the former one adds to a search.
+    assert np.abs(every - some)[labelled].mean() < 0.01
+    assert np.abs(every[1:] - every[:-1]).mean() > 0.04  # far less than one decision matters
+
+
+def test_the_teachers_own_episodes_are_labelled_throughout() -> None:
+    assert shared_labels(0.3, student=0).sum(axis=1) == pytest.approx(1)
+
+
+def test_a_teacher_that_cannot_follow_is_refused_with_fewer_labels() -> None:
+    with pytest.raises(ConfigError, match=r"teacher\.label_share: 0\.5 .* such as mpc; 1 is"):
+        drive(Teacher(controller="okada", label_share=0.5))
+
+
 def test_some_actions_of_the_teachers_episodes_are_random() -> None:
     driven = drive(Teacher(controller="okada", student_share=0, random=0.5), count=30)
     assert 5 < sum(action != label for action, label in driven) < 25
