@@ -34,7 +34,7 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
         complete = all(callable(getattr(policy, name, None)) for name in ("reset", "act"))
         offers_costs = isinstance(policy, CostPolicy)
         offers_groups = offers_costs and isinstance(policy, ValuingPolicy)
-        follows = offers_costs and isinstance(policy, FollowingPolicy)
+        follows = isinstance(policy, FollowingPolicy)
     if not complete:
         text = f"returned {short_repr(policy)}; an object with reset and act is allowed"
         raise refusal(controller, "build", text)
