@@ -252,6 +252,11 @@ class D3qn:
             else:
                 target.copy_(online)
 
+    def take_weights(self, other: D3qn) -> None:
+        """Take the weights of another learner's networks, which are built alike; keep the rest."""
+        self.online.load_state_dict(other.online.state_dict())
+        self.target.load_state_dict(other.target.state_dict())
+
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the learner's state: both networks and the optimiser's moments."""
         found = {f"online.{k}": v for k, v in self.online.state_dict().items()}

@@ -212,9 +212,20 @@ class Replay:
                 self.arrays["failing"][rows[-self._risk_horizon :]] = 1.0
         self._episode = 0
 
-    def sample(self, size: int, rng: np.random.Generator) -> Batch:
-        """Return ``size`` transitions, drawn uniformly with replacement."""
-        rows = rng.integers(len(self), size=size)
+    def labelled(self) -> NDArray[np.int64]:
+        """Return the rows of the transitions that have a label."""
+        return np.flatnonzero(self.arrays["label"][: len(self)].any(axis=1))
+
+    def sample(
+        self, size: int, rng: np.random.Generator, among: NDArray[np.int64] | None = None
+    ) -> Batch:
+        """Return ``size`` transitions, drawn uniformly with replacement.
+
+        ``among``: rows to draw from; None: all.
+        """
+        rows = rng.integers(len(self) if among is None else len(among), size=size)
+        if among is not None:
+            rows = among[rows]
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:

@@ -105,7 +105,14 @@ class Teacher(Settings):
         description="margin between the Q-values of the teacher's action and others, in scaled "
         "rewards [-]",
     )
-
+    final_updates: int = Field(
+        0,
+        ge=0,
+        le=100_000_000,
+        description="updates after the last decision, in which a network that begins with the "
+        "weights of the start learns all labels anew; it replaces the one that drove. 0: none; "
+        "with teacher.td_weight=0 alone [-]",
+    )
     clip: float = Field(
         5.0,
         gt=0,
@@ -153,5 +160,10 @@ class Teacher(Settings):
             raise ConfigError(
                 "teacher.td_weight: 0 needs teacher.weight and teacher.weight_end above 0, since "
                 "there is no other loss"
+            )
+        if self.final_updates and (self.td_weight or self.loss == "values"):
+            raise ConfigError(
+                f"teacher.final_updates: {self.final_updates} updates learn from labels alone; 0, "
+                "or teacher.td_weight=0 with teacher.loss=cross_entropy or margin, is allowed"
             )
         return self

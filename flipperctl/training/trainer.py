@@ -37,6 +37,7 @@ from flipperctl.training.progress import Progress
 from flipperctl.training.recorded import fill, read_teacher
 from flipperctl.training.recorded_fit import differing_conditions
 from flipperctl.training.recorder import TrainingRecorder
+from flipperctl.training.relearning import Relearning
 from flipperctl.training.saving import RunSaver
 from flipperctl.training.starting import start
 from flipperctl.training.storing import new_replay, store
@@ -63,7 +64,7 @@ class Trainer:
             labelled=taught,
             privileged=privileged,
         )
-        init, explore, sample = np.random.SeedSequence(config.seed).spawn(3)
+        init, explore, sample, again = np.random.SeedSequence(config.seed).spawn(4)
         seed = int(init.generate_state(1)[0])
         self.agent = D3qn(
             *(config.network, layout, len(ACTIONS), agent),
@@ -73,6 +74,8 @@ class Trainer:
             privileged=privileged,
         )
         self.replay = new_replay(config, layout, privileged)
+        seeds = seed, again
+        self._relearning = Relearning(config, layout, self.replay, seeds, self._report)
         self.valued = ValuedStates(config.teacher)
         generators = {
             "explore": np.random.default_rng(explore),
@@ -124,15 +127,19 @@ class Trainer:
     def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
         """Train and validate; return whether the budget is spent, False if the run was stopped.
 
-        A run that was stopped in a validation repeats it first when it is resumed.
+        A run that was stopped in a validation, or while it learnt all labels anew, repeats that
+        first when it is resumed.
         """
         settings, progress = self.config.train, self.progress
         while True:
+            over = progress.decision >= settings.decisions
             if self._validation_due():
+                if over and not self._relearning.run(self.agent, stop):
+                    return False
                 if not self._validate(collector):
                     return False
                 self._save_all(collector.outstanding())
-            if progress.decision >= settings.decisions:
+            if over:
                 return True
             if stop():
                 return False
