@@ -41,6 +41,7 @@ COSTLY = {
     "network.quantiles": 64,
     "terrain.fewest": 8,
     "terrain.most": 8,
+    "teacher.final_updates": 8,
     "teacher.controller.budget": 2000,
     "teacher.controller.width": 20,
     "teacher.controller.beam": 16,
