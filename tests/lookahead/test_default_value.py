@@ -109,7 +109,7 @@ def test_presets_teach_with_the_hand_set_cost(words: list[str]) -> None:
 
 def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
     found = taught("experiment=generalist")
-    assert (found["value"], bool(found["fallback"])) == ("mpc_value", False)
+    assert (found["value"], bool(found["fallback"])) == ("mpc_value_large", False)
 
 
 def test_a_name_beside_another_policy_is_the_hand_set_cost() -> None:
