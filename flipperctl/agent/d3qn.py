@@ -2,69 +2,32 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from flipperctl.agent.acting import greedy
-from flipperctl.agent.adam import Adam
 from flipperctl.agent.baseline import Baselines
-from flipperctl.agent.building import (
-    TRAINING_COPIES,
-    build_network,
-    naming_network,
-    record_plugin,
-)
+from flipperctl.agent.building import naming_network
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.groups import GroupBatch
 from flipperctl.agent.heads import choose_head
+from flipperctl.agent.learner import Learner, Pair, part
 from flipperctl.agent.losses import (
     mean_value_penalty,
     searched_values,
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.noise import Noise
 from flipperctl.agent.replay import Batch
-from flipperctl.agent.risk import RiskLearner
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
-from flipperctl.errors import ConfigError, NonFiniteError
-from flipperctl.guard import naming, refusal
-
-__all__ = ["D3qn", "arrays", "build_network", "greedy"]
+from flipperctl.errors import NonFiniteError
 
 
-def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
-    """Return a copy of a network's weights, for policies in other processes."""
-    state = module.state_dict()
-    return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
-
-
-def _persistent_buffers(module: torch.nn.Module) -> list[str]:
-    """Return the names of the buffers that checkpoints hold: statistics, but no noise."""
-    saved = module.state_dict().keys()
-    return [name for name, _ in module.named_buffers() if name in saved]
-
-
-def _flatten_parameters(modules: Sequence[torch.nn.Module]) -> torch.Tensor:
-    """Move the modules' parameters into one vector, (P,); they become views of it."""
-    parameters = [p for module in modules for p in module.parameters()]
-    vector = torch.cat([p.detach().reshape(-1) for p in parameters])
-    parts = torch.split(vector, [p.numel() for p in parameters])
-    for parameter, part in zip(parameters, parts, strict=True):
-        parameter.data = part.view_as(parameter)
-    return vector
-
-
-class D3qn:
-    """Online and target network, their optimiser, and the update from a batch."""
+class D3qn(Learner):
+    """A learner with the update from a batch of the replay."""
 
     def __init__(
         self,
@@ -82,62 +45,23 @@ class D3qn:
 
         ``privileged``: length of the batches' privileged states, 0 without them.
         """
-        self.settings, self._teacher = settings, teacher
-        self.device = torch.device(device)
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
-            self.baselines = (
-                Baselines(input_size(network, layout), privileged).to(self.device)
-                if privileged
-                else None
-            )
-        self.risk = (
-            RiskLearner(input_size(network, layout), seed=seed, device=self.device)
-            if settings.risk
-            else None
+        self._teacher = teacher
+        self.baselines: Baselines | None = None
+
+        def baselines() -> Pair | None:
+            if not privileged:
+                return None
+            found = Baselines(input_size(network, layout), privileged).to(device)
+            self.baselines = found
+            return found.online, found.target
+
+        super().__init__(
+            *(network, layout, n_actions, settings),
+            seed=seed,
+            device=device,
+            beside=baselines,
         )
-        """The learner of the risk, if there is one."""
-        if not any(p.requires_grad for p in built.parameters()):
-            raise refusal(
-                network, "build", "built a network without trainable parameters", ConfigError
-            )
-        with naming(network, "build", ConfigError):
-            self.online = built.to(self.device)
-            self.target = copy.deepcopy(self.online).requires_grad_(False)
-            # Each network's parameters lie in one vector, so that the optimiser, the clipping and
-            # the soft update are one operation each instead of one per layer.
-            online, target = [self.online], [self.target]
-            if self.baselines is not None:
-                online.append(self.baselines.online)
-                target.append(self.baselines.target)
-            self._online, self._target = _flatten_parameters(online), _flatten_parameters(target)
-            self._buffers = _persistent_buffers(self.online)
-        for module in (self.online, self.target):
-            record_plugin(module, network)
-        self._parameters = [p for module in online for p in module.parameters()]
-        self.optimiser = Adam(self._online)
         self._head = choose_head(self.online)
-        self._noise, self._target_noise = Noise(self.online), Noise(self.target)
-        self.noise_rng = np.random.default_rng(seed)
-        """Generator of the networks' exploration noise, if they have any."""
-
-    @property
-    def policy(self) -> torch.nn.Module:
-        """The network that is validated and exported."""
-        return self.target if self.settings.act_with == "target" else self.online
-
-    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return a copy of the policy's weights, and of those of its risk, for other processes."""
-        return arrays(self.policy) | ({} if self.risk is None else self.risk.arrays())
-
-    @contextmanager
-    def evaluation_mode(self) -> Iterator[torch.nn.Module]:
-        """Keep the policy in ``eval()`` mode, without noise, within the context."""
-        try:
-            yield self.policy.eval()
-        finally:
-            self.policy.train()
 
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
@@ -232,25 +156,8 @@ class D3qn:
         value = float(loss.detach())
         if not math.isfinite(value):
             return value  # the caller raises; the weights are not changed
-        gradients = torch.autograd.grad(loss, self._parameters)
-        with torch.no_grad():
-            gradient = torch.cat([g.reshape(-1) for g in gradients])
-            norm = float(torch.linalg.vector_norm(gradient))
-            if norm > self.settings.gradient_norm:
-                gradient.mul_(self.settings.gradient_norm / norm)
-            self.optimiser.step(gradient, rate)
-            self._target.lerp_(self._online, self.settings.target_rate)
-            self._follow_buffers()
+        self._descend(loss, rate)
         return value
-
-    def _follow_buffers(self) -> None:
-        """Update the target's statistics at the rate of its weights; copy its integer counts."""
-        for name in self._buffers:
-            online, target = self.online.get_buffer(name), self.target.get_buffer(name)
-            if online.is_floating_point():
-                target.lerp_(online, self.settings.target_rate)
-            else:
-                target.copy_(online)
 
     def take_weights(self, other: D3qn) -> None:
         """Take the weights of another learner's networks, which are built alike; keep the rest."""
@@ -258,29 +165,14 @@ class D3qn:
         self.target.load_state_dict(other.target.state_dict())
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the learner's state: both networks and the optimiser's moments."""
-        found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
-        found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
-        if self.baselines is not None:
-            found |= {f"baselines.{k}": v for k, v in self.baselines.state_dict().items()}
-        if self.risk is not None:
-            found |= self.risk.tensors()
-        return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
+        """Return the learner's state: its networks and the optimisers' moments."""
+        if self.baselines is None:
+            return super().tensors()
+        further = self.baselines.state_dict().items()
+        return super().tensors() | {f"baselines.{name}": tensor for name, tensor in further}
 
-    def restore(self, tensors: dict[str, torch.Tensor], steps: int) -> None:
+    def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        names = ("online", "target", "baselines", "optimiser")
-        parts: dict[str, dict[str, torch.Tensor]] = {name: {} for name in names}
-        for name, tensor in tensors.items():
-            part, _, key = name.partition(".")
-            if part in parts:
-                parts[part][key] = tensor
-        self.online.load_state_dict(parts["online"])
-        self.target.load_state_dict(parts["target"])
+        super().restore(tensors, steps)
         if self.baselines is not None:
-            self.baselines.load_state_dict(parts["baselines"])
-        if self.risk is not None:
-            self.risk.restore(tensors, steps)
-        for name, moment in self.optimiser.moments.items():
-            moment.copy_(parts["optimiser"][name])
-        self.optimiser.steps = steps
+            self.baselines.load_state_dict(part(tensors, "baselines"))

@@ -17,7 +17,8 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import arrays
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio

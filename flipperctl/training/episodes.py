@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import D3qn, arrays
+from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import arrays
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict

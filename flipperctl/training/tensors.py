@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import Learner, part
 from flipperctl.agent.replay import UNKNOWN, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import Checkpoint
@@ -20,7 +20,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 def run_arrays(
-    saved: Checkpoint, state: State, agent: D3qn, replay: Replay
+    saved: Checkpoint, state: State, agent: Learner, replay: Replay
 ) -> tuple[Arrays, dict[int, Arrays]]:
     """Check all tensors; return the replay's arrays and the weights of the outstanding requests.
 
@@ -34,21 +34,19 @@ def run_arrays(
             f"{saved.path}: its part replay is not valid: {state.replay_kept} kept transitions "
             f"leave no room in a replay of {replay.capacity}"
         )
-    network = agent.online.state_dict()
+    network, own = agent.online.state_dict(), agent.tensors()
     blank = {n: torch.from_numpy(array) for n, array in replay.blank(state.replay_added).items()}
     versions = {request.version for request in state.orders}
     expected: dict[str, Mapping[str, torch.Tensor]] = {
-        **{"online": network, "target": network},
-        **{"optimiser": agent.optimiser.moments, "replay": blank},
+        **{name: part(own, name) for name in dict.fromkeys(key.split(".")[0] for key in own)},
+        **{"replay": blank},
         **{f"weights{version}": network for version in versions},
-        **({} if agent.baselines is None else {"baselines": agent.baselines.state_dict()}),
-        **_risk_parts(agent),
     }
-    for part, tensors in expected.items():
+    for name, tensors in expected.items():
         try:
-            require_equal_layout(saved.part(part), tensors)
+            require_equal_layout(saved.part(name), tensors)
         except ValueError as error:
-            raise CheckpointError(f"{saved.path}: its part {part} is not valid: {error}") from error
+            raise CheckpointError(f"{saved.path}: its part {name} is not valid: {error}") from error
     found = arrays(saved, "replay")
     bounded = [("action", 0.0, len(ACTIONS) - 1), ("discount", 0.0, 1)]
     bounded += [("label", 0.0, 1)] if "label" in found else []
@@ -60,13 +58,6 @@ def run_arrays(
             text = f"replay.{name} lies outside of {least:g} to {most}"
             raise CheckpointError(f"{saved.path}: {text}")
     return found, {version: arrays(saved, f"weights{version}") for version in versions}
-
-
-def _risk_parts(agent: D3qn) -> dict[str, Mapping[str, torch.Tensor]]:
-    if agent.risk is None:
-        return {}
-    learner = agent.risk
-    return {"risk": learner.network.state_dict(), "risk_optimiser": learner.optimiser.moments}
 
 
 def arrays(saved: Checkpoint, part: str) -> Arrays:

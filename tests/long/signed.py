@@ -13,7 +13,7 @@ import onnx
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.d3qn import arrays
+from flipperctl.agent.learner import arrays
 from flipperctl.checkpoint.contents import contents
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export

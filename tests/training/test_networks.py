@@ -86,7 +86,8 @@ def test_the_exported_policy_acts_as_the_trained_one(
 
 
 def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None:
-    from flipperctl.agent.d3qn import D3qn, arrays
+    from flipperctl.agent.d3qn import D3qn
+    from flipperctl.agent.learner import arrays
     from flipperctl.config import to_dict
     from flipperctl.rollout.actor import Actor
     from flipperctl.rollout.values import RolloutRequest
