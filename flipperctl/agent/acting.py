@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -18,7 +19,19 @@ _CPU = torch.device("cpu")
 def greedy(
     module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
 ) -> int:
-    """Return the action with the largest Q-value, the first one of equals.
+    """Return the action with the largest Q-value, the first one of equals; see ``q_values``."""
+    return best(q_values(module, observation, device))
+
+
+def best(values: Sequence[float]) -> int:
+    """Return the action with the largest Q-value, the first one of equals."""
+    return values.index(max(values))
+
+
+def q_values(
+    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
+) -> list[float]:
+    """Return the Q-values of one observation, (9,).
 
     ``module`` is on ``device``. ``observation``: input row of the network, (frames · (N + 3),) in
     SI units.
@@ -31,7 +44,7 @@ def greedy(
         with torch.inference_mode():
             output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
         (values,) = output.tolist()
-        best, total = int(values.index(max(values))), float(sum(values))
+        total = float(sum(values))
     if len(values) != len(ACTIONS):
         text = f"returned {len(values)} Q-values for an observation; {len(ACTIONS)} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
@@ -41,4 +54,5 @@ def greedy(
                 module, "forward", f"returned Q-values that are not finite: their sum is {total}"
             )
         )
-    return best
+    found: list[float] = values
+    return found

@@ -23,16 +23,16 @@ observation then becomes part of its own values, whose mean would otherwise be a
 _WIDTH: Final = 128
 
 
-class _Baseline(torch.nn.Module):
+class Baseline(torch.nn.Module):
     """Maps an observation and the privileged state to a value for all actions."""
 
-    def __init__(self, observation: int, privileged: int) -> None:
-        """``observation``, ``privileged``: lengths of the rows."""
+    def __init__(self, observation: int, privileged: int, width: int = _WIDTH) -> None:
+        """``observation``, ``privileged``: lengths of the rows; ``width`` of the hidden layers."""
         super().__init__()
         self.layers = torch.nn.Sequential(
-            *(torch.nn.Linear(observation + privileged, _WIDTH), torch.nn.ReLU()),
-            *(torch.nn.Linear(_WIDTH, _WIDTH), torch.nn.ReLU()),
-            torch.nn.Linear(_WIDTH, 1),
+            *(torch.nn.Linear(observation + privileged, width), torch.nn.ReLU()),
+            *(torch.nn.Linear(width, width), torch.nn.ReLU()),
+            torch.nn.Linear(width, 1),
         )
 
     def forward(self, observation: torch.Tensor, privileged: torch.Tensor) -> torch.Tensor:
@@ -47,7 +47,7 @@ class Baselines(torch.nn.Module):
     def __init__(self, observation: int, privileged: int) -> None:
         """``observation``, ``privileged``: lengths of the rows."""
         super().__init__()
-        self.online = _Baseline(observation, privileged)
+        self.online = Baseline(observation, privileged)
         self.target = copy.deepcopy(self.online).requires_grad_(False)
 
     def with_next(self, targets: torch.Tensor, batch: Batch) -> torch.Tensor:

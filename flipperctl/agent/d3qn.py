@@ -159,11 +159,6 @@ class D3qn(Learner):
         self._descend(loss, rate)
         return value
 
-    def take_weights(self, other: D3qn) -> None:
-        """Take the weights of another learner's networks, which are built alike; keep the rest."""
-        self.online.load_state_dict(other.online.state_dict())
-        self.target.load_state_dict(other.target.state_dict())
-
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the learner's state: its networks and the optimisers' moments."""
         if self.baselines is None:

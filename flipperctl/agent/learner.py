@@ -138,6 +138,16 @@ class Learner:
         finally:
             self.policy.train()
 
+    @property
+    def starting(self) -> tuple[torch.nn.Module, ...]:
+        """The networks that begin with the weights of the training's start."""
+        return self.online, self.target
+
+    def take_weights(self, other: Learner) -> None:
+        """Take the weights of another learner's networks, which are built alike; keep the rest."""
+        self.online.load_state_dict(other.online.state_dict())
+        self.target.load_state_dict(other.target.state_dict())
+
     def _descend(self, loss: torch.Tensor, rate: float) -> None:
         """Take a gradient step of the online network; let the target follow."""
         descend(loss, self._parameters, self.optimiser, self.settings.gradient_norm, rate)

@@ -129,3 +129,29 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     small = size.clamp(max=1.0)
     weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
     return (weight * small * (size - 0.5 * small)).sum(dim=1).mean()
+
+
+def divergence(p: torch.Tensor, log_q: torch.Tensor) -> torch.Tensor:
+    """Return the mean Kullback-Leibler divergence KL(p | q) of a batch.
+
+    ``p``: probabilities, (B, A); ``log_q``: logarithms of probabilities, (B, A).
+    """
+    found: torch.Tensor = (torch.special.xlogy(p, p) - p * log_q).sum(dim=1).mean()
+    return found
+
+
+def clipped_gain(
+    log_policy: torch.Tensor,
+    action: torch.Tensor,
+    drawn_with: torch.Tensor,
+    advantage: torch.Tensor,
+    clip: float,
+) -> torch.Tensor:
+    """Return the clipped surrogate objective (Schulman et al. 2017, Eq. 7), averaged.
+
+    ``log_policy``: logarithms of the policy's probabilities, (B, A); ``action``: the actions, (B,),
+    which were drawn with the probabilities ``drawn_with``, (B, A); ``advantage``: (B,).
+    """
+    column = action.unsqueeze(1)
+    ratio = (log_policy.gather(1, column) - drawn_with.gather(1, column).log()).squeeze(1).exp()
+    return torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()

@@ -58,8 +58,8 @@ class Batch:
     resembles: torch.Tensor | None = None
     """How much the newest observation resembles those before it, (B, lags) float32, likewise."""
 
-    def rows(self, part: slice) -> Batch:
-        """Return a part of the batch."""
+    def rows(self, part: slice | torch.Tensor) -> Batch:
+        """Return a part of the batch: a slice, or the rows of these indices, (R,)."""
         return Batch(**{name: tensor[part] for name, tensor in self._tensors().items()})
 
     def to(self, device: torch.device) -> Batch:
@@ -226,6 +226,12 @@ class Replay:
         rows = rng.integers(len(self) if among is None else len(among), size=size)
         if among is not None:
             rows = among[rows]
+        return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
+
+    def newest(self, count: int) -> Batch:
+        """Return the newest transitions, oldest first; fewer if the replay holds fewer."""
+        first = max(self.added - count, self.added - (self.capacity - self.kept), self.kept)
+        rows = [self._row_of(number) for number in range(first, self.added)]
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:

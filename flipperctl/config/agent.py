@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flipperctl.api import Outcome, Settings
+from flipperctl.config.policy_gradient import PolicyGradient
+from flipperctl.core.escape import EscapeRule
+from flipperctl.errors import ConfigError
 
 
 class Agent(Settings):
     """The double dueling DQN. The paper gives none of these numbers."""
 
+    learner: Literal["d3qn", "policy_gradient"] = Field(
+        "d3qn",
+        description="d3qn: the double dueling DQN, by temporal differences and a teacher's labels; "
+        "policy_gradient: draws its actions and makes more probable what earned more than was "
+        "expected; best from the weights of a trained policy (agent.start_from) [-]",
+    )
+    policy_gradient: PolicyGradient = PolicyGradient()
     start_from: str | None = Field(
         None,
         description="a run, a checkpoint or a shipped policy whose weights the networks start "
@@ -51,6 +61,21 @@ class Agent(Settings):
         le=1,
         description="largest share of the validation episodes that reach the finish in which the "
         "policy may warn; it chooses the threshold of the warnings [-]",
+    )
+    escape_temperature: float = Field(
+        0.0,
+        ge=0,
+        le=1000,
+        description="difference of Q-values by which an action becomes e times less probable while "
+        "the trained policy warns, when it draws its actions instead of repeating what did not "
+        "help; 0: it never draws them. It needs agent.risk [-]",
+    )
+    escape_decisions: int = Field(
+        4,
+        ge=1,
+        le=1000,
+        description="decisions from a warning on whose actions are drawn with "
+        "agent.escape_temperature above 0 [-]",
     )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
@@ -113,3 +138,41 @@ class Agent(Settings):
     bootstrap_outcomes: tuple[Outcome, ...] = Field(
         (), description="outcomes after which the target bootstraps [-]"
     )
+
+    @property
+    def escape(self) -> EscapeRule | None:
+        """How the trained policy draws its actions while it warns; None if it never does."""
+        if not self.escape_temperature:
+            return None
+        return EscapeRule(self.escape_temperature, self.escape_decisions)
+
+    @property
+    def draws(self) -> bool:
+        """Whether the training's episodes have drawn actions, from which the learner learns."""
+        return self.learner == "policy_gradient"
+
+    @model_validator(mode="after")
+    def _fits_policy_gradient(self) -> Self:
+        if not self.draws:
+            return self
+        needed = self.policy_gradient.decisions
+        for name, wrong, allowed in (
+            ("n_step", self.n_step != 1, "1"),
+            ("bootstrap_outcomes", bool(self.bootstrap_outcomes), "[]"),
+            ("replay_size", self.replay_size < needed, f"{needed} (its decisions) or more"),
+        ):
+            if wrong:
+                raise ConfigError(
+                    f"agent.{name}: {getattr(self, name)} does not go with "
+                    f"agent.learner=policy_gradient; {allowed} is allowed"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _escapes_on_warnings(self) -> Self:
+        if self.escape_temperature and not self.risk:
+            raise ConfigError(
+                f"agent.escape_temperature: {self.escape_temperature:g} needs warnings; set "
+                "agent.risk=true, or leave it at 0"
+            )
+        return self

@@ -184,9 +184,10 @@ class TrainConfig(EnvConfig):
 
     @property
     def learns_privileged_value(self) -> bool:
-        """Whether the learner needs privileged states: only the temporal difference uses them."""
-        return self.agent.privileged_value and not (
-            self.teacher.teaches and not self.teacher.td_weight
+        """Whether the learner needs privileged states: no learner of labels alone uses them."""
+        return self.agent.draws or (
+            self.agent.privileged_value
+            and not (self.teacher.teaches and not self.teacher.td_weight)
         )
 
     @model_validator(mode="after")
@@ -195,6 +196,19 @@ class TrainConfig(EnvConfig):
             raise ConfigError(
                 "train.mode: exact plays episodes in the learner's process; "
                 f"collector={self.collector.name} needs train.mode=fast"
+            )
+        return self
+
+    @property
+    def keeps_distributions(self) -> bool:
+        """Whether each decision has a distribution over actions: a teacher's, or its own."""
+        return self.agent.draws or self.teacher.teaches
+
+    @model_validator(mode="after")
+    def _check_learner(self) -> TrainConfig:
+        if self.agent.draws and self.teacher.teaches:
+            raise ConfigError(
+                "teacher: agent.learner=policy_gradient learns from rewards alone; set teacher=none"
             )
         return self
 

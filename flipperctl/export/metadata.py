@@ -7,6 +7,7 @@ In: a training configuration. Out: all that a robot needs to run the policy, as 
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +16,7 @@ from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
 from flipperctl.core import observation
+from flipperctl.core.escape import MEANING as MEANING_OF_ESCAPE
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import MEANING
@@ -55,6 +57,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
             "lags": LAGS,
             "scale": SCALE,
         }
+        if (escape := config.agent.escape) is not None:
+            values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

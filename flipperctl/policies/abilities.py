@@ -86,6 +86,14 @@ class ObservationPolicy(Protocol):
 
 
 @runtime_checkable
+class ValuedPolicy(Policy, Protocol):
+    """A policy that acts by a Q-value of each action."""
+
+    def q_values(self, p: Perception, /) -> Sequence[float]:
+        """Return the Q-values, (9,), without changing what the policy remembers."""
+
+
+@runtime_checkable
 class ValuingPolicy(Policy, Protocol):
     """A policy that knows the values of states beside its way."""
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.agent.frames import stacked
 from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.config.absent import with_stand_ins
@@ -58,6 +59,13 @@ class ExportedPolicy:
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
         return self._policy.act(p.observation)
+
+    def q_values(self, p: Perception) -> list[float]:
+        """Return the Q-values, (9,)."""
+        values: list[float] = self._policy.q_values(
+            stacked(p.recent, self.interface.frames)
+        ).tolist()
+        return values
 
     def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
         """Return the action for the newest observation; the file's session keeps those before."""

@@ -189,7 +189,7 @@ def _trained(file: Path, config: EnvConfig) -> Policy:
     checkpoint = read(file)
     trained = checkpoint.policy_config()
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
-    policy = TrainedPolicy(module, trained.network.frames, risk)
+    policy = TrainedPolicy(module, trained.network.frames, risk, trained.agent.escape)
     check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
     return policy
 

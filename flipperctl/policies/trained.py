@@ -11,24 +11,32 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.acting import greedy
+from flipperctl.agent.acting import best, q_values
 from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.core.escape import Escape, EscapeRule
 from flipperctl.core.risk import Recurrence, RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
 
 
 class TrainedPolicy:
-    """Acts greedily on the Q-values of a network in ``eval()`` mode."""
+    """Acts on the Q-values of a network in ``eval()`` mode: greedily, except while it escapes."""
 
-    def __init__(self, module: torch.nn.Module, frames: int = 1, risk: Risk | None = None) -> None:
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        frames: int = 1,
+        risk: Risk | None = None,
+        escape: EscapeRule | None = None,
+    ) -> None:
         """``frames``: number of observations that the network takes as one input.
 
-        ``risk``: the network of its risk on the CPU, if there is one.
+        ``risk``: the network of its risk on the CPU, if there is one. ``escape``: how it draws its
+        actions while that warns; None: it never does.
         """
         self.module, self._risk = module, risk
         self.risk_sign = None if risk is None else risk.sign
@@ -36,17 +44,24 @@ class TrainedPolicy:
         self.risk: float | None = None
         """Risk at the last decision; None without one."""
         self._recurrence: Recurrence | None = None
+        self._escape = None if escape is None else Escape(escape)
         self.frames = frames
         parameter = next(module.parameters(), torch.empty(0))
         self._device = parameter.device
 
     def reset(self, simulator: Simulator | None = None) -> None:
-        """Begin an episode; only the risk has a memory."""
+        """Begin an episode; only the risk and the escape have a memory."""
         self.risk = self._recurrence = None
+        if self._escape is not None:
+            self._escape.reset()
 
     def act(self, p: Perception) -> int:
-        """Return the index of the action with the largest Q-value, 0 to 8."""
+        """Return the index of an action, 0 to 8."""
         return self.act_on(p.recent)
+
+    def q_values(self, p: Perception) -> list[float]:
+        """Return the Q-values, (9,)."""
+        return q_values(self.module, stacked(p.recent, self.frames), self._device)
 
     def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
         """Return the action for the newest observations, each (N + 3,) in SI units."""
@@ -55,7 +70,11 @@ class TrainedPolicy:
             if self._recurrence is None:
                 self._recurrence = Recurrence(len(recent[-1]))
             self.risk = self._risk.of_one(observation, self._recurrence.add(recent[-1]))
-        return greedy(self.module, observation, self._device)
+        values = q_values(self.module, observation, self._device)
+        escape, sign = self._escape, self.risk_sign
+        if escape is not None and sign is not None and escape.due(warns=sign.warns(self.risk)):
+            return escape.draw(values)
+        return best(values)
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:

@@ -19,6 +19,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import LabellingPolicy
+from flipperctl.policies.drawing import DrawingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.taught import TaughtPolicy
@@ -71,10 +72,7 @@ class Actor:
         self._load(weights)
         self._module.train()
         rng = exploration_rng(self._seed, request.episode)
-        policy: ExploringPolicy | TaughtPolicy = ExploringPolicy(
-            *(self._module, self._frames, lambda: request.epsilon, rng, rng),
-            share=self._agent.exploring_share,
-        )
+        policy = self._driver(request, rng)
         if self._teacher is not None:
             learns = request.decision >= self._agent.learning_starts
             policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
@@ -103,6 +101,18 @@ class Actor:
             groups=None if labelling is None else labelling.groups,
             explored=np.array(explored),
             privileged=None if privileged is None else np.array(privileged.rows),
+        )
+
+    def _driver(
+        self, request: RolloutRequest, rng: np.random.Generator
+    ) -> DrawingPolicy | ExploringPolicy | TaughtPolicy:
+        """Return the policy that plays a request, without a teacher."""
+        if self._agent.draws:
+            temperature = self._agent.policy_gradient.temperature
+            return DrawingPolicy(self._module, self._frames, temperature, rng)
+        return ExploringPolicy(
+            *(self._module, self._frames, lambda: request.epsilon, rng, rng),
+            share=self._agent.exploring_share,
         )
 
     def _load(self, weights: Weights) -> None:

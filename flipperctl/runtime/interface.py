@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from flipperctl.core import observation as layout
 from flipperctl.core.actions import PAIRS
+from flipperctl.core.escape import EscapeRule
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.targets import TargetRule
@@ -38,6 +39,8 @@ TARGETS = f"{PREFIX}targets"
 
 RISK = f"{PREFIX}risk"
 """Metadata entry of the risk, in files whose policy tells one."""
+ESCAPE = f"{PREFIX}escape"
+"""Metadata entry of how actions are drawn on a warning, in files whose policy does so."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ class Interface:
     """Plugins of the training that were not installed; a robot needs none of them."""
     risk: RiskSign | None = None
     """When the policy's risk is a warning; None for a policy that tells none."""
+    escape: EscapeRule | None = None
+    """How actions are drawn on a warning; None for a policy that never draws them."""
 
     @property
     def size(self) -> int:
@@ -191,6 +196,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             )
         ),
         risk=_risk(metadata, where),
+        escape=_escape(metadata, where),
     )
 
 
@@ -229,6 +235,25 @@ def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
         ),
     )
     return RiskSign(sign["horizon"], float(sign["threshold"]))
+
+
+def _escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
+    """Return how actions are drawn on a warning; None if they never are."""
+    if ESCAPE not in metadata:
+        return None
+    rule = _entry(
+        metadata,
+        where,
+        ESCAPE.removeprefix(PREFIX),
+        f"a mapping with the temperature, above 0, and the whole number decisions, beside {RISK},",
+        lambda v: (
+            isinstance(v, dict)
+            and _is_positive(v.get("temperature"))
+            and _is_count(v.get("decisions"))
+            and RISK in metadata
+        ),
+    )
+    return EscapeRule(float(rule["temperature"]), rule["decisions"])
 
 
 def _entry(

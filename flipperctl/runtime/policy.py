@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core.actions import ACTIONS
+from flipperctl.core.escape import Escape
 from flipperctl.core.observation import ANGLES
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
@@ -67,6 +68,8 @@ class OnnxPolicy:
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
         self._risk = BoundRisk(self._bound, self.interface.size) if has_risk else None
+        rule = self.interface.escape
+        self._escape = None if rule is None else Escape(rule)
         self.act(np.zeros(self.interface.size))  # the first run allocates
         self.reset()
 
@@ -75,6 +78,8 @@ class OnnxPolicy:
         self._episode_begins = True
         if self._risk is not None:
             self._risk.reset()
+        if self._escape is not None:
+            self._escape.reset()
 
     @property
     def risk(self) -> float | None:
@@ -117,7 +122,9 @@ class OnnxPolicy:
         )
 
     def act(self, observation: ArrayLike) -> int:
-        """Return the index of the action with the largest Q-value, a row of ``interface.actions``.
+        """Return the index of an action, a row of ``interface.actions``.
+
+        It is that with the largest Q-value, unless ``interface.escape`` has it drawn.
 
         ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 
@@ -147,6 +154,8 @@ class OnnxPolicy:
             raise self._non_finite_error(self._output)
         if self._risk is not None:
             self._risk.update(self._row, self.path)
+        if self._escape is not None and self._escape.due(warns=self.warning):
+            return self._escape.draw(self._q.tolist())
         return action
 
     def next_targets(self, targets: ArrayLike, angles: ArrayLike, action: int) -> FloatPair:

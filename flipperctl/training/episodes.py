@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flipperctl import plugins
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import arrays
+from flipperctl.agent.learner import Learner, arrays
 from flipperctl.agent.schedules import linear
 from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.drawing import DrawingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.source import controller_notes, controller_policy
 from flipperctl.policies.taught import TaughtPolicy
@@ -30,7 +30,7 @@ class EpisodeSource:
     def __init__(
         self,
         config: TrainConfig,
-        agent: D3qn,
+        agent: Learner,
         progress: Progress,
         rng: np.random.Generator,
         report: Callable[[str], None],
@@ -86,11 +86,16 @@ class EpisodeSource:
     def _in_process_collector(self, stop: Stop) -> Collector:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
-        policy: Policy = ExploringPolicy(
-            *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
-            share=self._config.agent.exploring_share,
+        settings = self._config.agent
+        policy: Policy = (
+            DrawingPolicy(agent.online, frames, settings.policy_gradient.temperature, self._rng)
+            if settings.draws
+            else ExploringPolicy(
+                *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
+                share=settings.exploring_share,
+            )
         )
-        teacher, starts = self._config.teacher, self._config.agent.learning_starts
+        teacher, starts = self._config.teacher, settings.learning_starts
         if teacher.controller is not None:
             policy = TaughtPolicy(
                 policy,

@@ -47,7 +47,7 @@ class TrainingRecorder:
             step.action,
             step.reward,
             step.next_observation[newest],
-            step.label,
+            step.label if self._config.teacher.teaches else None,
         )
         if step.ending is not None:
             self._new.append(self._running.finish(number, step.ending))

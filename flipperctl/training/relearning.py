@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.config import TrainConfig
@@ -40,7 +41,7 @@ class Relearning:
         self._config, self._layout, self._replay = config, layout, replay
         self._seeds, self._report = seeds, report
 
-    def run(self, agent: D3qn, stop: Callable[[], bool]) -> bool:
+    def run(self, agent: Learner, stop: Callable[[], bool]) -> bool:
         """Do all updates and give the agent the weights; do nothing if none are configured.
 
         ``stop`` is called between updates. Return False, without a change, if it returns True; the

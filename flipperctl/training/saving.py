@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.groups import GroupMemory
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
 from flipperctl.config import TrainConfig
@@ -34,7 +34,7 @@ class RunSaver:
         self,
         config: TrainConfig,
         directory: Path,
-        agent: D3qn,
+        agent: Learner,
         replay: Replay,
         groups: GroupMemory,
         progress: Progress,

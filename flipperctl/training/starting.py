@@ -11,8 +11,8 @@ from pathlib import Path
 import torch
 
 from flipperctl.agent.building import build_network
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
+from flipperctl.agent.learner import Learner
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import find, read
 from flipperctl.checkpoint.layout import require_equal_layout
@@ -57,7 +57,7 @@ def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | 
     return module, None if risk is None else risk.network
 
 
-def start(config: TrainConfig, agent: D3qn) -> None:
+def start(config: TrainConfig, agent: Learner) -> None:
     """Give the networks of a new training the weights that it starts with, if it names any.
 
     Raises:
@@ -69,7 +69,7 @@ def start(config: TrainConfig, agent: D3qn) -> None:
     if found is None:
         return
     module, risk = found
-    for network in (agent.online, agent.target):
+    for network in agent.starting:
         network.load_state_dict(module.state_dict())
     if risk is not None and agent.risk is not None:
         agent.risk.network.load_state_dict(risk.state_dict())

@@ -18,7 +18,7 @@ def new_replay(config: TrainConfig, layout: ObservationLayout, privileged: int) 
     agent = config.agent
     return Replay(
         *(agent.replay_size, input_size(config.network, layout), agent.n_step, agent.gamma),
-        labels=len(ACTIONS) if config.teacher.teaches else 0,
+        labels=len(ACTIONS) if config.keeps_distributions else 0,
         privileged=privileged,
         risk_horizon=agent.risk_horizon if agent.risk else 0,
         newest=layout.size,

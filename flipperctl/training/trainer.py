@@ -19,6 +19,8 @@ import torch
 
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.demand import check_demand
+from flipperctl.agent.learner import Learner
+from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
@@ -42,6 +44,7 @@ from flipperctl.training.saving import RunSaver
 from flipperctl.training.starting import start
 from flipperctl.training.storing import new_replay, store
 from flipperctl.training.timing import Stopwatch
+from flipperctl.training.updates import EpisodeUpdates, ReplayUpdates, Updates
 from flipperctl.training.validation import Validator
 from flipperctl.training.valued import ValuedStates
 
@@ -61,18 +64,25 @@ class Trainer:
         privileged = SIZE if config.learns_privileged_value else 0
         check_demand(
             *(config.network, layout, len(ACTIONS), agent, config.train.decisions),
-            labelled=taught,
+            labelled=config.keeps_distributions,
             privileged=privileged,
         )
         init, explore, sample, again = np.random.SeedSequence(config.seed).spawn(4)
         seed = int(init.generate_state(1)[0])
-        self.agent = D3qn(
-            *(config.network, layout, len(ACTIONS), agent),
-            seed=seed,
-            device=config.device,
-            teacher=config.teacher if taught else None,
-            privileged=privileged,
-        )
+        shape = config.network, layout, len(ACTIONS), agent
+        self.agent: Learner
+        if agent.draws:
+            self.agent = drawing = PolicyGradient(
+                *shape, seed=seed, device=config.device, privileged=privileged
+            )
+        else:
+            self.agent = imitating = D3qn(
+                *shape,
+                seed=seed,
+                device=config.device,
+                teacher=config.teacher if taught else None,
+                privileged=privileged,
+            )
         self.replay = new_replay(config, layout, privileged)
         seeds = seed, again
         self._relearning = Relearning(config, layout, self.replay, seeds, self._report)
@@ -82,8 +92,13 @@ class Trainer:
             "sample": np.random.default_rng(sample),
             "noise": self.agent.noise_rng,
         }
-        self._sample = generators["sample"]
         self.progress = Progress(ground.first_difficulty(config.terrain))
+        rest = self.progress, generators["sample"]
+        self._updates: Updates = (
+            EpisodeUpdates(config, drawing, self.replay, *rest)
+            if agent.draws
+            else ReplayUpdates(config, imitating, self.replay, self.valued, *rest)
+        )
         self.episodes = EpisodeSource(
             config, self.agent, self.progress, generators["explore"], self._report
         )
@@ -183,7 +198,7 @@ class Trainer:
             self.valued.add(step)
             self._recorder.add(step, self.progress.episode)
             self.progress.decision += 1
-            self._learn()
+            self._updates.after_decision()
             if self.progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first, or the run is to stop
@@ -191,22 +206,7 @@ class Trainer:
             self._recorder.drop()
         else:
             self._end_episode(ending)
-
-    def _learn(self) -> None:
-        """Update the agent if an update is due at this decision.
-
-        No update is due before the first transition, complete after ``n_step`` decisions.
-        """
-        agent, progress = self.config.agent, self.progress
-        together = agent.updates_together
-        due = progress.decision % (agent.update_every * together) == 0
-        begun = progress.decision + self.replay.kept >= agent.learning_starts
-        if due and begun and len(self.replay):
-            batch = self.replay.sample(together * agent.batch_size, self._sample)
-            valued = self.valued.batches(together, self._sample)
-            fraction = progress.decision / self.config.train.decisions
-            progress.loss = self.agent.update(batch, fraction, valued)
-            progress.updates += together
+            self._updates.after_episode()
 
     def _end_episode(self, ending: Row) -> None:
         reached = ending["outcome"] == Outcome.REACHED

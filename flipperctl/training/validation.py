@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.risk import plain_risk
 from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
@@ -31,7 +31,7 @@ _BEST_BY: Final[dict[str, BestBy]] = {
 class Validator:
     """Validates the agent's policy and keeps the results."""
 
-    def __init__(self, config: TrainConfig, agent: D3qn, env: FlipperEnv) -> None:
+    def __init__(self, config: TrainConfig, agent: Learner, env: FlipperEnv) -> None:
         self._env, self._agent, self._frames = env, agent, config.network.frames
         self._learner, self._risk = config.agent, None
         if agent.risk is not None:

@@ -1,0 +1,42 @@
+"""The policy of a policy gradient's episodes: it draws its actions by their Q-values."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from flipperctl.agent.acting import q_values
+from flipperctl.agent.frames import stacked
+from flipperctl.api import Perception, Simulator, StateGroups
+from flipperctl.policies import labels
+
+
+class DrawingPolicy:
+    """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
+
+    groups: StateGroups | None = None
+    explored = False
+
+    def __init__(
+        self, module: torch.nn.Module, frames: int, temperature: float, rng: np.random.Generator
+    ) -> None:
+        """``module`` is put into ``eval()`` mode at each decision.
+
+        ``frames``: number of observations that the network takes as one input. ``rng`` draws.
+        """
+        self._module, self._frames = module, frames
+        self._temperature, self._rng = temperature, rng
+        self._device = next(module.parameters(), torch.empty(0)).device
+        self.label = labels.none()
+        """Probabilities of the actions at the last decision, (9,)."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; nothing is remembered."""
+
+    def act(self, p: Perception) -> int:
+        """Return the index of the drawn action."""
+        observation = stacked(p.recent, self._frames)
+        values = q_values(self._module.eval(), observation, self._device)
+        self.label = labels.from_costs(-np.array(values), self._temperature)
+        total = self.label.astype(np.float64).cumsum()
+        return int(np.searchsorted(total, self._rng.random() * total[-1], side="right"))
