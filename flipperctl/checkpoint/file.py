@@ -174,10 +174,16 @@ def read(path: Path) -> Checkpoint:
     return Checkpoint(path, document, tensors)
 
 
+_BEST_PARTS = ("policy", "risk")
+_RUN_PARTS = (
+    *("online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"),
+    *("anchor", "values", "value_optimiser", "counts"),  # of a policy gradient
+)
+
+
 def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
     """Check that every tensor belongs to a part that a checkpoint of this kind has."""
-    run = {"online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"}
-    parts = {"policy", "risk"} if document.kind == "best" else run
+    parts = set(_BEST_PARTS if document.kind == "best" else _RUN_PARTS)
     requests = document.state.orders if document.state else ()
     if document.state and document.state.groups_added:
         parts.add("groups")

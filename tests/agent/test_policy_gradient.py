@@ -1,0 +1,159 @@
+"""The policy gradient: advantages by hand, and what its updates do to a policy."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl.agent.losses import clipped_gain, divergence
+from flipperctl.agent.policy_gradient import PolicyGradient, advantages
+from flipperctl.agent.replay import Batch, Replay
+from flipperctl.api import Network
+from flipperctl.config import Agent, resolver
+from flipperctl.errors import NonFiniteError
+
+from .learners import ACTIONS, LAYOUT
+
+TEMPERATURE = 0.5
+
+
+def learner(**settings: Any) -> PolicyGradient:
+    built = resolver.create("network", "dueling_mlp", "network")
+    assert isinstance(built, Network)
+    shared = {"temperature": TEMPERATURE, "decisions": 64, "warm_up": 0}
+    own = {**shared, **settings.pop("policy_gradient", {})}
+    agent = Agent(
+        learner="policy_gradient",
+        n_step=1,
+        reward_scale=1.0,
+        batch_size=64,
+        policy_gradient=own,
+        **settings,
+    )
+    return PolicyGradient(built, LAYOUT, ACTIONS, agent, seed=0, privileged=2)
+
+
+def probabilities(agent: PolicyGradient, observation: torch.Tensor) -> torch.Tensor:
+    with torch.no_grad():
+        return torch.softmax(agent.online.eval()(observation) / TEMPERATURE, dim=1)
+
+
+def round_of(agent: PolicyGradient, rng: np.random.Generator, best: int = 3) -> Batch:
+    """Decisions that the policy drew itself; action ``best`` pays 1, all others nothing."""
+    observation = torch.from_numpy(rng.normal(0, 0.3, (256, LAYOUT.size)).astype(np.float32))
+    label = probabilities(agent, observation)
+    action = torch.from_numpy(np.array([rng.choice(ACTIONS, p=p / p.sum()) for p in label.numpy()]))
+    return Batch(
+        observation=observation,
+        action=action,
+        reward=(action == best).float(),
+        next_observation=observation,
+        discount=torch.zeros(256),
+        label=label,
+        privileged=torch.zeros(256, 2),
+        next_privileged=torch.zeros(256, 2),
+    )
+
+
+def trained(rounds: int, **settings: Any) -> tuple[PolicyGradient, list[float]]:
+    agent, rng = learner(**settings), np.random.default_rng(1)
+    found = []
+    for _ in range(rounds):
+        batch = round_of(agent, rng)
+        found.append(float(probabilities(agent, batch.observation)[:, 3].mean()))
+        agent.update(batch, 0.0, rng)
+    return agent, found
+
+
+def test_advantages_sum_later_differences_up_to_the_end_of_the_episode() -> None:
+    differences = np.array([1, 2, 3, 10], np.float32)
+    discounts = np.array([0.9, 0.9, 0.0, 0.0], np.float32)
+    expected = [1 + 0.45 * (2 + 0.45 * 3), 2 + 0.45 * 3, 3, 10]
+    assert advantages(differences, discounts, 0.5) == pytest.approx(np.array(expected))
+
+
+def test_the_gain_is_the_advantage_times_the_ratio_up_to_the_clip() -> None:
+    before = torch.tensor([[0.5, 0.5]]).expand(3, 2)
+    now = torch.tensor([[0.8, 0.2], [0.2, 0.8], [0.55, 0.45]]).log()
+    action, advantage = torch.tensor([0, 0, 0]), torch.tensor([2.0, -1.0, 1.0])
+    found = clipped_gain(now, action, before, advantage, 0.2)
+    # 1.6 is clipped to 1.2; a lower ratio of a bad action gains nothing beyond 0.8; 1.1 is within
+    assert float(found) == pytest.approx((1.2 * 2 - 0.8 + 1.1) / 3)
+
+
+def test_the_divergence_is_that_of_kullback_and_leibler() -> None:
+    p, q = torch.tensor([[0.5, 0.5, 0.0]]), torch.tensor([[0.25, 0.5, 0.25]])
+    assert float(divergence(p, q.log())) == pytest.approx(0.5 * math.log(2))
+    assert float(divergence(q, q.log())) == pytest.approx(0.0, abs=1e-7)
+
+
+def test_what_pays_becomes_probable() -> None:
+    _, found = trained(30, learning_rate=0.003, policy_gradient={"divergence": 0.1})
+    assert found[0] < 0.2
+    assert found[-1] > 0.8
+
+
+def test_an_anchor_keeps_the_policy_near_its_start() -> None:
+    settings = {"divergence": 0.1, "anchor": 10.0}
+    _, found = trained(30, learning_rate=0.003, policy_gradient=settings)
+    assert found[-1] < found[0] + 0.1
+
+
+def test_the_policy_stops_at_its_divergence_while_the_values_go_on() -> None:
+    agent, rng = learner(learning_rate=0.01, policy_gradient={"divergence": 1e-6}), None
+    rng = np.random.default_rng(0)
+    agent.update(round_of(agent, rng), 0.0, rng)
+    assert agent.optimiser.steps == 2  # the second one finds that the first went too far
+    assert agent._value_optimiser.steps == 3 * 4
+
+
+def test_in_its_first_rounds_only_the_values_learn() -> None:
+    agent, rng = (
+        learner(policy_gradient={"warm_up": 1, "value_passes": 2}),
+        np.random.default_rng(0),
+    )
+    before = {name: tensor.clone() for name, tensor in agent.online.state_dict().items()}
+    agent.update(round_of(agent, rng), 0.0, rng)
+    assert agent._value_optimiser.steps == 2 * 4
+    after = agent.online.state_dict()
+    assert all(torch.equal(after[name], tensor) for name, tensor in before.items())
+    agent.update(round_of(agent, rng), 0.0, rng)
+    assert any(not torch.equal(agent.online.state_dict()[n], t) for n, t in before.items())
+
+
+def test_a_restored_learner_goes_on_bit_for_bit() -> None:
+    whole, half = (learner(risk=False, learning_rate=0.003) for _ in range(2))
+    rng = np.random.default_rng(2)
+    batches = [round_of(whole, rng) for _ in range(4)]
+    for number, batch in enumerate(batches):
+        whole.update(batch, 0.0, np.random.default_rng(number))
+    for number, batch in enumerate(batches[:2]):
+        half.update(batch, 0.0, np.random.default_rng(number))
+    saved = {name: tensor.clone() for name, tensor in half.tensors().items()}
+    resumed = learner(risk=False, learning_rate=0.003)
+    resumed.restore(saved, 0)
+    for number, batch in enumerate(batches[2:], 2):
+        resumed.update(batch, 0.0, np.random.default_rng(number))
+    assert whole.tensors().keys() == resumed.tensors().keys()
+    for name, tensor in whole.tensors().items():
+        assert torch.equal(resumed.tensors()[name], tensor), name
+
+
+def test_values_that_are_not_finite_are_refused() -> None:
+    agent, rng = learner(), np.random.default_rng(0)
+    batch = round_of(agent, rng)
+    with pytest.raises(NonFiniteError, match="the loss of the values is"):
+        agent.update(replace(batch, reward=batch.reward * math.inf), 0.0, rng)
+
+
+def test_the_newest_transitions_come_in_their_order_across_the_end_of_the_ring() -> None:
+    replay, one = Replay(8, 1, 1, 0.9, labels=2), np.ones(1, np.float32)
+    for number in range(11):
+        label = np.array([1, 0], np.float32)
+        over = number % 4 == 3
+        replay.add(one, number % 9, float(number), one, over=over, bootstrap=False, label=label)
+    assert replay.newest(5).reward.tolist() == [6, 7, 8, 9, 10]
+    assert replay.newest(100).reward.tolist() == [3, 4, 5, 6, 7, 8, 9, 10]

@@ -1,0 +1,88 @@
+"""Trainings by the policy gradient: in both modes, resumed, and with what they do not go with."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.errors import ConfigError
+from tests.short import short_config, trainer
+
+pytestmark = pytest.mark.slow
+
+SETTINGS = {
+    "agent.learner": "policy_gradient",
+    "agent.n_step": 1,
+    "agent.risk": True,
+    "agent.policy_gradient.decisions": 100,
+    "agent.policy_gradient.warm_up": 1,
+    "agent.policy_gradient.anchor": 0.01,
+}
+
+
+def config(**more: object) -> TrainConfig:
+    return short_config(**{**SETTINGS, **more})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("policy_gradient")
+    trainer(config(), folder).run()
+    return folder
+
+
+def test_each_decision_is_drawn_by_probabilities_and_used_once(run: Path) -> None:
+    last = checkpoint.read(run / checkpoint.LAST)
+    labels = last.part("replay")["label"].numpy()
+    assert labels.sum(axis=1) == pytest.approx(np.ones(len(labels)), abs=1e-5)
+    rounds, learnt, policy_steps, value_steps, _ = last.part("counts")["all"].tolist()
+    assert 3 <= rounds <= 5
+    assert 100 * rounds <= learnt <= 600
+    assert policy_steps > 0
+    assert value_steps > policy_steps
+
+
+def test_the_policy_moves_from_its_start_after_the_warm_up(run: Path) -> None:
+    last = checkpoint.read(run / checkpoint.LAST)
+    anchor, online = last.part("anchor"), last.part("online")
+    assert anchor.keys() == online.keys()
+    assert any(not torch.equal(anchor[name], online[name]) for name in anchor)
+
+
+def test_a_resumed_run_equals_the_uninterrupted_one(run: Path, tmp_path: Path) -> None:
+    stopped = trainer(config(), tmp_path)
+    stopped.run(lambda: stopped.progress.decision >= 250)
+    assert stopped.progress.decision < 600
+    again = trainer(config(), tmp_path)
+    again.restore(checkpoint.read(tmp_path / checkpoint.LAST))
+    again.run()
+    whole, resumed = (checkpoint.read(f / checkpoint.LAST) for f in (run, tmp_path))
+    assert resumed.tensors.keys() == whole.tensors.keys()
+    for name, tensor in whole.tensors.items():
+        assert torch.equal(resumed.tensors[name], tensor), name
+
+
+def test_workers_draw_too(tmp_path: Path) -> None:
+    made = trainer(config(**{"train.mode": "fast", "train.decisions": 300}), tmp_path)
+    made.run()
+    labels = made.replay.arrays["label"][: len(made.replay)]
+    assert labels.sum(axis=1) == pytest.approx(np.ones(len(labels)), abs=1e-5)
+    assert labels.max() < 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"agent.n_step": 3}, "agent.n_step: 3 does not go with agent.learner=policy_gradient"),
+        ({"agent.bootstrap_outcomes": ["timeout"]}, "agent.bootstrap_outcomes: "),
+        ({"agent.replay_size": 100, "agent.policy_gradient.decisions": 101}, "101 .* or more is"),
+        ({"teacher": {"controller": {"name": "okada"}}}, "set teacher=none"),
+    ],
+)
+def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, object], text: str) -> None:
+    base = TrainConfig(terrain="step", network="at_d3qn")
+    with pytest.raises(ConfigError, match=text):
+        with_overrides(base, {**SETTINGS, **changes})
