@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -25,6 +24,14 @@ from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
+from flipperctl.runtime.entries import (
+    is_count,
+    is_number,
+    is_positive,
+    is_table,
+    is_whole,
+    read_entry,
+)
 
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
@@ -136,8 +143,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"{where} has format version {version!r}; "
             f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
         )
-    entry = partial(_entry, metadata, where)
-    bins = entry("bins", "a whole number above 0", _is_count)
+    entry = partial(read_entry, metadata, where)
+    bins = entry("bins", "a whole number above 0", is_count)
     size = layout.size(bins)
     keys = set(Quantity.__dataclass_fields__)
     observation = entry(
@@ -156,13 +163,13 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         lambda v: v == list(PAIRS.joints),
         absent=json.dumps(PAIRS.joints),  # as in files of version 0.2
     )
-    table = entry("actions", f"a table of {len(PAIRS.steps)} pairs of angles", _is_table)
+    table = entry("actions", f"a table of {len(PAIRS.steps)} pairs of angles", is_table)
     actions = np.array(table, dtype=np.float64)
     actions.setflags(write=False)
     robot = entry(
         "robot",
         "a mapping of names to numbers",
-        lambda v: isinstance(v, dict) and all(map(_is_number, v.values())),
+        lambda v: isinstance(v, dict) and all(map(is_number, v.values())),
     )
     terrain = metadata.get(f"{PREFIX}terrain", "")
     terrain_config = entry(
@@ -174,17 +181,17 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     return Interface(
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
-        bin_width=entry("bin_width", "a length above 0", _is_positive),
-        frames=entry("frames", "a whole number above 0", _is_count, absent="1"),
+        bin_width=entry("bin_width", "a length above 0", is_positive),
+        frames=entry("frames", "a whole number above 0", is_count, absent="1"),
         joints=tuple(joints),
         actions=actions,
         targets=_targets(metadata, where, robot),
         states_targets=TARGETS in metadata,
-        decision_period=entry("decision_period", "a time above 0", _is_positive),
+        decision_period=entry("decision_period", "a time above 0", is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,
         terrain_config=MappingProxyType(terrain_config),
-        seed=entry("seed", "a whole number", _is_whole),
+        seed=entry("seed", "a whole number", is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
         plugins=tuple(
             PluginFile(**e)
@@ -204,13 +211,13 @@ def _targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]
     """Return the rule for the targets; without its entry, the rule of earlier versions."""
     if TARGETS not in metadata:
         return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
-    rule = _entry(
+    rule = read_entry(
         metadata,
         where,
         TARGETS.removeprefix(PREFIX),
         "a mapping with the angles window and limit, each above 0",
         lambda v: (
-            isinstance(v, dict) and all(_is_positive(v.get(key)) for key in ("window", "limit"))
+            isinstance(v, dict) and all(is_positive(v.get(key)) for key in ("window", "limit"))
         ),
     )
     return TargetRule(window=rule["window"], limit=rule["limit"])
@@ -220,7 +227,7 @@ def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
     """Return when the risk is a warning; None if the file has no risk."""
     if RISK not in metadata:
         return None
-    sign = _entry(
+    sign = read_entry(
         metadata,
         where,
         RISK.removeprefix(PREFIX),
@@ -228,8 +235,8 @@ def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
         f"{list(LAGS)} and the scale {SCALE}",
         lambda v: (
             isinstance(v, dict)
-            and _is_count(v.get("horizon"))
-            and _is_positive(v.get("threshold"))
+            and is_count(v.get("horizon"))
+            and is_positive(v.get("threshold"))
             and v["threshold"] <= 1
             and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
         ),
@@ -241,44 +248,19 @@ def _escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
     """Return how actions are drawn on a warning; None if they never are."""
     if ESCAPE not in metadata:
         return None
-    rule = _entry(
+    rule = read_entry(
         metadata,
         where,
         ESCAPE.removeprefix(PREFIX),
         f"a mapping with the temperature, above 0, and the whole number decisions, beside {RISK},",
         lambda v: (
             isinstance(v, dict)
-            and _is_positive(v.get("temperature"))
-            and _is_count(v.get("decisions"))
+            and is_positive(v.get("temperature"))
+            and is_count(v.get("decisions"))
             and RISK in metadata
         ),
     )
     return EscapeRule(float(rule["temperature"]), rule["decisions"])
-
-
-def _entry(
-    metadata: Mapping[str, str],
-    where: str,
-    name: str,
-    allowed: str,
-    check: Callable[[Any], bool],
-    absent: str = "",
-) -> Any:
-    """Return the value of an entry after ``check``; ``absent`` is the text of a missing entry.
-
-    Raises:
-        PolicyError: the entry is not JSON, or ``check`` rejects it.
-    """
-    text = metadata.get(f"{PREFIX}{name}", absent)
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        value = None
-    if value is None or not check(value):
-        raise PolicyError(
-            f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
-        )
-    return value
 
 
 def _is_plugin(value: object) -> bool:
@@ -286,33 +268,4 @@ def _is_plugin(value: object) -> bool:
         isinstance(value, dict)
         and set(value) == set(PluginFile.__dataclass_fields__)
         and all(isinstance(text, str) for text in value.values())
-    )
-
-
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and _is_whole(value) and value > 0
-
-
-def _is_number(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
-
-
-def _is_positive(value: object) -> bool:
-    return isinstance(value, int | float) and _is_number(value) and value > 0
-
-
-def _is_table(value: object) -> bool:
-    return (
-        isinstance(value, list)
-        and len(value) == len(PAIRS.steps)
-        and all(
-            isinstance(row, list) and len(row) == len(PAIRS.joints) and all(map(_is_number, row))
-            for row in value
-        )
     )
