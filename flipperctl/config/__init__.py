@@ -14,6 +14,7 @@ from flipperctl.config.models import (
     EvalConfig,
     TrainConfig,
 )
+from flipperctl.config.policy_gradient import PolicyGradient
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import parse, to_dict, with_overrides
 from flipperctl.config.sections import (
@@ -34,6 +35,7 @@ __all__ = [
     "Eval",
     "EvalConfig",
     "LocalCollector",
+    "PolicyGradient",
     "Randomise",
     "RayCollector",
     "Teacher",

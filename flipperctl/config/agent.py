@@ -21,7 +21,9 @@ class Agent(Settings):
         "policy_gradient: draws its actions and makes more probable what earned more than was "
         "expected; best from the weights of a trained policy (agent.start_from) [-]",
     )
-    policy_gradient: PolicyGradient = PolicyGradient()
+    policy_gradient: PolicyGradient = Field(
+        PolicyGradient(), description="settings of agent.learner=policy_gradient; see there [-]"
+    )
     start_from: str | None = Field(
         None,
         description="a run, a checkpoint or a shipped policy whose weights the networks start "
