@@ -9,10 +9,11 @@ import torch
 
 from flipperctl.agent.baseline import Baselines
 from flipperctl.agent.building import naming_network
+from flipperctl.agent.descent import part
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.groups import GroupBatch
 from flipperctl.agent.heads import choose_head
-from flipperctl.agent.learner import Learner, Pair, part
+from flipperctl.agent.learner import Learner, Pair
 from flipperctl.agent.losses import (
     mean_value_penalty,
     searched_values,

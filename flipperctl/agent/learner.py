@@ -7,7 +7,7 @@ computes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -20,6 +20,7 @@ from flipperctl.agent.building import (
     build_network,
     record_plugin,
 )
+from flipperctl.agent.descent import descend, flatten_parameters, part, restore_moments
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.risk import RiskLearner
@@ -36,33 +37,6 @@ def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
     """Return a copy of a network's weights, for policies in other processes."""
     state = module.state_dict()
     return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
-
-
-def flatten_parameters(modules: Sequence[torch.nn.Module]) -> torch.Tensor:
-    """Move the modules' parameters into one vector, (P,); they become views of it."""
-    parameters = [p for module in modules for p in module.parameters()]
-    vector = torch.cat([p.detach().reshape(-1) for p in parameters])
-    parts = torch.split(vector, [p.numel() for p in parameters])
-    for parameter, part in zip(parameters, parts, strict=True):
-        parameter.data = part.view_as(parameter)
-    return vector
-
-
-def descend(
-    loss: torch.Tensor,
-    parameters: Sequence[torch.Tensor],
-    optimiser: Adam,
-    norm: float,
-    rate: float,
-) -> None:
-    """Take one step of the optimiser against the gradient of the loss, clipped to ``norm``."""
-    gradients = torch.autograd.grad(loss, parameters)
-    with torch.no_grad():
-        gradient = torch.cat([g.reshape(-1) for g in gradients])
-        length = float(torch.linalg.vector_norm(gradient))
-        if length > norm:
-            gradient.mul_(norm / length)
-        optimiser.step(gradient, rate)
 
 
 def _persistent_buffers(module: torch.nn.Module) -> list[str]:
@@ -179,16 +153,3 @@ class Learner:
         if self.risk is not None:
             self.risk.restore(tensors, steps)
         restore_moments(self.optimiser, part(tensors, "optimiser"), steps)
-
-
-def part(tensors: Mapping[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
-    """Return the tensors whose names begin with a part's name, without it."""
-    start = f"{name}."
-    return {key.removeprefix(start): t for key, t in tensors.items() if key.startswith(start)}
-
-
-def restore_moments(optimiser: Adam, moments: Mapping[str, torch.Tensor], steps: int) -> None:
-    """Give an optimiser its moments after ``steps`` gradient steps."""
-    for name, moment in optimiser.moments.items():
-        moment.copy_(moments[name])
-    optimiser.steps = steps

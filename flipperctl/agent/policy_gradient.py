@@ -23,14 +23,9 @@ from numpy.typing import NDArray
 from flipperctl.agent.adam import Adam
 from flipperctl.agent.baseline import Baseline
 from flipperctl.agent.building import naming_network
+from flipperctl.agent.descent import descend, flatten_parameters, part, restore_moments
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.learner import (
-    Learner,
-    descend,
-    flatten_parameters,
-    part,
-    restore_moments,
-)
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import clipped_gain, divergence
 from flipperctl.agent.replay import Batch
 from flipperctl.agent.schedules import linear

@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.adam import Adam
+from flipperctl.agent.descent import flatten_parameters, part, restore_moments
 from flipperctl.agent.replay import UNKNOWN, Batch
 from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
 from flipperctl.errors import NonFiniteError
@@ -133,11 +134,7 @@ class RiskLearner:
             torch.manual_seed(seed)
             self.network = RiskNetwork(inputs).to(device)
         self._parameters = list(self.network.parameters())
-        vector = torch.cat([p.detach().reshape(-1) for p in self._parameters])
-        parts = torch.split(vector, [p.numel() for p in self._parameters])
-        for parameter, part in zip(self._parameters, parts, strict=True):
-            parameter.data = part.view_as(parameter)  # one vector, as ``Adam`` needs it
-        self.optimiser = Adam(vector)
+        self.optimiser = Adam(flatten_parameters([self.network]))
 
     def step(self, batch: Batch, rate: float) -> float:
         """Take a gradient step with the learning rate ``rate``; return the loss [-].
@@ -168,12 +165,5 @@ class RiskLearner:
 
     def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        parts: dict[str, dict[str, torch.Tensor]] = {"risk": {}, "risk_optimiser": {}}
-        for name, tensor in tensors.items():
-            part, _, key = name.partition(".")
-            if part in parts:
-                parts[part][key] = tensor
-        self.network.load_state_dict(parts["risk"])
-        for name, moment in self.optimiser.moments.items():
-            moment.copy_(parts["risk_optimiser"][name])
-        self.optimiser.steps = steps
+        self.network.load_state_dict(part(tensors, "risk"))
+        restore_moments(self.optimiser, part(tensors, "risk_optimiser"), steps)

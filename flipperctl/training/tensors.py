@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.learner import Learner, part
+from flipperctl.agent.descent import part
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import UNKNOWN, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import Checkpoint

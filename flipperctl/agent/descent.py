@@ -1,0 +1,52 @@
+"""Steps of an optimiser on the parameters of networks, which lie in one vector.
+
+In: networks, losses, and a checkpoint's tensors by name. Out: changed parameters and moments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+
+from flipperctl.agent.adam import Adam
+
+
+def flatten_parameters(modules: Sequence[torch.nn.Module]) -> torch.Tensor:
+    """Move the modules' parameters into one vector, (P,); they become views of it."""
+    parameters = [p for module in modules for p in module.parameters()]
+    vector = torch.cat([p.detach().reshape(-1) for p in parameters])
+    parts = torch.split(vector, [p.numel() for p in parameters])
+    for parameter, part in zip(parameters, parts, strict=True):
+        parameter.data = part.view_as(parameter)
+    return vector
+
+
+def descend(
+    loss: torch.Tensor,
+    parameters: Sequence[torch.Tensor],
+    optimiser: Adam,
+    norm: float,
+    rate: float,
+) -> None:
+    """Take one step of the optimiser against the gradient of the loss, clipped to ``norm``."""
+    gradients = torch.autograd.grad(loss, parameters)
+    with torch.no_grad():
+        gradient = torch.cat([g.reshape(-1) for g in gradients])
+        length = float(torch.linalg.vector_norm(gradient))
+        if length > norm:
+            gradient.mul_(norm / length)
+        optimiser.step(gradient, rate)
+
+
+def part(tensors: Mapping[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
+    """Return the tensors whose names begin with a part's name, without it."""
+    start = f"{name}."
+    return {key.removeprefix(start): t for key, t in tensors.items() if key.startswith(start)}
+
+
+def restore_moments(optimiser: Adam, moments: Mapping[str, torch.Tensor], steps: int) -> None:
+    """Give an optimiser its moments after ``steps`` gradient steps."""
+    for name, moment in optimiser.moments.items():
+        moment.copy_(moments[name])
+    optimiser.steps = steps
