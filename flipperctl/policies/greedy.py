@@ -24,7 +24,7 @@ class Greedy(Controller):
     """
 
     policy: str = Field(
-        "",
+        "generalist",
         description="a run, a checkpoint, an exported file or a shipped policy that drives [-]",
     )
 

@@ -96,6 +96,6 @@ def test_an_escape_needs_a_risk() -> None:
 def test_greedy_needs_a_policy_of_a_file() -> None:
     scene = EnvConfig(terrain="step")
     with pytest.raises(ConfigError, match="policy: '' is no policy of a file"):
-        PolicySource(settings={"name": "greedy"}).build(scene)
+        PolicySource(settings={"name": "greedy", "policy": ""}).build(scene)
     with pytest.raises(CheckpointError, match=r"controller\.policy: okada"):
         PolicySource(settings={"name": "greedy", "policy": "okada"}).build(scene)
