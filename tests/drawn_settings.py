@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from hypothesis import strategies as st
 from pydantic.fields import FieldInfo
 
-from flipperctl.api import Terrain, registry
-from flipperctl.api.plugin import registered_names
+from flipperctl.api import Settings, Terrain, registry
+from flipperctl.api.plugin import Plugin, registered_names
 from flipperctl.config import Randomise, TrainConfig
 
 NOT_DRAWN = {
@@ -42,6 +42,9 @@ COSTLY = {
     "terrain.fewest": 8,
     "terrain.most": 8,
     "teacher.final_updates": 8,
+    "agent.policy_gradient.decisions": 40,
+    "agent.policy_gradient.passes": 3,
+    "agent.policy_gradient.value_passes": 3,
     "teacher.controller.budget": 2000,
     "teacher.controller.width": 20,
     "teacher.controller.beam": 16,
@@ -92,9 +95,19 @@ def section_settings() -> Iterator[Setting]:
         model = TrainConfig.model_fields[section].annotation
         for name, info in model.model_fields.items():
             if (section, name) != ("teacher", "controller"):
-                yield Setting(f"{section}.{name}", info)
+                yield from _of_field(f"{section}.{name}", info)
     yield Setting("seed", TrainConfig.model_fields["seed"])
     yield Setting("randomise.occlusion", Randomise.model_fields["occlusion"])
+
+
+def _of_field(path: str, info: FieldInfo) -> Iterator[Setting]:
+    """Yield a setting, or those of a section within its section."""
+    kind = info.annotation
+    if isinstance(kind, type) and issubclass(kind, Settings) and not issubclass(kind, Plugin):
+        for name, inner in kind.model_fields.items():
+            yield from _of_field(f"{path}.{name}", inner)
+    else:
+        yield Setting(path, info)
 
 
 def plugin_settings(section: str, kind: str, name: str) -> list[Setting]:

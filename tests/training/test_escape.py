@@ -59,11 +59,13 @@ def test_the_exported_file_draws_what_the_checkpoint_draws(run: Path, exported: 
 def test_the_controller_greedy_drives_by_the_same_values_and_draws_nothing(
     run: Path, exported: Path
 ) -> None:
-    best, greedy = run / checkpoint.BEST, []
-    for file in (best, exported):
-        greedy.append(actions(PolicySource(settings={"name": "greedy", "policy": str(file)})))
-    assert greedy[0] == greedy[1]
-    assert greedy[0] != actions(PolicySource(checkpoint=best))
+    best = run / checkpoint.BEST
+    ours, theirs = (
+        actions(PolicySource(settings={"name": "greedy", "policy": str(file)}))
+        for file in (best, exported)
+    )
+    assert ours == theirs
+    assert ours != actions(PolicySource(checkpoint=best))
 
 
 @pytest.mark.parametrize(
