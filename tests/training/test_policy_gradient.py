@@ -8,7 +8,8 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, with_overrides
-from flipperctl.errors import ConfigError
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.policies.values import learned_value
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
@@ -86,3 +87,9 @@ def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, object],
     base = TrainConfig(terrain="step", network="at_d3qn")
     with pytest.raises(ConfigError, match=text):
         with_overrides(base, {**SETTINGS, **changes})
+
+
+def test_its_values_are_not_taken_for_returns(run: Path) -> None:
+    text = r"controller\.value=.*: it learnt by a policy gradient"
+    with pytest.raises(CheckpointError, match=text):
+        learned_value(str(run), "controller.value")
