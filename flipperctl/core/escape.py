@@ -9,8 +9,11 @@ likely to be good ones, since the probabilities follow the Q-values.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -52,6 +55,7 @@ class Escape:
 
     def draw(self, values: Sequence[float]) -> int:
         """Return the index of an action drawn by its finite Q-values, (9,)."""
-        scaled = np.asarray(values, np.float64) / self._rule.temperature
-        total = np.exp(scaled - scaled.max()).cumsum()
-        return int(np.searchsorted(total, self._rng.random() * total[-1], side="right"))
+        largest, scale = max(values), 1 / self._rule.temperature
+        # Nine numbers: sums in Python take a third of the time of numpy's.
+        totals = list(accumulate(math.exp((value - largest) * scale) for value in values))
+        return bisect(totals, self._rng.random() * totals[-1])
