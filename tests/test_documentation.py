@@ -130,6 +130,8 @@ def with_budget(command: list[str]) -> list[str]:
         searching = {"experiment=taught", "experiment=generalist", "experiment=generalist_first"}
         if searching & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
+        if {"experiment=generalist", "experiment=distilled"} & set(command):
+            command = [*command, "teacher.final_updates=8"]
         if {"experiment=searched", "experiment=mpc_value"} & set(command):
             fast = {"beam": 1, "horizon": 1, "groups": 4}
             fewer_groups = [f"teacher.controller.{key}={n}" for key, n in fast.items()]
