@@ -38,7 +38,7 @@ COMMANDS: Mapping[str, str] = {
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
     "--episodes 100 --seed 60822 --baseline okada,level",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
-    "--episodes 30 --seed 60823 --baseline okada,level",
+    "--episodes 50 --seed 60823 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
     "--controller okada,level --episodes 100 --seed 60824",
 }
