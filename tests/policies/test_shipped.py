@@ -1,5 +1,7 @@
 """The policies that come with the package are complete, described and up to date."""
 
+import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import to_dict
+from flipperctl.config import TrainConfig, to_dict
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
@@ -19,15 +21,20 @@ def test_there_is_a_generalist() -> None:
     assert "generalist" in dict(SHIPPED)
 
 
+def command(path: Path, config: TrainConfig) -> list[str]:
+    """Return the overrides of the last training that the card names, with its own start."""
+    found = re.findall(r"`flipperctl train ([^`]+)`", path.with_suffix(".md").read_text())
+    return shlex.split(found[-1].replace("=RUN", f"={config.agent.start_from}"))
+
+
 @pytest.mark.parametrize(("name", "path"), SHIPPED)
-def test_a_shipped_policy_has_the_configuration_of_its_experiment_and_reaches_the_finish(
+def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_finish(
     name: str, path: Path
 ) -> None:
     saved = checkpoint.read(checkpoint.find(Path(name)))
     assert saved.path == path
     config_store.register_defaults()
-    words = [f"experiment={name}", f"seed={saved.config().seed}"]
-    (experiment,) = compose.compose_train(Overrides.parse(words))
+    (experiment,) = compose.compose_train(Overrides.parse(command(path, saved.config())))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
     mix, grown = trained.pop("terrain"), wanted.pop("terrain")
     for train in (trained["train"], wanted["train"]):
