@@ -9,7 +9,7 @@ from time import perf_counter
 
 from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Simulator
 from flipperctl.config import EnvConfig
-from flipperctl.policies.abilities import ValueUser
+from flipperctl.policies.abilities import PolicyUser, ValueUser
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
@@ -73,8 +73,8 @@ def _play(controller: Controller, scene: int, enough: float) -> tuple[list[int],
 
 
 def _ready(controller: Controller, config: EnvConfig) -> Controller:
-    """Return the controller with the values that it names; torch is imported only for these."""
-    if not isinstance(controller, ValueUser):
+    """Return the controller with the files that it names; torch is imported only for these."""
+    if not isinstance(controller, PolicyUser | ValueUser):
         return controller
     from flipperctl.policies.source import with_files
 
