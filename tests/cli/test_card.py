@@ -23,7 +23,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
         "conditions=nominal perception.noise=0.01 terrain=flat\n"
     )
     assert command in text  # without the note that the hash differs
-    assert '| `teacher.controller` | "mpc" |' in text
+    assert '| `agent.learner` | "policy_gradient" |' in text
 
     done = call("card", "mpc_value", "found", cwd=tmp_path)
     assert done.code == 2
