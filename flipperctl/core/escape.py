@@ -24,6 +24,12 @@ MEANING = (
 """The rule in words, for the metadata of exported policies."""
 
 
+def drawn(weights: Sequence[float], uniform: float) -> int:
+    """Return the index that a number from [0, 1) draws with probabilities as the weights."""
+    totals = list(accumulate(weights))
+    return bisect(totals, uniform * totals[-1])
+
+
 @dataclass(frozen=True)
 class EscapeRule:
     """When and how actions are drawn."""
@@ -57,5 +63,4 @@ class Escape:
         """Return the index of an action drawn by its finite Q-values, (9,)."""
         largest, scale = max(values), 1 / self._rule.temperature
         # Nine numbers: sums in Python take a third of the time of numpy's.
-        totals = list(accumulate(math.exp((value - largest) * scale) for value in values))
-        return bisect(totals, self._rng.random() * totals[-1])
+        return drawn([math.exp((v - largest) * scale) for v in values], self._rng.random())

@@ -8,6 +8,7 @@ import torch
 from flipperctl.agent.acting import q_values
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Perception, Simulator, StateGroups
+from flipperctl.core.escape import drawn
 from flipperctl.policies import labels
 
 
@@ -38,5 +39,4 @@ class DrawingPolicy:
         observation = stacked(p.recent, self._frames)
         values = q_values(self._module.eval(), observation, self._device)
         self.label = labels.from_costs(-np.array(values), self._temperature)
-        total = self.label.astype(np.float64).cumsum()
-        return int(np.searchsorted(total, self._rng.random() * total[-1], side="right"))
+        return drawn(self.label.tolist(), self._rng.random())
