@@ -28,9 +28,9 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import clipped_gain, divergence
 from flipperctl.agent.replay import Batch
-from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
+from flipperctl.core.schedules import linear
 from flipperctl.errors import NonFiniteError
 
 _WIDTH: Final = 256
@@ -84,8 +84,8 @@ class PolicyGradient(Learner):
         """Improve the policy and its values by the transitions of whole episodes, in their order.
 
         The labels of ``batch`` are the probabilities by which its actions were drawn. ``fraction``:
-        completed part of the run, 0 to 1, which sets the learning rate; ``rng`` shuffles. Returns
-        the mean squared error of the values in the last step [-].
+        completed part of the run, 0 to 1, which sets the learning rate and the temperature;
+        ``rng`` shuffles. Returns the mean squared error of the values in the last step [-].
 
         Raises:
             NonFiniteError: a loss is not finite.
@@ -98,6 +98,7 @@ class PolicyGradient(Learner):
     def _update(self, batch: Batch, fraction: float, rng: np.random.Generator) -> float:
         s, g = self.settings, self.settings.policy_gradient
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
+        temperature = g.temperature_at(fraction)
         advantage, goal = self._advantages(batch)
         warm, moves = self.rounds < g.warm_up, True
         error = 0.0
@@ -109,7 +110,8 @@ class PolicyGradient(Learner):
                 if self.risk is not None:
                     self.risk.step(step, rate)
                 if moves and not warm:
-                    moves = self._policy_step(step, advantage[rows], rate) <= g.divergence
+                    moved = self._policy_step(step, advantage[rows], temperature, rate)
+                    moves = moved <= g.divergence
         self.rounds += 1
         return error
 
@@ -145,16 +147,18 @@ class PolicyGradient(Learner):
         descend(loss, self._value_parameters, self._value_optimiser, 1.0, rate)
         return value
 
-    def _policy_step(self, batch: Batch, advantage: torch.Tensor, rate: float) -> float:
+    def _policy_step(
+        self, batch: Batch, advantage: torch.Tensor, temperature: float, rate: float
+    ) -> float:
         """Take a step of the policy; return its divergence from what drove, before the step."""
         g = self.settings.policy_gradient
         assert batch.label is not None  # the probabilities of the draws
-        logits = torch.log_softmax(self.online(batch.observation) / g.temperature, dim=1)
+        logits = torch.log_softmax(self.online(batch.observation) / temperature, dim=1)
         gain = clipped_gain(logits, batch.action, batch.label, advantage, g.clip)
         loss = -gain
         if g.anchor:
             with torch.no_grad():
-                kept = torch.softmax(self.anchor.eval()(batch.observation) / g.temperature, dim=1)
+                kept = torch.softmax(self.anchor.eval()(batch.observation) / temperature, dim=1)
             loss = loss + g.anchor * divergence(kept, logits)
         if not math.isfinite(value := float(loss.detach())):
             raise NonFiniteError(f"the loss of the policy is {value}")

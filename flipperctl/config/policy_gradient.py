@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from flipperctl.api import Settings
+from flipperctl.core.schedules import linear
 
 
 class PolicyGradient(Settings):
@@ -24,6 +25,13 @@ class PolicyGradient(Settings):
         le=1000,
         description="difference of Q-values by which an action becomes e times less probable in "
         "the training's episodes, where all actions are drawn [-]",
+    )
+    temperature_end: float | None = Field(
+        None,
+        ge=1e-6,
+        le=1000,
+        description="temperature at the end, reached linearly: the lower, the less the policy can "
+        "rely on draws, which it does without once trained; null: that of the start [-]",
     )
     trace: float = Field(
         0.95,
@@ -64,3 +72,8 @@ class PolicyGradient(Settings):
     warm_up: int = Field(
         3, ge=0, le=1000, description="first rounds, in which the values alone learn [-]"
     )
+
+    def temperature_at(self, fraction: float) -> float:
+        """Return the temperature after a ``fraction`` of the run, 0 to 1."""
+        end = self.temperature if self.temperature_end is None else self.temperature_end
+        return linear(self.temperature, end, fraction)

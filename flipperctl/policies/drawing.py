@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
@@ -19,11 +21,16 @@ class DrawingPolicy:
     explored = False
 
     def __init__(
-        self, module: torch.nn.Module, frames: int, temperature: float, rng: np.random.Generator
+        self,
+        module: torch.nn.Module,
+        frames: int,
+        temperature: Callable[[], float],
+        rng: np.random.Generator,
     ) -> None:
         """``module`` is put into ``eval()`` mode at each decision.
 
         ``frames``: number of observations that the network takes as one input. ``rng`` draws.
+        ``temperature``: called at each decision [-].
         """
         self._module, self._frames = module, frames
         self._temperature, self._rng = temperature, rng
@@ -38,5 +45,5 @@ class DrawingPolicy:
         """Return the index of the drawn action."""
         observation = stacked(p.recent, self._frames)
         values = q_values(self._module.eval(), observation, self._device)
-        self.label = labels.from_costs(-np.array(values), self._temperature)
+        self.label = labels.from_costs(-np.array(values), self._temperature())
         return drawn(self.label.tolist(), self._rng.random())

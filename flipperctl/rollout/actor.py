@@ -49,7 +49,7 @@ class Actor:
         if settings.agent.risk:
             size = input_size(settings.network, self._env.layout)
             self._risk = plain_risk(RiskNetwork(size), settings.agent.risk_horizon)
-        self._seed = settings.seed
+        self._seed, self._decisions = settings.seed, settings.train.decisions
         self._teaching, self._agent = settings.teacher, settings.agent
         self._privileged = settings.learns_privileged_value
         teacher = settings.teacher.controller
@@ -108,8 +108,9 @@ class Actor:
     ) -> DrawingPolicy | ExploringPolicy | TaughtPolicy:
         """Return the policy that plays a request, without a teacher."""
         if self._agent.draws:
-            temperature = self._agent.policy_gradient.temperature
-            return DrawingPolicy(self._module, self._frames, temperature, rng)
+            fraction = request.decision / self._decisions
+            temperature = self._agent.policy_gradient.temperature_at(fraction)
+            return DrawingPolicy(self._module, self._frames, lambda: temperature, rng)
         return ExploringPolicy(
             *(self._module, self._frames, lambda: request.epsilon, rng, rng),
             share=self._agent.exploring_share,

@@ -8,9 +8,9 @@ import numpy as np
 
 from flipperctl import plugins
 from flipperctl.agent.learner import Learner, arrays
-from flipperctl.agent.schedules import linear
 from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
+from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.drawing import DrawingPolicy
@@ -51,6 +51,11 @@ class EpisodeSource:
         s = self._config.agent
         return linear(s.epsilon_start, s.epsilon_end, self._progress.decision / s.epsilon_decisions)
 
+    @property
+    def _temperature(self) -> float:
+        fraction = self._progress.decision / self._config.train.decisions
+        return self._config.agent.policy_gradient.temperature_at(fraction)
+
     def start_collector(self, outstanding: Sequence[RolloutRequest], stop: Stop) -> Collector:
         """Start the collector; resend the ``outstanding`` requests of a resumed run.
 
@@ -88,7 +93,7 @@ class EpisodeSource:
         frames, agent = self._config.network.frames, self._agent
         settings = self._config.agent
         policy: Policy = (
-            DrawingPolicy(agent.online, frames, settings.policy_gradient.temperature, self._rng)
+            DrawingPolicy(agent.online, frames, lambda: self._temperature, self._rng)
             if settings.draws
             else ExploringPolicy(
                 *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),

@@ -13,6 +13,7 @@ from flipperctl.agent.policy_gradient import PolicyGradient, advantages
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network
 from flipperctl.config import Agent, resolver
+from flipperctl.config.policy_gradient import PolicyGradient as PolicyGradientSettings
 from flipperctl.errors import NonFiniteError
 
 from .learners import ACTIONS, LAYOUT
@@ -94,6 +95,24 @@ def test_what_pays_becomes_probable() -> None:
     _, found = trained(30, learning_rate=0.003, policy_gradient={"divergence": 0.1})
     assert found[0] < 0.2
     assert found[-1] > 0.8
+
+
+def test_the_temperature_falls_linearly_or_stays() -> None:
+    falling = PolicyGradientSettings(temperature=0.05, temperature_end=0.01)
+    assert [falling.temperature_at(f) for f in (0, 0.5, 1)] == pytest.approx([0.05, 0.03, 0.01])
+    assert PolicyGradientSettings(temperature=0.2).temperature_at(0.9) == 0.2
+
+
+def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> None:
+    agent, rng = (
+        learner(policy_gradient={"temperature_end": TEMPERATURE / 100}),
+        np.random.default_rng(0),
+    )
+    batch = round_of(agent, rng)
+    early = agent._policy_step(batch, torch.zeros(256), TEMPERATURE, 0.0)
+    late = agent._policy_step(batch, torch.zeros(256), TEMPERATURE / 100, 0.0)
+    assert early == pytest.approx(0.0, abs=1e-6)
+    assert late > 0.01
 
 
 def test_an_anchor_keeps_the_policy_near_its_start() -> None:

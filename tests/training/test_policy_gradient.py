@@ -66,6 +66,13 @@ def test_a_resumed_run_equals_the_uninterrupted_one(run: Path, tmp_path: Path) -
         assert torch.equal(resumed.tensors[name], tensor), name
 
 
+def test_its_draws_become_sharper_towards_the_end(tmp_path: Path) -> None:
+    trained = trainer(config(**{"agent.policy_gradient.temperature_end": 0.001}), tmp_path)
+    trained.run()
+    labels = checkpoint.read(tmp_path / checkpoint.LAST).part("replay")["label"].numpy()
+    assert labels[-60:].max(axis=1).mean() > labels[:60].max(axis=1).mean() + 0.2
+
+
 def test_workers_draw_too(tmp_path: Path) -> None:
     made = trainer(config(**{"train.mode": "fast", "train.decisions": 300}), tmp_path)
     made.run()
