@@ -21,9 +21,9 @@ from flipperctl.agent.losses import (
     teacher_large_margin,
 )
 from flipperctl.agent.replay import Batch
-from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
+from flipperctl.core.schedules import linear
 from flipperctl.errors import NonFiniteError
 
 

@@ -28,9 +28,9 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import clipped_gain, divergence
 from flipperctl.agent.replay import Batch
-from flipperctl.agent.schedules import linear
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
+from flipperctl.core.schedules import linear
 from flipperctl.errors import NonFiniteError
 
 _WIDTH: Final = 256

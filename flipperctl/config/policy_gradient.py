@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from flipperctl.api import Settings
+from flipperctl.core.schedules import linear
 
 
 class PolicyGradient(Settings):
@@ -29,8 +30,8 @@ class PolicyGradient(Settings):
         None,
         ge=1e-6,
         le=1000,
-        description="temperature at the end, reached by equal factors: the lower, the less the "
-        "policy can rely on draws, which it does without once trained; null: that of the start [-]",
+        description="temperature at the end, reached linearly: the lower, the less the policy can "
+        "rely on draws, which it does without once trained; null: that of the start [-]",
     )
     trace: float = Field(
         0.95,
@@ -75,5 +76,4 @@ class PolicyGradient(Settings):
     def temperature_at(self, fraction: float) -> float:
         """Return the temperature after a ``fraction`` of the run, 0 to 1."""
         end = self.temperature if self.temperature_end is None else self.temperature_end
-        share = min(1.0, max(0.0, fraction))
-        return float(self.temperature * (end / self.temperature) ** share)
+        return linear(self.temperature, end, fraction)

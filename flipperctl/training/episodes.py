@@ -8,9 +8,9 @@ import numpy as np
 
 from flipperctl import plugins
 from flipperctl.agent.learner import Learner, arrays
-from flipperctl.agent.schedules import linear
 from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
+from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.drawing import DrawingPolicy

@@ -15,7 +15,7 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.schedules import linear
+from flipperctl.core.schedules import linear
 
 
 def test_the_online_network_chooses_and_the_target_network_values() -> None:

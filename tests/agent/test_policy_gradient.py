@@ -97,15 +97,18 @@ def test_what_pays_becomes_probable() -> None:
     assert found[-1] > 0.8
 
 
-def test_the_temperature_falls_by_equal_factors_or_stays() -> None:
-    falling = PolicyGradientSettings(temperature=0.04, temperature_end=0.01)
-    assert [falling.temperature_at(f) for f in (0, 0.5, 1)] == pytest.approx([0.04, 0.02, 0.01])
+def test_the_temperature_falls_linearly_or_stays() -> None:
+    falling = PolicyGradientSettings(temperature=0.05, temperature_end=0.01)
+    assert [falling.temperature_at(f) for f in (0, 0.5, 1)] == pytest.approx([0.05, 0.03, 0.01])
     assert PolicyGradientSettings(temperature=0.2).temperature_at(0.9) == 0.2
 
 
 def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> None:
-    agent = learner()
-    batch = round_of(agent, np.random.default_rng(0))
+    agent, rng = (
+        learner(policy_gradient={"temperature_end": TEMPERATURE / 100}),
+        np.random.default_rng(0),
+    )
+    batch = round_of(agent, rng)
     early = agent._policy_step(batch, torch.zeros(256), TEMPERATURE, 0.0)
     late = agent._policy_step(batch, torch.zeros(256), TEMPERATURE / 100, 0.0)
     assert early == pytest.approx(0.0, abs=1e-6)
