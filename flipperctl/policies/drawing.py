@@ -27,7 +27,7 @@ class DrawingPolicy:
         temperature: Callable[[], float],
         rng: np.random.Generator,
     ) -> None:
-        """``module`` is put into ``eval()`` mode at each decision.
+        """``module`` is put into ``eval()`` mode at the start of each episode.
 
         ``frames``: number of observations that the network takes as one input. ``rng`` draws.
         ``temperature``: called at each decision [-].
@@ -40,10 +40,11 @@ class DrawingPolicy:
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode; nothing is remembered."""
+        self._module.eval()  # at each decision it took a tenth of the time
 
     def act(self, p: Perception) -> int:
         """Return the index of the drawn action."""
         observation = stacked(p.recent, self._frames)
-        values = q_values(self._module.eval(), observation, self._device)
+        values = q_values(self._module, observation, self._device)
         self.label = labels.from_costs(-np.array(values), self._temperature())
         return drawn(self.label.tolist(), self._rng.random())
