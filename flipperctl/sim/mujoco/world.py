@@ -103,6 +103,12 @@ class MujocoWorld:
         pose[_HINGES] = self._targets
         while start.height is not None and (depth := self.penetration()) > OVERLAP:
             pose[2] += depth  # off what stands above the profile: rough patches, turned edges
+        ahead = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
+        nearest = start.x - ahead  # a turned robot's corner is farther ahead than its middle
+        while (
+            start.height is None and (depth := self.penetration()) > OVERLAP and pose[0] > nearest
+        ):
+            pose[0] = max(nearest, pose[0] - depth)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""

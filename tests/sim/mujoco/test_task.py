@@ -49,6 +49,31 @@ def test_a_start_on_a_slope_lies_on_what_stands_above_the_line(
         begin()
 
 
+def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def begin(sim: dict[str, float], run_up: float) -> list[float]:
+        env = FlipperEnv(
+            {"name": "step", "low": 0.2, "high": 0.3},
+            sim={"name": "mujoco", **sim},
+            episode={"run_up": run_up, "start_noise": 0.0, "start_angle": 0.0},
+        )
+        found = []
+        for seed in range(8):
+            env.reset(seed=seed)
+            found.append(env.drive.world.position[0] - env.profile.start)
+        return found
+
+    (straight, *_), turned = begin({}, 0.78), begin({"yaw": 0.4}, 0.78)
+    assert min(turned) < straight - 0.01
+    assert min(turned) >= straight - 0.36 * 0.4
+    with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
+        begin({}, 0.7)
+    monkeypatch.setattr(world, "OVERLAP", 1.0)
+    with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
+        begin({"yaw": 0.4}, 0.78)
+
+
 @pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
 def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     drawn, plain = (
