@@ -53,8 +53,7 @@ def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | 
         theirs = checkpoint.policy_config().perception
         check_layout(file, theirs.bins, theirs.bin_width, config.environment())
         risk = policy_risk(checkpoint) if config.agent.risk else None
-    _check_network(config, name, module)
-    return module, None if risk is None else risk.network
+    return _same_network(config, name, module), None if risk is None else risk.network
 
 
 def start(config: TrainConfig, agent: Learner) -> None:
@@ -75,10 +74,14 @@ def start(config: TrainConfig, agent: Learner) -> None:
         agent.risk.network.load_state_dict(risk.state_dict())
 
 
-def _check_network(config: TrainConfig, name: str, module: torch.nn.Module) -> None:
-    """Refuse a network that is another function of the same weights.
+def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> torch.nn.Module:
+    """Return the training's network with the weights of ``module``, if both are one function.
 
-    Settings that only change how it learns, such as a dropout, may differ.
+    Settings that only change how it learns, such as a dropout, may differ, and with them the names
+    of the weights.
+
+    Raises:
+        ConfigError: it is another function of the same weights, or has others.
     """
     layout, network = config.perception.layout, config.network
     built = build_network(network, layout, len(ACTIONS)).eval()
@@ -90,11 +93,14 @@ def _check_network(config: TrainConfig, name: str, module: torch.nn.Module) -> N
         "settings of the network"
     )
     try:
-        require_equal_layout(module.state_dict(), built.state_dict())
-        built.load_state_dict(module.state_dict())
+        weights, own = module.state_dict(), built.state_dict()
+        if [w.shape for w in weights.values()] != [w.shape for w in own.values()]:
+            require_equal_layout(weights, own)  # names what differs
+        built.load_state_dict(dict(zip(own, weights.values(), strict=True)))
         with torch.inference_mode():
             equal = torch.allclose(built(inputs), module(inputs), rtol=1e-4, atol=1e-4)
     except (ValueError, RuntimeError) as error:
         raise ConfigError(f"{text} ({str(error).splitlines()[0]})") from error
     if not equal:
         raise ConfigError(text)
+    return built

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
+from flipperctl.agent.learner import Learner
 from flipperctl.config import to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.runs import preflight
@@ -21,6 +22,19 @@ def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_pat
     theirs = checkpoint.read(checkpoint.find(short_run)).part("policy")
     for network in (new.agent.online, new.agent.target):
         assert all(torch.equal(network.state_dict()[name], theirs[name]) for name in theirs)
+
+
+def test_a_dropout_may_differ(tmp_path: Path) -> None:
+    def begun(folder: Path, **settings: object) -> Learner:
+        new = trainer(short_config(**{"train.decisions": 1, **settings}), folder)
+        new.run()
+        return new.agent
+
+    first = begun(tmp_path / "first", network={"name": "stacked", "dropout": 0.1})
+    later = {"network": {"name": "stacked"}, "agent.start_from": str(tmp_path / "first")}
+    second = begun(tmp_path / "second", **later)
+    inputs = torch.rand(4, first.online.state_dict()["0.scale"].numel())
+    assert torch.equal(first.online.eval()(inputs), second.online.eval()(inputs))
 
 
 @pytest.mark.parametrize(
