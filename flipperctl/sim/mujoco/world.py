@@ -101,13 +101,22 @@ class MujocoWorld:
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
-        while start.height is not None and (depth := self.penetration()) > OVERLAP:
-            pose[2] += depth  # off what stands above the profile: rough patches, turned edges
-        ahead = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
-        nearest = start.x - ahead  # a turned robot's corner is farther ahead than its middle
-        while (
-            start.height is None and (depth := self.penetration()) > OVERLAP and pose[0] > nearest
-        ):
+        self._clear(start, yaw)
+
+    def _clear(self, start: Start, yaw: float) -> None:
+        """Move the robot off what it overlaps where a straight one on the profile would not.
+
+        Past the first edge it goes up, off rough patches and turned edges; ahead of it, back, by
+        what a turned robot's corner reaches farther ahead.
+        """
+        pose = self.data.qpos
+        if start.height is not None:
+            while (depth := self.penetration()) > OVERLAP:
+                pose[2] += depth
+            return
+        corner = self.sim.flipper_offset + self.sim.track_width / 2
+        nearest = start.x - corner * abs(math.sin(yaw))
+        while (depth := self.penetration()) > OVERLAP and pose[0] > nearest:
             pose[0] = max(nearest, pose[0] - depth)
 
     def command(self, front: float, rear: float) -> None:
