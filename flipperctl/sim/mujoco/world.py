@@ -32,10 +32,11 @@ from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.axes import orientation, quaternion
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
+from flipperctl.sim.mujoco.placing import clear
 from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.mujoco.tracks import Tracks
-from flipperctl.sim.resting import OVERLAP, height_at
+from flipperctl.sim.resting import height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
@@ -101,23 +102,8 @@ class MujocoWorld:
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
-        self._clear(start, yaw)
-
-    def _clear(self, start: Start, yaw: float) -> None:
-        """Move the robot off what it overlaps where a straight one on the profile would not.
-
-        Past the first edge it goes up, off rough patches and turned edges; ahead of it, back, by
-        what a turned robot's corner reaches farther ahead.
-        """
-        pose = self.data.qpos
-        if start.height is not None:
-            while (depth := self.penetration()) > OVERLAP:
-                pose[2] += depth
-            return
-        corner = self.sim.flipper_offset + self.sim.track_width / 2
-        nearest = start.x - corner * abs(math.sin(yaw))
-        while (depth := self.penetration()) > OVERLAP and pose[0] > nearest:
-            pose[0] = max(nearest, pose[0] - depth)
+        corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
+        clear(pose, start, corner, self.penetration)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""

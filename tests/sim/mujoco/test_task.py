@@ -16,7 +16,7 @@ from flipperctl import checkpoint
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.scene import HEIGHT, WIDTH
 from flipperctl.errors import PluginFailedError, RequestError, TerrainError
-from flipperctl.sim.mujoco import world
+from flipperctl.sim.mujoco import placing
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import EXACT, call
 
@@ -44,7 +44,7 @@ def test_a_start_on_a_slope_lies_on_what_stands_above_the_line(
             env.reset(seed=seed)
 
     begin()
-    monkeypatch.setattr(world, "OVERLAP", 1.0)
+    monkeypatch.setattr(placing, "OVERLAP", 1.0)
     with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
         begin()
 
@@ -69,7 +69,7 @@ def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
     assert min(turned) >= straight - 0.36 * 0.4
     with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
         begin({}, 0.7)
-    monkeypatch.setattr(world, "OVERLAP", 1.0)
+    monkeypatch.setattr(placing, "OVERLAP", 1.0)
     with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
         begin({"yaw": 0.4}, 0.78)
 
