@@ -182,6 +182,10 @@ class TrainConfig(EnvConfig):
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
+    def temperature_at(self, decision: int) -> float:
+        """Return the temperature of the policy gradient's draws at a decision of the run [-]."""
+        return self.agent.policy_gradient.temperature_at(decision / self.train.decisions)
+
     @property
     def learns_privileged_value(self) -> bool:
         """Whether the learner needs privileged states: no learner of labels alone uses them."""

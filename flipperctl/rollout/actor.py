@@ -49,7 +49,7 @@ class Actor:
         if settings.agent.risk:
             size = input_size(settings.network, self._env.layout)
             self._risk = plain_risk(RiskNetwork(size), settings.agent.risk_horizon)
-        self._seed, self._decisions = settings.seed, settings.train.decisions
+        self._seed, self._temperature_at = settings.seed, settings.temperature_at
         self._teaching, self._agent = settings.teacher, settings.agent
         self._privileged = settings.learns_privileged_value
         teacher = settings.teacher.controller
@@ -108,8 +108,7 @@ class Actor:
     ) -> DrawingPolicy | ExploringPolicy | TaughtPolicy:
         """Return the policy that plays a request, without a teacher."""
         if self._agent.draws:
-            fraction = request.decision / self._decisions
-            temperature = self._agent.policy_gradient.temperature_at(fraction)
+            temperature = self._temperature_at(request.decision)
             return DrawingPolicy(self._module, self._frames, lambda: temperature, rng)
         return ExploringPolicy(
             *(self._module, self._frames, lambda: request.epsilon, rng, rng),

@@ -53,8 +53,7 @@ class EpisodeSource:
 
     @property
     def _temperature(self) -> float:
-        fraction = self._progress.decision / self._config.train.decisions
-        return self._config.agent.policy_gradient.temperature_at(fraction)
+        return self._config.temperature_at(self._progress.decision)
 
     def start_collector(self, outstanding: Sequence[RolloutRequest], stop: Stop) -> Collector:
         """Start the collector; resend the ``outstanding`` requests of a resumed run.

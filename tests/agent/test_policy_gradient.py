@@ -104,11 +104,8 @@ def test_the_temperature_falls_linearly_or_stays() -> None:
 
 
 def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> None:
-    agent, rng = (
-        learner(policy_gradient={"temperature_end": TEMPERATURE / 100}),
-        np.random.default_rng(0),
-    )
-    batch = round_of(agent, rng)
+    agent = learner()
+    batch = round_of(agent, np.random.default_rng(0))
     early = agent._policy_step(batch, torch.zeros(256), TEMPERATURE, 0.0)
     late = agent._policy_step(batch, torch.zeros(256), TEMPERATURE / 100, 0.0)
     assert early == pytest.approx(0.0, abs=1e-6)
