@@ -47,7 +47,7 @@ def _mix(parts: tuple[tuple[AnyTerrain, float], ...]) -> dict[str, tuple[object,
     return {"parts": terrains, "weights": weights}
 
 
-_MIX: tuple[tuple[AnyTerrain, float], ...] = (
+MIX: tuple[tuple[AnyTerrain, float], ...] = (
     (AllKinds(), 8.0),
     (BuildingStair(fewest=7, most=16), 2.0),
     (BuildingStair(fewest=7, most=16, landing_every=5), 1.0),
@@ -73,11 +73,11 @@ class AllCourses(Mix):
     """
 
     parts: tuple[AnyTerrain, ...] = Field(
-        tuple(part for part, _ in _MIX),
+        tuple(part for part, _ in MIX),
         min_length=1,
         description="the terrains: names, or mappings with a name and fields [-]",
     )
     weights: tuple[float, ...] = Field(
-        tuple(weight for _, weight in _MIX),
+        tuple(weight for _, weight in MIX),
         description="relative frequency of each part; equal for all if empty [-]",
     )

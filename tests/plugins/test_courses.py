@@ -125,3 +125,17 @@ def test_the_mix_of_all_courses_has_everything() -> None:
     assert min(p.drawn["height"] for p in found if p.label == "step") < -0.6
     assert any(p.run_up is not None for p in found)
     assert any(p.run_out is not None for p in found)
+
+
+def test_hard_courses_have_more_of_what_is_learnt_last() -> None:
+    shares = {}
+    for name in ("all_courses", "hard_courses"):
+        mix, rng = resolver.create("terrain", name, "terrain"), np.random.default_rng(2)
+        found = [mix.labelled(rng) for _ in range(400)]
+        shares[name] = Counter(
+            "deep gap" if profile.drawn.get("depth", 0) > 0.5 else profile.label
+            for profile in found
+        )
+    for label in ("deep gap", "ramp", "plum", "building_stair"):
+        assert shares["hard_courses"][label] > shares["all_courses"][label]
+    assert shares["all_courses"].keys() <= shares["hard_courses"].keys()
