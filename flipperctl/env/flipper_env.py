@@ -163,10 +163,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     ) -> Perceiver:
         episode, (engine, robot, sensor) = self.config.episode, self._sections
         run_up, run_out = start.run_up_of(self.profile, episode), run_out_of(self.profile, episode)
-        margin = max(run_up + episode.start_noise, run_out) + self.layout.reach
+        beyond = max(run_up + episode.start_noise, run_out) + self.layout.reach + 2.0
+        margin = max(0.0, beyond)  # start and finish may both lie far inside the obstacle
         (mounted,) = rngs[0].spawn(1)
         gravity, world = engine.shared_setting("gravity") or Mounting.gravity, drive.world
-        mounting = Mounting(robot, self.profile, margin + 2.0, world, mounted, gravity, world)
+        mounting = Mounting(robot, self.profile, margin, world, mounted, gravity, world)
         if exact:  # includes the sampled physics
             friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)

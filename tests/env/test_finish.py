@@ -61,6 +61,22 @@ def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
     assert abs(env.state.pitch) == pytest.approx(ANGLE, abs=0.02)
 
 
+@pytest.mark.parametrize("occlusion", [False, True])
+def test_ground_far_inside_the_obstacle_is_sensed_as_it_is(occlusion: bool) -> None:
+    ramp = {"name": "ramp", "direction": "up", "length_low": 10.0, "length_high": 10.0}
+    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    inside = {**EXACT, "run_up": -4.0, "run_out": -4.0}  # both farther than any sensor reaches
+    exact = {"occlusion": occlusion}
+    env = FlipperEnv({**ramp, **slope}, episode=inside, perception=exact)
+    env.reset(seed=1)
+    points = env.perception.points + env.state.position
+    assert (np.diff(points[:, 0]) >= 0).all()
+    assert points[:, 1] == pytest.approx(env.profile.heights(points[:, 0]))
+    wrong = FlipperEnv({**ramp, **slope}, episode=inside, perception={**exact, "map_error": 0.01})
+    observation, _ = wrong.reset(seed=1)
+    assert np.isfinite(observation).all()
+
+
 def test_a_robot_that_stands_up_has_not_reached_the_finish() -> None:
     finish = finish_of(UP, Robot(), Episode(run_out=-1.0))
     limits = Limits(angle=math.pi / 3, half=HALF, **finish._asdict())
