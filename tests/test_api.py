@@ -126,3 +126,9 @@ def test_a_layout_knows_its_extent() -> None:
     assert layout.reach == pytest.approx(0.5)  # 5 · 0.2 / 2
     assert layout.scale.shape == (8,)
     assert (layout.scale > 0).all()
+
+
+def test_ground_that_folds_back_is_refused() -> None:
+    profile = Profile([(0.0, 0.0), (4.0, 1.0)])
+    with pytest.raises(ValueError, match=r"level ground of -0\.2 m cannot be added"):
+        profile.sample(0.02, -0.2)

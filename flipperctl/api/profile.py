@@ -97,7 +97,14 @@ class Profile:
         return found
 
     def extended(self, before: float, after: float) -> FloatArray:
-        """Return the polyline with level ground of these lengths added, (V + 2, 2) [m]."""
+        """Return the polyline with level ground of these lengths added, (V + 2, 2) [m].
+
+        Raises:
+            ValueError: a length is below 0.
+        """
+        if before < 0 or after < 0:
+            text = f"level ground of {min(before, after):g} m cannot be added"
+            raise ValueError(f"{text}; 0 m or more is allowed")
         first, last = self.points[0], self.points[-1]
         return np.vstack([[first[0] - before, first[1]], self.points, [last[0] + after, last[1]]])
 
