@@ -8,9 +8,6 @@ the process has imported (none on a robot).
 
 from __future__ import annotations
 
-import importlib
-import json
-import shlex
 import sys
 import time
 
@@ -27,6 +24,8 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
     """
+    import importlib
+
     try:
         runtime = importlib.import_module("flipperctl.runtime.policy")
     except ImportError as error:
@@ -52,6 +51,9 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
 
 
 def _main(words: list[str]) -> int:
+    import json  # here, where Ctrl-C already ends the process without a traceback
+    import shlex
+
     try:
         path, calls, seed = words
         numbers = int(calls), int(seed)
