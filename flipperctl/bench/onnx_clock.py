@@ -24,7 +24,7 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
     """
-    import importlib
+    import importlib  # here and below, where Ctrl-C already ends the process without a traceback
 
     try:
         runtime = importlib.import_module("flipperctl.runtime.policy")
@@ -51,7 +51,7 @@ def main(path: str, calls: int, seed: int) -> dict[str, object]:
 
 
 def _main(words: list[str]) -> int:
-    import json  # here, where Ctrl-C already ends the process without a traceback
+    import json
     import shlex
 
     try:
