@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from pydantic import PrivateAttr
@@ -28,13 +29,18 @@ class Planner(PlannerSettings, Controller):
 
     _trained: Policy | None = PrivateAttr(None)
 
-    def starting_from(self, trained: Policy) -> Planner:
+    @property
+    def named(self) -> Mapping[str, str]:
+        """The setting that names a file, and its value; empty without one."""
+        return {"policy": self.policy} if self.policy else {}
+
+    def starting_from(self, policies: Sequence[Policy]) -> Planner:
         """Return these settings with the policy that ``policy`` names.
 
         The caller reads the file: this package knows neither checkpoints nor networks.
         """
         settings = self.model_copy()
-        settings._trained = trained
+        (settings._trained,) = policies
         return settings
 
     def build(self) -> Policy:

@@ -130,11 +130,14 @@ class RewardUser(Protocol):
 
 @runtime_checkable
 class PolicyUser(Protocol):
-    """A controller that uses a policy from a file."""
+    """A controller that uses policies from files."""
 
     @property
-    def policy(self) -> str:
-        """A run, a checkpoint, an exported file or a shipped policy; empty for none."""
+    def named(self) -> Mapping[str, str]:
+        """Runs, checkpoints, exported files or shipped policies, by the settings that name them.
 
-    def starting_from(self, policy: Policy, /) -> Controller:
-        """Return the same settings with the loaded policy that the setting ``policy`` names."""
+        A key is a field, or an entry of one that holds several: ``policy``, ``others[0]``.
+        """
+
+    def starting_from(self, policies: Sequence[Policy], /) -> Controller:
+        """Return the same settings with the loaded policies, in the order of ``named``."""

@@ -1,10 +1,12 @@
-"""``greedy``: the policy of a file that always takes the action with the largest Q-value.
+"""``greedy``: the policies of files that always take the action with the largest Q-value.
 
-In: a file with Q-values. Out: actions, and the negated Q-values as costs, by which a policy can
-teach another one, such as a smaller network.
+In: files with Q-values. Out: actions, and the negated Q-values as costs, by which they can teach
+another policy, such as a smaller network.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -16,24 +18,36 @@ from flipperctl.policies.abilities import ValuedPolicy
 
 @controller("greedy")
 class Greedy(Controller):
-    """Drive by the Q-values of a policy's file alone, without drawing actions when it warns.
+    """Drive by the Q-values of policies' files alone, without drawing actions when they warn.
 
-    The costs of its actions are the negated Q-values, so that it can teach: with
-    ``teacher.temperature`` equal to the ``teacher.q_temperature`` of its own training, the labels
-    are the probabilities that it learnt.
+    The values of several policies are averaged, which cancels errors of their trainings; they
+    should be of one scale, as those of training seeds are. The costs of the actions are the
+    negated Q-values, so that it can teach: with ``teacher.temperature`` equal to the
+    ``teacher.q_temperature`` of their own training, the labels are the probabilities that a policy
+    learnt.
     """
 
     policy: str = Field(
         "generalist",
         description="a run, a checkpoint, an exported file or a shipped policy that drives [-]",
     )
+    others: tuple[str, ...] = Field(
+        (),
+        description="further policies; the mean of the Q-values of all drives [-]",
+    )
 
-    _trained: Policy | None = PrivateAttr(None)
+    _trained: tuple[Policy, ...] = PrivateAttr(())
 
-    def starting_from(self, policy: Policy) -> Greedy:
-        """Return these settings with the loaded policy that ``policy`` names."""
+    @property
+    def named(self) -> Mapping[str, str]:
+        """The settings that name files, and their values."""
+        others = {f"others[{number}]": name for number, name in enumerate(self.others)}
+        return {"policy": self.policy, **others} if self.policy else others
+
+    def starting_from(self, policies: Sequence[Policy]) -> Greedy:
+        """Return these settings with the loaded policies that ``named`` names, in its order."""
         settings = self.model_copy()
-        settings._trained = policy
+        settings._trained = tuple(policies)
         return settings
 
     def build(self) -> Policy:
@@ -42,18 +56,21 @@ class Greedy(Controller):
         Raises:
             ConfigError: no policy is named, or it was not loaded, or it has no Q-values.
         """
-        if not isinstance(self._trained, ValuedPolicy):
+        valued = [policy for policy in self._trained if isinstance(policy, ValuedPolicy)]
+        if not self.policy or len(valued) != len(self.named):
+            names = ", ".join(map(repr, (self.policy, *self.others)))
             raise ConfigError(
-                f"policy: {self.policy!r} is no policy of a file that this command reads; the name "
-                "of a run, a checkpoint, an exported file or a shipped policy is allowed"
+                f"policy: {names}: no policies of files that this command reads; the names of "
+                "runs, checkpoints, exported files and shipped policies are allowed"
             )
-        return GreedyPolicy(self._trained)
+        return GreedyPolicy(valued)
 
 
 class GreedyPolicy:
-    """Acts by the Q-values of another policy."""
+    """Acts by the mean Q-values of other policies."""
 
-    def __init__(self, valued: ValuedPolicy) -> None:
+    def __init__(self, valued: Sequence[ValuedPolicy]) -> None:
+        """Act by the Q-values of ``valued``, one policy or more."""
         self._valued = valued
 
     def reset(self, simulator: Simulator) -> None:
@@ -65,7 +82,8 @@ class GreedyPolicy:
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the negated Q-values, (9,) [-]."""
-        return -np.asarray(self._valued.q_values(p), np.float64)
+        total = sum(np.asarray(policy.q_values(p), np.float64) for policy in self._valued)
+        return np.asarray(total / -len(self._valued), np.float64)
 
     def took(self, action: int) -> None:
         """Do nothing: the next costs do not depend on it."""

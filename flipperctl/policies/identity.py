@@ -58,17 +58,17 @@ class PolicyIdentity:
 
 def _of_controller(controller: Controller) -> str:
     document: dict[str, Any] = identity(controller)
-    for name, named in _policies(controller):  # their content counts, not their place
-        document["settings"].pop(name, None)
+    for key, named in _policies(controller):  # their content counts, not their place
+        document["settings"].pop(key.partition("[")[0], None)
         file = find(Path(named))
-        document[name] = _required(file, content_digest(file))
+        document[key] = _required(file, content_digest(file))
     return _digest([document, *foreign_sources([controller])])
 
 
 def _policies(controller: Controller) -> Iterator[tuple[str, str]]:
     """Yield each setting that names a policy's file, and its value."""
-    if isinstance(controller, PolicyUser) and controller.policy:
-        yield "policy", controller.policy
+    if isinstance(controller, PolicyUser):
+        yield from controller.named.items()
     if isinstance(controller, ValueUser) and controller.value:
         yield "value", controller.value
 

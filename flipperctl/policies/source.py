@@ -134,12 +134,9 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
     Raises:
         CheckpointError: a file is missing or damaged, or does not fit the environment.
     """
-    if isinstance(controller, PolicyUser) and controller.policy:
-        from flipperctl.policies.values import naming
-
-        with naming(f"{path}.policy"):
-            file = find(Path(controller.policy))
-        controller = controller.starting_from(PolicySource(file).build(config))
+    if isinstance(controller, PolicyUser) and controller.named:
+        policies = [_named(f"{path}.{key}", name, config) for key, name in controller.named.items()]
+        controller = controller.starting_from(policies)
     if isinstance(controller, ValueUser) and controller.value:
         from flipperctl.policies.values import learned_value
 
@@ -171,6 +168,15 @@ def controller_notes(
                 f"{path}.value: {controller.value} was not trained for {', '.join(found)}; plans "
                 f"have the hand-set cost instead; {path}.value={controller.value} keeps the values"
             )
+
+
+def _named(path: str, name: str, config: EnvConfig) -> Policy:
+    """Return the policy that a setting at ``path`` names."""
+    from flipperctl.policies.values import naming
+
+    with naming(path):
+        file = find(Path(name))
+    return PolicySource(file).build(config)
 
 
 def _exported(file: Path, config: EnvConfig) -> Policy:
