@@ -29,12 +29,11 @@ from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.messages import explain
+from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 
 _FORMAT = 1
-_FILES = ("policy", "value")
-"""Settings of a controller that name a file."""
 
 
 class _Frozen(BaseModel):
@@ -61,7 +60,7 @@ class RecordedPolicy(_Frozen):
         if source.checkpoint is not None:
             return cls(label=source.label(), sha256=content_digest(source.checkpoint))
         settings = dict(source.settings or {})
-        return cls(label=source.label(), controller=settings, files=_digests(settings))
+        return cls(label=source.label(), controller=settings, files=_digests(source))
 
     def find(self, where: Path, chosen: Path | None) -> PolicySource:
         """Return the policy, whose file is ``chosen`` or else the recorded one.
@@ -73,12 +72,13 @@ class RecordedPolicy(_Frozen):
         if self.controller is not None:
             if chosen is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
-            if _digests(self.controller) != self.files:
+            source = PolicySource(settings=self.controller)
+            if _digests(source) != self.files:
                 raise CheckpointError(
                     f"{where}: a file that controller {self.label} reads is missing or has another "
                     f"content: {', '.join(self.files)}"
                 )
-            return PolicySource(settings=self.controller)
+            return source
         advice = "name the policy's file with --checkpoint"
         try:
             file = checkpoint.find(chosen or Path(self.label))
@@ -228,11 +228,10 @@ def read_record(path: Path) -> EpisodeRecord:
         raise RequestError(f"{path}: it is no record of an episode: {error}") from error
 
 
-def _digests(settings: Mapping[str, Any]) -> dict[str, str | None]:
-    """Return the SHA-256 of each file that the settings of a controller name."""
-    named = [settings[name] for name in _FILES if isinstance(settings.get(name), str)]
-    found = {}
-    for name in filter(None, named):
+def _digests(source: PolicySource) -> dict[str, str | None]:
+    """Return the SHA-256 of each file that a controller names, None for one that is missing."""
+    found: dict[str, str | None] = {}
+    for _, name in named_files(source.controller()):
         try:
             found[name] = content_digest(checkpoint.find(Path(name)))
         except CheckpointError:

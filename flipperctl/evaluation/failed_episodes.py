@@ -15,7 +15,7 @@ from flipperctl.evaluation.axes import cell_config
 from flipperctl.evaluation.capability import CapabilityMap
 from flipperctl.evaluation.conditions import Conditions, scene_names
 from flipperctl.evaluation.episode_record import EpisodeRecord
-from flipperctl.evaluation.results import EvaluationResult, SceneResult
+from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
@@ -27,7 +27,7 @@ MOST = 20
 def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResult) -> int:
     """Write the policy's first ``MOST`` failures of each scene; return the number of files.
 
-    The result may lack the last scenes.
+    The result may lack scenes.
 
     Raises:
         OutputError: a file cannot be written.
@@ -69,21 +69,11 @@ def failure_records(
     names = scene_names([(c.terrain.plugin_name, Conditions.of(c)) for c, _ in scenes])
     several = len({source.label() for _, source in scenes}) > 1
     for scene in result.scenes:
-        found = next((i for i, (c, who) in enumerate(scenes) if _is_of(scene, c, who)), None)
-        if found is None:
+        if scene.index is None:
             continue
-        config, source = scenes[found]
-        words = ["failure", names[found], *([scene.controller] if several else [])]
+        config, source = scenes[scene.index]
+        words = ["failure", names[scene.index], *([scene.controller] if several else [])]
         stem = "_".join(re.findall(r"\w+", " ".join(words)))
         for episode in [e for e in scene.episodes if not e.reached][:MOST]:
             record = EpisodeRecord.of(config, source, episode)
             yield f"{stem}_{episode.episode}.json", record
-
-
-def _is_of(scene: SceneResult, config: EvalConfig, source: PolicySource) -> bool:
-    """Return whether the result is that of this policy and configuration."""
-    return (
-        scene.controller == source.label()
-        and scene.summary.terrain == config.terrain.plugin_name
-        and scene.conditions == Conditions.of(config)
-    )

@@ -53,7 +53,7 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
 def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResult) -> None:
     """Write the policy's recorded episodes on all scenes, evaluated with ``record``.
 
-    The result may lack the last scenes.
+    The result may lack scenes.
 
     Raises:
         ConfigError: the scenes have several observation layouts.
@@ -61,8 +61,9 @@ def write_recording(path: Path, scenes: Sequence[Scene], result: EvaluationResul
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     parts = [
-        (config, [e.recorded for e in scene.episodes if e.recorded is not None])
-        for (config, _), scene in zip(scenes, result.scenes, strict=False)
+        (scenes[scene.index][0], [e.recorded for e in scene.episodes if e.recorded is not None])
+        for scene in result.scenes
+        if scene.index is not None
     ]
     recording.write(path, result.controller, parts)
 

@@ -227,6 +227,8 @@ class SceneResult:
     """How the scene and the policy are called among several methods."""
     by: Mapping[str, tuple[Group, ...]] = field(default_factory=dict)
     """Groups of the episodes by a drawn number, such as ``steps``, or several (``steps+up``)."""
+    index: int | None = None
+    """Place among the scenes that were evaluated; None for a row beside them, of other results."""
 
     @property
     def terrain(self) -> str:

@@ -74,7 +74,7 @@ def evaluate(
         for (config, source), name in zip(scenes, names or repeat(NAMELESS)):  # noqa: B905
             scene = _SceneEpisodes(config, judge, failures)
             found = _evaluate_scene(scene, source, baselines, references, record, name)
-            results.append(found)
+            results.append(None if found is None else replace(found, index=len(results)))
     finished = [result for result in results if result is not None]
     if failures and not finished:
         raise failures[0].error

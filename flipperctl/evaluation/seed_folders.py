@@ -110,7 +110,13 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
                 if not np.isfinite(value):
                     raise ValueError(f"{measure} {row[measure]!r}")
                 played = found.setdefault(row["controller"], {}).setdefault(scene, {})
-                played[row["seed"]] = value, row["outcome"] == Outcome.REACHED
+                found_here = value, row["outcome"] == Outcome.REACHED
+                if played.setdefault(row["seed"], found_here) != found_here:
+                    raise RequestError(
+                        f"{path}: {row['controller']} has several results on {scene}, seed "
+                        f"{row['seed']}, as with several of its settings; a folder of "
+                        "eval --output for each of them is allowed"
+                    )
     except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
         raise RequestError(f"{path}: cannot be read: {error}") from error
     if not found:

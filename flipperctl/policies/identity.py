@@ -58,14 +58,14 @@ class PolicyIdentity:
 
 def _of_controller(controller: Controller) -> str:
     document: dict[str, Any] = identity(controller)
-    for key, named in _policies(controller):  # their content counts, not their place
+    for key, named in named_files(controller):  # their content counts, not their place
         document["settings"].pop(key.partition("[")[0], None)
         file = find(Path(named))
         document[key] = _required(file, content_digest(file))
     return _digest([document, *foreign_sources([controller])])
 
 
-def _policies(controller: Controller) -> Iterator[tuple[str, str]]:
+def named_files(controller: Controller) -> Iterator[tuple[str, str]]:
     """Yield each setting that names a policy's file, and its value."""
     if isinstance(controller, PolicyUser):
         yield from controller.named.items()

@@ -92,3 +92,15 @@ def test_a_wrong_request_says_what_is_allowed(
     assert done.code == 2
     assert words in done.err
     assert done.err.count("\n") == 1
+
+
+def test_results_of_several_settings_of_a_policy_in_one_file_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "both", {"okada": 2.0})
+    file = tmp_path / "both" / "episodes.csv"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines, lines[-1]]) + "\n")  # the same episode, as a baseline
+    assert call("inspect", "results", "both", cwd=tmp_path).code == 0
+    file.write_text("\n".join([*lines, lines[-1].replace("reached", "stuck")]) + "\n")
+    done = call("inspect", "results", "both", cwd=tmp_path)
+    assert done.code == 2
+    assert "okada has several results on stair abcd, seed 7, as with several of its" in done.err

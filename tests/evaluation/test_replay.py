@@ -106,6 +106,26 @@ def test_the_policy_of_a_record_is_found_by_its_content(folder: Path, tmp_path: 
         gone.find(tmp_path, None)
 
 
+def test_scenes_that_differ_in_the_policys_settings_alone_keep_their_own_failures(
+    tmp_path: Path,
+) -> None:
+    wall = {"terrain": {"name": "step", "low": 0.9, "high": 0.9}, "eval": {"episodes": 1}}
+    scenes = [
+        (EvalConfig(**wall), PolicySource(settings={"name": "okada", "far": far}))
+        for far in (0.45, 0.15)
+    ]
+    assert write_failures(tmp_path, scenes, evaluate(scenes)) == 2
+    files = sorted(tmp_path.glob("failure_*"))
+    records = [read_record(file) for file in files]
+    assert [(record.policy.controller or {})["far"] for record in records] == [
+        0.45,
+        0.15,
+    ]
+    assert records[0].digest != records[1].digest
+    for file in files:
+        assert replay(file).differences == []
+
+
 def test_what_is_no_record_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="cannot be read"):
         read_record(tmp_path / "missing.json")
