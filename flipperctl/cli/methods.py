@@ -58,24 +58,44 @@ def method_scenes(
         numbers = config.eval.seed, config.eval.episodes
         rows = found.setdefault((scene, Conditions.of(config).hash, *numbers), [])
         seed = entrant.training_seed if entrant.method in several else None
-        if all(source != other for (_, other), _ in rows):
+        ours = source, _scoring(config)
+        if all(ours != (other, _scoring(theirs)) for (theirs, other), _ in rows):
             rows.append(((config, source), SceneName(scene, entrant.method, seed)))
 
     for entrant in entrants:
         for scene, config, source in composer.of(entrant):
             add(entrant, scene, config, source)
     beside = [(e, PolicySource.of_plugin(e.method, "--baseline")) for e in standing]
+    chosen = any(key_of(word).startswith("rewards") for part in sections for word in part)
     for rows in list(found.values()):
-        (config, _), name = rows[0]
-        if not any(key_of(word).startswith("rewards") for part in sections for word in part):
-            # As when they are asked for by name, so that the same cells serve.
-            config = config.model_copy(
-                update={"rewards": EvalConfig(terrain=config.terrain).rewards}
-            )
+        scene, configs = rows[0][1].scene, _of_each_reward(rows)
+        if not chosen:  # as when they are asked for by name, so that the same cells serve
+            own = EvalConfig(terrain=configs[0].terrain).rewards
+            configs = [configs[0].model_copy(update={"rewards": own})]
         for entrant, source in beside:
-            add(entrant, name.scene, config, source)
+            for config in configs:
+                add(entrant, scene, config, source)
+    if not chosen and any(len(_of_each_reward(rows)) > 1 for rows in found.values()):
+        print_note(
+            "return: these policies have different rewards, so their returns do not compare; "
+            "rewards=… sets the same for all"
+        )
     every = [row for rows in found.values() for row in rows]
     return MethodScenes([scene for scene, _ in every], [name for _, name in every])
+
+
+def _scoring(config: EvalConfig) -> tuple[object, object]:
+    """Return what results on equal episodes depend on beside the policy."""
+    return config.rewards, config.perception.layout
+
+
+def _of_each_reward(rows: Sequence[tuple[Scene, SceneName]]) -> list[EvalConfig]:
+    """Return the first configuration with each of the different rewards of a scene's rows."""
+    found: list[EvalConfig] = []
+    for (config, _), _ in rows:
+        if all(config.rewards != other.rewards for other in found):
+            found.append(config)
+    return found
 
 
 class _Composer:
@@ -118,7 +138,11 @@ class _Composer:
                 self._known.append((None, [(name, config) for name, (config, _) in made]))
             return [(name, *scene) for name, scene in made]
         settings = resolver.to_dict(resolver.create("controller", controller, "--controller"))
-        return [(name, config, PolicySource(settings=settings)) for name, config in known]
+        source = PolicySource(settings=settings)
+        for _, config in known:
+            for note in source.notes(config):
+                self._tell(note)
+        return [(name, config, source) for name, config in known]
 
     def _scenes(self, run: Path | None, controller: str | None) -> list[tuple[str, Scene]]:
         return [

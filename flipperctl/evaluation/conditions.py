@@ -41,9 +41,9 @@ class Conditions:
         """Return the conditions of an evaluation."""
         whole = to_dict(config.environment())
         left_out = {
-            "sim": config.sim.without_effect,
+            "sim": _without_effect(config, "sim"),
             # The layout is set by the policy.
-            "perception": {*ObservationLayout.model_fields, *config.perception.without_effect},
+            "perception": {*ObservationLayout.model_fields, *_without_effect(config, "perception")},
         }
         sections = {
             section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
@@ -134,6 +134,26 @@ def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
         name if names.count(name) == 1 else f"{name} ({names[: index + 1].count(name)})"
         for index, name in enumerate(names)
     ]
+
+
+def _without_effect(config: EvalConfig, section: str) -> set[str]:
+    """Return the settings of engine or sensor that change nothing in any episode.
+
+    Sampled settings may give others an effect, as errors of a map do for the length of its errors.
+    These are left out at their defaults nevertheless, as in hashes of earlier versions.
+    """
+    configured = getattr(config, section)
+    sampled = {
+        one.field: max(one.ends, key=abs)
+        for one in config.randomise.sampled()
+        if one.section == section
+    }
+    default, drawn = type(configured)(), configured.model_copy(update=sampled)
+    return {
+        name
+        for name in configured.without_effect
+        if name in drawn.without_effect or getattr(configured, name) == getattr(default, name)
+    }
 
 
 def _digests(config: EvalConfig) -> list[str | None]:

@@ -173,3 +173,29 @@ def test_a_wrong_request_is_one_line(tmp_path: Path, words: list[str], expected:
     assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1), done.err
     assert expected in done.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_list_of_rewards_is_played_with_each_by_all(tmp_path: Path) -> None:
+    words = ("--controller", "okada,random", "terrain=flat", "rewards=paper,smooth")
+    done = call("eval", *words, "--episodes=1", "--baseline", "level", "--json", cwd=tmp_path)
+    assert methods(done) == ["okada", "okada", "random", "random", "level", "level"]
+    returns = [scene["return"]["mean"] for scene in json.loads(done.out)["scenes"]]
+    assert all(paper != smooth for paper, smooth in zip(returns[::2], returns[1::2], strict=True))
+    assert "do not compare" not in done.err
+
+
+def test_other_rewards_of_a_checkpoint_are_told(tmp_path: Path) -> None:
+    words = ("--checkpoint", "generalist", "--controller", "level", "terrain=flat")
+    done = call("eval", *words, "--episodes", "1", "--baseline", "none", "--json", cwd=tmp_path)
+    assert methods(done) == ["generalist", "level"]
+    assert "return: these policies have different rewards" in done.err
+    done = call("eval", *words, "--episodes", "1", "rewards=smooth", "--json", cwd=tmp_path)
+    assert "different rewards" not in done.err
+
+
+def test_a_later_controller_tells_what_it_leaves_out_too(tmp_path: Path) -> None:
+    words = ("--controller", "level,mpc", "terrain=flat", "robot.chassis_length=0.9")
+    short = ("--episodes", "1", "--baseline", "none")
+    done = call("eval", *words, *short, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "mpc_value was not trained for robot.chassis_length=0.9" in done.err

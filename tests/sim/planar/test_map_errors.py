@@ -99,3 +99,13 @@ def test_without_it_hashes_of_conditions_are_as_before() -> None:
     assert "map_jitter" not in Conditions.of(wrong).settings["perception"]
     assert "map_error" not in Conditions.of(plain).settings["perception"]
     assert Conditions.of(plain).hash == Conditions.of(other).hash != Conditions.of(wrong).hash
+
+
+def test_the_length_of_errors_counts_where_they_are_sampled() -> None:
+    words = ["terrain=step", "conditions=widest"]
+    ((widest, _),) = scenes(words, None, "okada")
+    ((longer, _),) = scenes([*words, "perception.map_length=4"], None, "okada")
+    ((usual, _),) = scenes([*words, "perception.map_length=2"], None, "okada")
+    assert Conditions.of(longer).settings["perception"]["map_length"] == 4
+    assert Conditions.of(longer).hash != Conditions.of(widest).hash == Conditions.of(usual).hash
+    assert "map_length" not in Conditions.of(widest).settings["perception"]  # as it was hashed
