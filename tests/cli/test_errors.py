@@ -71,6 +71,28 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
             ["train", "+reward@rewards.way=shaped_progress", "agent.gamma=0.95"],
             ["rewards.way.gamma: 0.99", "agent.gamma (0.95)", "set rewards.way.gamma=0.95"],
         ),
+        *(
+            (["train", word], ["rewards.hit: there is no such key", "write +reward@rewards.hit=im"])
+            for word in ("reward@rewards.hit=impact", "rewards.hit=impact")
+        ),
+        *(
+            (["train", word], ["rewards.impact: there is no", "+reward@rewards.impact=impact"])
+            for word in ("reward=impact", "rewards.impact=impact")
+        ),
+        (["train", "rewards.impact.weight=2"], ["write +reward@rewards.impact=impact"]),
+        (
+            ["train", "+reward@rewards.hit=impact", "rewards.hit.wieght=2"],
+            ["rewards.hit.wieght", "'weight'", "known in rewards.hit: "],
+        ),
+        (
+            ["train", "+reward@rewards.pitch=impact"],
+            ["rewards.pitch exists already", "write reward@rewards.pitch=impact"],
+        ),
+        *(
+            (["train", "~rewards.pitch", word], ["~rewards.pitch", "write reward@rewards.pitch=im"])
+            for word in ("+reward@rewards.pitch=impact", "reward@rewards.pitch=impact")
+        ),
+        (["train", "+terrain=step"], ["terrain exists already", "write terrain=step"]),
         (["train", "terrain=step", "terrain.hihg=0.2"], ["terrain.hihg", "'high'"]),
         (["train", "+agent.gama=0.9"], ["agent.gama", "'gamma'"]),
         (["train", "agent.gamma=1.5"], ["agent.gamma", "< 1", "1.5"]),

@@ -6,7 +6,7 @@ of an exception is never parsed; the wrong override is the first that Hydra refu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -22,6 +22,7 @@ from hydra.errors import (
 from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+from flipperctl.api import Logger, RewardTerm
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.defaults import CHOICES, GROUPS, missing_entry
@@ -29,6 +30,8 @@ from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
 
+_HOLDERS = {"rewards": RewardTerm.kind, Logger.kind: Logger.kind}
+"""Sections whose keys are plugins that were added by name, and the group of these plugins."""
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 
 
@@ -78,38 +81,82 @@ def unknown_key(
     """Return the error for an override of an unknown key, or ``error`` in one line."""
     choices = [word for word in overrides.words if word.partition("=")[0] in CHOICES]
     try:
-        composed = compose(primary, choices)
+        compose(primary, choices)
     except ConfigCompositionException:  # a choice itself is wrong, as controller=… of a training
-        choices, composed = [], compose(primary)
-    node: Any = OmegaConf.to_container(composed, resolve=True)
+        choices = []
     others = [o for o in overrides.parsed if str(o.input_line) not in choices]
     refused = _first_refused(primary, choices, others)
-    if refused is None or not _names_no_key(*refused):
+    if refused is None:
         return ConfigError(_one_line(error))
-    override, cause = refused[0], refused[1].__cause__
-    key = override.key_or_group
+    override, wrong, accepted = refused
+    if replacement := _replacement(override, primary, accepted):
+        return ConfigError(
+            f"{override.package or override.key_or_group} exists already; to replace it, write "
+            f"{replacement}"
+        )
+    if not _names_no_key(override, wrong):
+        return ConfigError(_one_line(error))
+    cause, key = wrong.__cause__, override.key_or_group
+    node: Any = OmegaConf.to_container(compose(primary, accepted), resolve=True)
     if override.is_delete() and _is_group(override) and override.value() and not override.package:
         key = f"{key}={override.value()}"
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
         return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
-    return ConfigError(explain_unknown_key(key, node))
+    addition = None if override.is_delete() else _addition(override, node)
+    if addition and _is_group(override):
+        key = addition.partition("@")[2].partition("=")[0]
+    hint = f"; to add it, write {addition}" if addition else ""
+    return ConfigError(explain_unknown_key(key, node) + hint)
 
 
 def _first_refused(
     primary: str, choices: list[str], others: list[Override]
-) -> tuple[Override, ConfigCompositionException] | None:
-    """Return the first of ``others`` that does not compose, and its exception.
+) -> tuple[Override, ConfigCompositionException, list[str]] | None:
+    """Return the first of ``others`` that does not compose, its exception, and the choices so far.
 
     Hydra applies overrides of config groups before overrides of keys.
     """
-    ordered = sorted(others, key=lambda o: not _is_group(o))
-    accepted = list(choices)
+    groups = [o for o in others if _is_group(o)]
+    ordered = groups + [o for o in others if o not in groups]
+    accepted, before = list(choices), list(choices)
     for override in ordered:
         accepted.append(str(override.input_line))
         try:
             compose(primary, accepted)
         except ConfigCompositionException as error:
-            return override, error
+            return override, error, before
+        if override in groups:
+            before.append(str(override.input_line))
+    return None
+
+
+def _replacement(override: Override, primary: str, accepted: list[str]) -> str | None:
+    """Return the word that replaces an entry which the override adds although it exists."""
+    if not (override.is_add() and _is_group(override)):
+        return None
+    word = str(override.input_line).removeprefix("+")
+    try:
+        compose(primary, [*accepted, word])
+    except ConfigCompositionException:
+        return None
+    return word
+
+
+def _addition(override: Override, node: Mapping[str, Any]) -> str | None:
+    """Return the word that adds the plugin which an override of ``rewards`` or ``logger`` names.
+
+    These are ``reward@rewards.mine=calm`` and ``reward=calm`` without their +, and keys of a term
+    that is not in ``node``: ``rewards.mine=calm`` and ``rewards.calm.weight=2``.
+    """
+    section, _, rest = (override.package or override.key_or_group).partition(".")
+    part, value = rest.partition(".")[0], override.value()
+    for holder, group in _HOLDERS.items():
+        known = registered_names(group)
+        if override.key_or_group == group and value in known:
+            return f"+{group}@{holder}.{part or value}={value}"
+        if section == holder and part and part not in node.get(holder, {}):
+            name = value if rest == part and value in known else part
+            return f"+{group}@{holder}.{part}={name}" if name in known else None
     return None
 
 

@@ -85,7 +85,7 @@ class Overrides:
         return {o.key_or_group: o.value() for o in self.parsed}
 
     def check_training(self, *, several: bool) -> None:
-        """Refuse lists without ``several`` runs, folders without a name, and empty mappings.
+        """Refuse lists without ``several`` runs, folders without a name, and words without effect.
 
         Raises:
             ConfigError: an override is one of these.
@@ -105,9 +105,29 @@ class Overrides:
                     f"{key}: the name of a folder is allowed, or . for the working directory; "
                     f"the value is {override.value()!r}"
                 )
-        self.check_mappings()
+        self.check_effect()
 
-    def check_mappings(self) -> None:
+    def check_effect(self) -> None:
+        """Refuse words that Hydra would apply without the effect that they state.
+
+        Raises:
+            ConfigError: a value is an empty mapping, or a word drops what another one brings.
+        """
+        self._check_mappings()
+        self._check_drops()
+
+    def _check_drops(self) -> None:
+        """Refuse ``~rewards.pitch`` beside ``reward@rewards.pitch=…``, which Hydra drops too."""
+        dropped = {o.key_or_group: o.input_line for o in self.parsed if o.is_delete()}
+        for override in self.parsed:
+            word = dropped.get(str(override.package))
+            if word and not override.is_delete():
+                raise ConfigError(
+                    f"{word} is applied last and also drops what {override.input_line} brings; "
+                    f"to replace the entry, write {str(override.input_line).lstrip('+')} alone"
+                )
+
+    def _check_mappings(self) -> None:
         """Refuse an empty mapping, which Hydra would merge without effect.
 
         Raises:
@@ -143,9 +163,9 @@ class Overrides:
         ``choices``, a name must be chosen.
 
         Raises:
-            ConfigError: null is chosen where a name is needed, or a mapping is empty.
+            ConfigError: null is chosen where a name is needed, or a word has no effect.
         """
-        self.check_mappings()
+        self.check_effect()
         parts: list[Sequence[Override]] = []
         for override in self.parsed:
             if override.key_or_group in choices and str(override.input_line).endswith("=null"):
