@@ -140,6 +140,10 @@ def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
         (["eval", "--controller", "okada", "--passable", "okada,"], ["--passable", "'okada,'"]),
         (["eval", "--controller", "okada", "--episodes", "0"], ["eval.episodes", "≥ 1"]),
         (["eval", "--controller", "okada", "--episodes", "x"], ["eval.episodes", "'x'"]),
+        (
+            ["eval", "--controller", "okada", "conditions=wet.yaml"],
+            ["'wet'", "conditions of your own are overrides", "suite=FILE.yaml"],
+        ),
         (["eval", "--checkpoint", "nowhere"], ["nowhere", "no such run"]),
         (["export", "onxx", "--checkpoint", "x"], ["onxx", "onnx"]),
         (["export", "onnx", "--checkpoint", "nowhere"], ["nowhere"]),

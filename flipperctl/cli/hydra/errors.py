@@ -32,6 +32,10 @@ from flipperctl.messages import explain_unknown_key
 
 _HOLDERS = {"rewards": RewardTerm.kind, Logger.kind: Logger.kind}
 """Sections whose keys are plugins that were added by name, and the group of these plugins."""
+_OWN_CONDITIONS = (
+    "conditions of your own are overrides, as in sim.friction=0.6, which a suite file can hold "
+    "(suite=FILE.yaml)"
+)
 _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 
 
@@ -61,7 +65,8 @@ def missing_choice(error: MissingConfigException) -> RequestError:
             f"{group}={option} needs the package hydra-{extra}-launcher; "
             f"install flipperctl[{extra}]"
         )
-    return missing_entry(group, option, options)
+    missing = missing_entry(group, option, options)
+    return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
 
 def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:
