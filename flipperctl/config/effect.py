@@ -13,9 +13,13 @@ def check_effect(config: EnvConfig, given: Mapping[str, str]) -> None:
 
     ``given`` holds the overridden keys, and the override of each as it was typed.
 
+    With ``randomise.spread``, samples lie around the value of the setting, which then has one.
+
     Raises:
         ConfigError: an override sets a randomised setting; the text has the range.
     """
+    if config.randomise.spread is not None:
+        return
     for key, typed in given.items():
         for one in config.randomise.sampled():
             # The nominal turning rate still sets the decision period.

@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING
 from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
-    from flipperctl.config import TrainConfig
+    from flipperctl.config import Train, TrainConfig
 
 _RESUMABLE = ("train.", "device", "logger")
 """What the overrides of a resumed run begin with."""
+_KEPT = ("best_by", "validation_episodes", "validation_seed", "record")
+"""Settings of ``train`` that hold from the start: the best policy is chosen among all validations,
+and a file of episodes has all of them."""
 
 
 def check(config: TrainConfig) -> None:
@@ -40,6 +43,25 @@ def check_resumable(words: Iterable[str]) -> None:
             raise ConfigError(
                 f"{word!r}: a resumed run keeps its configuration; "
                 "only train.<field>=…, device=… and logger=… can be given with --resume"
+            )
+
+
+def require_kept(before: Train, after: Train) -> None:
+    """Refuse changes of a run with a checkpoint that would mix two ways of judging or recording.
+
+    Raises:
+        ConfigError: one of these settings differs.
+    """
+
+    def word(value: object) -> str:
+        return str(value).lower() if isinstance(value, bool) else f"{value}"
+
+    for name in _KEPT:
+        kept, given = getattr(before, name), getattr(after, name)
+        if given != kept:
+            raise ConfigError(
+                f"train.{name}={word(given)}: the run goes on with train.{name}={word(kept)}, "
+                "which holds for all of it; leave it out, or begin a new run"
             )
 
 

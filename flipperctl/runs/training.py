@@ -29,7 +29,7 @@ from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.lock import hold
-from flipperctl.runs.preflight import check_device
+from flipperctl.runs.preflight import check_device, require_kept
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv
 from flipperctl.training.loggers import openers
@@ -136,11 +136,14 @@ def resume(
         InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
         RunHeldError: another process is training it.
         CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
+        ConfigError: a setting is changed that holds from the start of a run.
     """
     directory = run_folder.find(run)
     with hold(directory):
-        saved, config = run_folder.read(directory)
-        config = with_overrides(config, dict(changes))
+        saved, before = run_folder.read(directory)
+        config = with_overrides(before, dict(changes))
+        if saved is not None:
+            require_kept(before.train, config.train)
         check(config)
         return _continue(config, directory, reports, saved)
 

@@ -84,7 +84,12 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     stopped = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document.state.decision
     assert 0 < stopped < 100_000
 
-    done = call("train", "--resume", "r", f"train.decisions={stopped + 50}", cwd=tmp_path)
+    for word in ("best_by=return", "validation_seed=5", "validation_episodes=3", "record=true"):
+        done = call("train", "--resume", "r", f"train.{word}", cwd=tmp_path)
+        assert done.code == 2
+        assert f"train.{word}: the run goes on with train.{word.partition('=')[0]}=" in done.err
+    more = f"train.decisions={stopped + 50}"
+    done = call("train", "--resume", "r", more, "train.best_by=success", cwd=tmp_path)
     assert done.code == 0, done.err
     state = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document.state
     assert state is not None

@@ -77,6 +77,16 @@ def test_overrides_lie_over_the_conditions_and_one_without_effect_is_refused(
     assert "it has no effect, since randomise.occlusion=0.5 samples it" in done.err
     ((config, _),) = scenes([*noise[3:], "randomise.noise=null"], None, "okada")
     assert (config.perception.noise, config.randomise.noise) == (0.05, None)
+    ((config, _),) = scenes([*noise[3:], "randomise.spread=[0,1]"], None, "okada")
+    assert config.perception.noise == 0.05  # samples lie around it
+
+
+def test_a_training_refuses_an_override_without_effect_too(tmp_path: Path) -> None:
+    words = ["train", "terrain=flat", "sim.friction=0.4", "randomise.friction=[0.9,1.2]"]
+    done = call(*words, cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "sim.friction=0.4: it has no effect, since randomise.friction=[0.9,1.2]" in done.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_table_says_them_in_a_line_for_each_set(tmp_path: Path) -> None:

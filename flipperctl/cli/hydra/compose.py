@@ -38,11 +38,14 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     """Return one configuration for each combination of the sweeps in ``overrides``.
 
     Raises:
-        ConfigError: an override is unknown, of the wrong type or out of bounds.
+        ConfigError: an override is unknown, of the wrong type, out of bounds or without effect.
     """
-    found = [_training(plain) for _, plain in _compositions("train", overrides)]
-    for config in found:
+    found = []
+    for combination, plain in _compositions("train", overrides):
+        config = _training(plain)
+        check_effect(config, combination.typed)
         print_notices(config)
+        found.append(config)
     return found
 
 
