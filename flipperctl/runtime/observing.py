@@ -36,6 +36,8 @@ def observe(
     if frame not in ("L", "R"):
         raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
     for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
+        if not isinstance(angle, int | float | np.number):
+            raise PolicyError(f"{where}: {name} is {str(angle)[:40]}; a number is allowed")
         if not np.isfinite(angle):
             raise NonFiniteError(f"{where}: {name} is {angle}; finite numbers are allowed")
     if frame == "R":

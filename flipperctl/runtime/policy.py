@@ -6,6 +6,7 @@ In: the file and observations. Out: Q-values and actions, each in about ten micr
 from __future__ import annotations
 
 import math
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -171,12 +172,14 @@ class OnnxPolicy:
         """
         if not self.interface.states_targets:
             warn_of_targets(str(self.path))
-        if not 0 <= action < len(ACTIONS):
+        row = _index(action)
+        if row is None:
             raise PolicyError(
-                f"{self.path}: there is no action {action}; 0 to {len(ACTIONS) - 1} is allowed"
+                f"{self.path}: there is no action {str(action)[:40]}; a whole number from 0 to "
+                f"{len(ACTIONS) - 1} is allowed"
             )
         last, measured = self._pair("targets", targets), self._pair("angles", angles)
-        turns = self.interface.actions[action].tolist()
+        turns = self.interface.actions[row].tolist()
         return np.array(self.interface.targets.next_targets(last, measured, turns))
 
     def _pair(self, name: str, angles: ArrayLike) -> list[float]:
@@ -260,3 +263,12 @@ class OnnxPolicy:
             f"{self.path}: the Q-value of action {action} is {values[row, action]}; "
             "the file is damaged, or the observation is far from those of the training"
         )
+
+
+def _index(action: object) -> int | None:
+    """Return the row of an action; None if there is no such action."""
+    try:
+        row = operator.index(action)  # type: ignore[arg-type]  # any content is possible
+    except TypeError:
+        return None
+    return row if 0 <= row < len(ACTIONS) else None

@@ -65,3 +65,6 @@ def test_points_that_are_none_are_refused(
 def test_an_angle_that_is_not_known_is_refused(policy: OnnxPolicy) -> None:
     with pytest.raises(NonFiniteError, match="pitch is nan"):
         policy.observation(GROUND, front=0.0, rear=0.0, pitch=math.nan, frame="R")
+    missing: Any = None
+    with pytest.raises(PolicyError, match="front is None; a number is allowed"):
+        policy.observation(GROUND, front=missing, rear=0.0, pitch=0.0)

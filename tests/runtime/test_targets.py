@@ -86,8 +86,11 @@ def test_a_wrong_rule_is_refused(stated: object, tmp_path: Path) -> None:
         ([0.0, 0.0], ["x", 0.0], 4, PolicyError, "angles are not numbers"),
         ([0.0, 0.0], [math.nan, 0.0], 4, NonFiniteError, "angles are .*nan"),
         ([0.0, 0.0], [45.0, 0.0], 4, PolicyError, r"angles are \[45\.  0\.\] rad; ±π is allowed"),
-        ([0.0, 0.0], [0.0, 0.0], 9, PolicyError, "no action 9; 0 to 8 is allowed"),
+        ([0.0, 0.0], [0.0, 0.0], 9, PolicyError, "no action 9; a whole number from 0 to 8 is"),
         ([0.0, 0.0], [0.0, 0.0], -1, PolicyError, "no action -1"),
+        ([0.0, 0.0], [0.0, 0.0], 1.5, PolicyError, "no action 1.5; a whole number"),
+        ([0.0, 0.0], [0.0, 0.0], None, PolicyError, "no action None"),
+        ([0.0, 0.0], [0.0, 0.0], "4", PolicyError, "no action 4; a whole number"),
     ],
 )
 def test_wrong_arguments_are_refused(
