@@ -58,6 +58,15 @@ class Series:
         training = "x" if self.policy.training_seed is None else self.policy.training_seed
         return f"{self.policy.digest[:_LONG]}.{training}.{self.ground}.{self.scoring[:_SHORT]}"
 
+    @property
+    def versions(self) -> dict[str, str]:
+        """Versions of the packages on which episodes that are played here depend, by name."""
+        return {
+            "flipperctl": flipperctl.__version__,
+            **{name: version(name) for name in _LIBRARIES},
+            **engine_versions(self.config.sim),
+        }
+
     def header(self, first: int, last: int) -> dict[str, Any]:
         """Return the header of the cell with the episodes from ``first`` to ``last``."""
         conditions = Conditions.of(self.config)
@@ -76,11 +85,7 @@ class Series:
             "first": first,
             "last": last,
             "settings": {**conditions.settings, **_scoring(self.config)},
-            "versions": {
-                "flipperctl": flipperctl.__version__,
-                **{name: version(name) for name in _LIBRARIES},
-                **engine_versions(self.config.sim),
-            },
+            "versions": self.versions,
             "commit": commit(),
         }
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import flipperctl
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.cells import FORMAT, Series, cell_name
 from flipperctl.evaluation.episode import EpisodeResult
@@ -30,10 +30,10 @@ _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_has
 class EpisodeStore:
     """Episodes by series and index, in memory."""
 
-    older = 0
-    """Number of cells that were read and that another version of flipperctl has written."""
-
     def __init__(self) -> None:
+        self.other_versions: Counter[str] = Counter()
+        """Number of cells that were read and that were played with another version of a package,
+        by the package and that version."""
         self._episodes: dict[str, dict[int, EpisodeResult]] = {}
 
     def find(self, series: Series) -> dict[int, EpisodeResult]:
@@ -77,12 +77,15 @@ class CellFolder(EpisodeStore):
         """Return the stored episodes of a series by index; damaged files are told and left out."""
         if series.key not in self._read:
             self._read.add(series.key)
+            here = series.versions
             for file in self._files.get(series.key, ()):
                 if (cell := read_cell(file)) is None:
                     self._tell(f"{file} is damaged; its episodes are played again")
                     continue
                 header, episodes = cell
-                self.older += header["versions"]["flipperctl"] != flipperctl.__version__
+                for package, version in header["versions"].items():
+                    if here.get(package) != version:
+                        self.other_versions[f"{package} {version}"] += 1
                 super().add(series, episodes)
         return super().find(series)
 

@@ -93,10 +93,10 @@ class EvaluationFiles:
             if failures:
                 replay = f"flipperctl eval --replay {self._folder.path}/failure_….json"
                 self._tell(f"recorded {failures} failures; to play one again: {replay}")
-            if self.store.older:
+            for version, cells in self.store.other_versions.items():
                 self._tell(
-                    f"{self._folder.path / FOLDER}: another version of flipperctl played "
-                    f"{self.store.older} of these cells; another --output plays them again"
+                    f"{self._folder.path / FOLDER}: {cells} of these cells were played with "
+                    f"{version}, not the version here; another --output plays them again"
                 )
 
     def _write_recording(self, result: EvaluationResult) -> None:

@@ -235,3 +235,20 @@ def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
     assert {row["record"] for row in rows} == {"episode"}
     mine = [row for row in table if row["cell"] == header["cell"]]
     assert [str(row["max_pitch"]) for row in rows] == [row["max_pitch"] for row in mine]
+
+
+def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
+    evaluate([(config(2), OKADA)], store=CellFolder(tmp_path))
+    (cell,) = tmp_path.iterdir()
+    text = cell.read_text()
+    header, _, rest = text.partition("\n")
+    document = json.loads(header)
+    document["versions"] |= {"pymunk": "6.0.0", "numpy": "1.0"}
+    cell.write_text(json.dumps(document) + "\n" + rest)
+    store = CellFolder(tmp_path)
+    evaluate([(config(2), OKADA)], store=store)
+    assert dict(store.other_versions) == {"pymunk 6.0.0": 1, "numpy 1.0": 1}
+    cell.write_text(text)
+    store = CellFolder(tmp_path)
+    evaluate([(config(2), OKADA)], store=store)
+    assert not store.other_versions
