@@ -41,7 +41,8 @@ TYPES = {7: "f4", 8: "f8"}  # of PointField.datatype
 MOUNT = Mount(
     x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05
 )  # of clouds that come in base_link
-LEVELS = {"driving": b"\x00", "waiting": b"\x01", "holding": b"\x01", "stopped": b"\x02"}
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
+LEVELS = {"standby": OK, "driving": OK, "waiting": WARN, "holding": WARN, "stopped": ERROR}
 
 
 def seconds(stamp):

@@ -5,6 +5,8 @@ share this definition.
 
 A deterministic policy that is stuck repeats what it did. Drawn actions end the repetition, and are
 likely to be good ones, since the probabilities follow the Q-values.
+
+It presumes that the belts drive, as in training: a parked robot repeats its observations, too.
 """
 
 from __future__ import annotations

@@ -25,9 +25,10 @@ from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.policy import OnnxPolicy
 from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.standby import Standby
 
 Pair = tuple[float, float]
-State = Literal["waiting", "driving", "holding", "stopped"]
+State = Literal["waiting", "standby", "driving", "holding", "stopped"]
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""
 
@@ -46,11 +47,14 @@ class Answer:
     drive: bool
     """Whether the belts may run."""
     state: State
-    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``."""
+    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``.
+
+    In ``standby`` the flippers are held too: nothing is wrong, and the belts do not drive ahead.
+    """
     fault: str = ""
     """Stable name of the fault, as ``cloud_age``; empty without one."""
     reason: str = ""
-    """What was found and what is allowed; empty without a fault."""
+    """What was found and what is allowed, of a fault or in standby; otherwise empty."""
     action: int | None = None
     """The action, if this step decided; a row of ``interface.actions``."""
     risk: float | None = None
@@ -62,6 +66,9 @@ class Answer:
 
 class FlipperController:
     """Decides at the period of the policy, and holds and then stops while it cannot.
+
+    While ``Odometry`` says that the belts do not drive ahead, it decides nothing and holds the
+    flippers: a policy has only seen belts that drive, and takes a parked robot for a stuck one.
 
     Call ``step`` whenever a message has arrived, and at least every 0.1 s, from one thread. The
     simulator's ``perception=lidar`` uses the same estimator, so a policy perceives on the robot
@@ -76,17 +83,18 @@ class FlipperController:
         log: Callable[[str], object] | None = None,
         *,
         shadow: bool = False,
+        escape: bool = True,
     ) -> None:
         """``log`` receives a line of JSON for each decision and each change of state.
 
         ``shadow``: someone else moves the flippers, and the answers only tell what the policy would
-        do; that flippers do not follow is then no fault.
+        do; that flippers do not follow is then no fault. ``escape``: as of ``OnnxPolicy``.
 
         Raises:
             MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
             PolicyError: the file is no exported policy, or a setting is not allowed.
         """
-        self.policy = OnnxPolicy(path)
+        self.policy = OnnxPolicy(path, escape=escape)
         self._setup, self._limits = setup or RobotSetup(), limits or Limits()
         self._log, self._shadow = log, shadow
         interface = self.policy.interface
@@ -95,6 +103,7 @@ class FlipperController:
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
         self._intake = Intake(self._setup, self._limits)
         self._following = Following(self._limits)
+        self._standby = Standby(self._limits)
         self._last: float | None = None
         self.reset()
 
@@ -104,6 +113,8 @@ class FlipperController:
         self.policy.reset()
         self._intake.forget()
         self._following.reset()
+        self._standby.reset()
+        self._standing = False  # whether the flippers stand by
         self._targets: Pair | None = None
         self._setpoints: Pair | None = None
         self._due = -math.inf  # time of the next decision
@@ -137,9 +148,13 @@ class FlipperController:
         try:
             for device, time, message in self._intake.receive(now, **messages):
                 self._perceive(device, time, message)
+                if isinstance(message, Belts):
+                    self._standby.update(now, message.speed)
             fault = self._intake.fault(now) or self._stall_fault(now)
-            if fault is None and now >= self._due - _ON_TIME:
-                action = self._decide(now)
+            if fault is None:
+                self._stand_by_or_begin(now)
+                if now >= self._due - _ON_TIME:
+                    action = self._decide(now)
         except Exception as error:  # noqa: BLE001 - a robot must get an answer, whatever was wrong
             fault = self._undecided = Fault(
                 "inference", " ".join(str(error).split()) or type(error).__name__
@@ -192,10 +207,21 @@ class FlipperController:
             self._estimator.update(Measured("odometry", time, Belts(speed)))
         self._estimator.update(Measured(device, time, message))
 
+    def _stand_by_or_begin(self, now: float) -> None:
+        """Hold the flippers once the belts do not drive ahead; begin an episode once they do."""
+        before, self._standing = self._standing, self._standby.due(now)
+        if self._standing == before:
+            return
+        self._hold()
+        if not self._standing:  # the flippers may have been moved since
+            self._setpoints, self._due = self._targets, min(self._due, now)
+
     def _decide(self, now: float) -> int | None:
         """Return the action; None if there is none, and ``_undecided`` says why.
 
-        It is tried once in a period, since an estimate also corrects the map.
+        It is tried once in a period, since an estimate also corrects the map. In standby it is
+        tried without effect: what would keep a decision from being made is a fault there, too,
+        before the belts start.
         """
         late = now - self._due > self._period  # or the first decision
         self._due = now + self._period if late else self._due + self._period
@@ -210,6 +236,10 @@ class FlipperController:
             ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
         )
         action = self.policy.act(seen)
+        if self._standing:
+            self.policy.reset()
+            self._undecided = None
+            return None
         last = measured if self._targets is None else self._targets
         front, rear = self.policy.next_targets(last, measured, action).tolist()
         self._targets = self._within((front, rear))
@@ -237,13 +267,14 @@ class FlipperController:
     def _say(self, now: float, fault: Fault | None, action: int | None) -> Answer:
         """Return the answer, and log it if it is a decision or another state."""
         state = self._state(fault)
+        reason = self._standby.reason() if state == "standby" else ""
         answer = Answer(
             self._theirs(self._targets),
             self._theirs(self._setpoints),
-            state in ("driving", "holding"),
+            state in ("standby", "driving", "holding"),
             state,
             "" if fault is None else fault.name,
-            "" if fault is None else fault.reason,
+            reason if fault is None else fault.reason,
             action,
             self.policy.risk,
             self.policy.warning,
@@ -261,7 +292,7 @@ class FlipperController:
         """Return what to do: hold at a fault, and stop if it lasts."""
         if fault is None:
             self._faulty_since = None
-            return "driving"
+            return "standby" if self._standing else "driving"
         now = self._last or 0.0
         if self._faulty_since is None:
             self._faulty_since = now

@@ -41,6 +41,10 @@ class Limits:
     """Largest roll or pitch, both ways; beyond it the belts stop at once [rad]."""
     stop_after: float = 1.0
     """Time for which flippers are held before the belts stop too [s]."""
+    standby_speed: float = 0.02
+    """Speed of the belts ahead below which the flippers stand by [m/s]."""
+    standby_after: float = 0.5
+    """Time of such a speed after which they do; one at the start counts at once [s]."""
     stall_error: float = 0.12
     """Angle by which a flipper may miss its target for long [rad]."""
     stall_time: float = 2.0

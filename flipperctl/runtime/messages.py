@@ -71,7 +71,11 @@ class JointAngles:
 
 @dataclass(frozen=True)
 class Odometry:
-    """The speed of the belts from their encoders."""
+    """The speed of the belts from their encoders, not that of the robot over the ground.
+
+    It tells belts that stand from belts that slip: while they do not drive ahead, the controller
+    decides nothing.
+    """
 
     time: float
     """Instant of the measurement [s]."""

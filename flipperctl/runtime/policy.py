@@ -45,7 +45,11 @@ class OnnxPolicy:
         NonFiniteError: the network gives NaN or infinity for an observation of zeros.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, escape: bool = True) -> None:
+        """``escape``: whether a file with ``interface.escape`` draws actions while it warns.
+
+        False: each action is that with the largest Q-value, and risk and warning stay.
+        """
         self.path = Path(path)
         self._session = open_session(self.path)
         metadata, shapes = read_model(self._session, str(self.path))
@@ -70,7 +74,7 @@ class OnnxPolicy:
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
         self._risk = BoundRisk(self._bound, self.interface.size) if has_risk else None
         rule = self.interface.escape
-        self._escape = None if rule is None else Escape(rule)
+        self._escape = Escape(rule) if rule is not None and escape else None
         self.act(np.zeros(self.interface.size))  # the first run allocates
         self.reset()
 
@@ -125,7 +129,9 @@ class OnnxPolicy:
     def act(self, observation: ArrayLike) -> int:
         """Return the index of an action, a row of ``interface.actions``.
 
-        It is that with the largest Q-value, unless ``interface.escape`` has it drawn.
+        It is that with the largest Q-value, unless ``interface.escape`` has it drawn. Call it while
+        the belts drive ahead, as in training: of a parked robot, observations repeat as of one that
+        is stuck, so that it warns. After a stop, call ``reset`` first.
 
         ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 

@@ -1,0 +1,150 @@
+"""Flippers of a robot whose belts do not drive ahead are held; a policy never saw that."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl.runtime import Ages, Answer, FlipperController, JointAngles, Limits, OnnxPolicy
+from flipperctl.runtime.messages import Odometry
+from tests.runtime.linear import RISK, ROBOT, RULE, write
+from tests.runtime.test_shadow import SETUP, messages
+
+LIMITS = Limits(ages=Ages(joints=0.2))
+STEP = 0.05
+"""Time between two steps of the controller [s]."""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that always warns, and so draws all its actions, nearly with equal chances."""
+    return write(
+        tmp_path_factory.mktemp("eager") / "p.onnx",
+        robot=ROBOT,
+        targets=RULE,
+        risky=True,
+        risk={**RISK, "threshold": 0.001},
+        escape={"temperature": 100.0, "decisions": 4},
+    )
+
+
+class Robot:
+    """A robot on level ground whose flippers follow the setpoints."""
+
+    def __init__(self, controller: FlipperController) -> None:
+        self.controller, self.now, self.angles = controller, 0.0, (0.3, -0.2)
+
+    def run(self, seconds: float, speed: float | None, **changes: Any) -> list[Answer]:
+        """Step with belts of this speed; None: without encoders."""
+        answers = []
+        for _ in range(round(seconds / STEP)):
+            told = {**messages(self.now), "joints": JointAngles(self.now, *self.angles)}
+            told["odometry"] = None if speed is None else Odometry(self.now, speed)
+            answers.append(self.controller.step(self.now, **{**told, **changes}))
+            self.angles = answers[-1].setpoints or self.angles
+            self.now += STEP
+        return answers
+
+
+@pytest.fixture
+def robot(file: Path) -> Robot:
+    return Robot(FlipperController(file, SETUP, LIMITS))
+
+
+def decided(answers: list[Answer]) -> list[Answer]:
+    return [answer for answer in answers if answer.action is not None]
+
+
+@pytest.mark.parametrize(("speed", "told"), [(0.0, "0.00"), (0.019, "0.02"), (-0.2, "-0.20")])
+def test_a_robot_whose_belts_do_not_drive_ahead_holds_its_flippers(
+    robot: Robot, speed: float, told: str
+) -> None:
+    answers = robot.run(12.0, speed)
+    assert {answer.state for answer in answers} == {"standby"}
+    assert decided(answers) == []
+    assert robot.angles == (0.3, -0.2)
+    last = answers[-1]
+    assert (last.drive, last.fault, last.risk, last.warning) == (True, "", None, False)
+    assert last.reason.startswith(f"the belts drive at {told} m/s; the flippers are held until")
+
+
+@pytest.mark.parametrize("speed", [0.2, None], ids=["slipping", "without encoders"])
+def test_a_robot_that_is_stuck_while_its_belts_drive_goes_on(
+    robot: Robot, speed: float | None
+) -> None:
+    answers = robot.run(12.0, speed)
+    assert {answer.state for answer in answers} == {"driving"}
+    assert len(decided(answers)) == 20
+    assert all(answer.warning for answer in decided(answers))
+    assert len({answer.action for answer in decided(answers)}) > 4  # drawn
+
+
+def test_flippers_stop_where_they_are_soon_after_the_belts_do(robot: Robot) -> None:
+    robot.run(1.3, 0.2)
+    answers = robot.run(3.0, 0.0)
+    states = [answer.state for answer in answers]
+    assert states == ["driving"] * 10 + ["standby"] * 50  # standby_after
+    held = answers[10].targets
+    assert all(answer.targets == held for answer in answers[10:])
+    assert robot.angles == held
+
+
+def test_belts_that_hesitate_are_no_stop(robot: Robot) -> None:
+    robot.run(1.0, 0.2)
+    answers = [answer for _ in range(10) for answer in robot.run(0.5, 0.0) + robot.run(0.1, 0.2)]
+    assert {answer.state for answer in answers} == {"driving"}
+
+
+def test_belts_that_start_again_begin_an_episode(robot: Robot) -> None:
+    begun = decided(robot.run(3.0, 0.2))
+    robot.run(2.0, 0.0)
+    robot.angles = (-0.5, 0.6)  # moved by the operator
+    again = robot.run(3.0, 0.2)
+    assert again[0].action is not None  # at once
+    assert [answer.action for answer in decided(again)] == [answer.action for answer in begun]
+    assert again[0].risk == pytest.approx(begun[0].risk, abs=0.01)  # of one observation
+    turns = robot.controller.policy.interface.actions[again[0].action]
+    assert again[0].targets == pytest.approx(np.array([-0.5, 0.6]) + turns)
+    assert again[0].setpoints == pytest.approx((-0.5, 0.6), abs=0.436 * STEP + 1e-9)
+
+
+def test_what_keeps_it_from_deciding_is_told_before_the_belts_start(file: Path) -> None:
+    blind = Robot(FlipperController(file, SETUP, replace(LIMITS, coverage=1.1)))
+    answers = blind.run(2.0, 0.0)
+    assert {(a.state, a.fault, a.drive) for a in answers} == {("waiting", "coverage", False)}
+    dead = Robot(FlipperController(file, SETUP, LIMITS))
+    session, dead.controller.policy._session = dead.controller.policy._session, None
+    assert {answer.fault for answer in dead.run(2.0, 0.0)} == {"inference"}
+    dead.controller.policy._session = session
+    assert dead.run(1.0, 0.0)[-1].state == "standby"
+
+
+def test_a_fault_in_standby_stops_the_belts_and_ends(robot: Robot) -> None:
+    robot.run(1.0, 0.2)
+    robot.run(1.0, 0.0)
+    assert robot.run(2.0, 0.0, cloud=None)[-1].drive is False
+    assert robot.run(0.1, 0.0)[-1].state == "standby"
+
+
+def test_standby_is_a_change_of_state_in_the_log(file: Path) -> None:
+    lines: list[str] = []
+    Robot(FlipperController(file, SETUP, LIMITS, lines.append)).run(2.0, 0.0)
+    (line,) = map(json.loads, lines)
+    assert (line["state"], line["fault"], line["action"]) == ("standby", "", None)
+
+
+def test_without_escapes_each_action_is_the_best(file: Path) -> None:
+    seen = np.linspace(-1, 1, 18)  # of which the last of the nine heights is largest
+    drawing, best = OnnxPolicy(file), OnnxPolicy(file, escape=False)
+    drawn = [drawing.act(seen) for _ in range(20)]
+    assert len(set(drawn)) > 4
+    assert [best.act(seen) for _ in range(20)] == [8] * 20
+    assert best.risk == drawing.risk
+    assert best.warning
+    robot = Robot(FlipperController(file, SETUP, LIMITS, escape=False))
+    answers = decided(robot.run(12.0, 0.2))
+    assert {answer.action for answer in answers} <= {0, 1}  # whose heights are nearly equal
+    assert all(answer.warning for answer in answers)
