@@ -19,7 +19,8 @@ HELP = """Usage: python -m flipperctl.runtime FILE
        python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103]
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
-frames and limits, the actions, the decision period, the robot and the training.
+frames and limits, input and outputs, the actions, the decision period, the rule of the targets, the
+risk and the escape, the robot and the training.
 It needs only numpy and onnxruntime.
 
 --self-test finds wrong signs on the robot: it says which part to move, reads what the devices
@@ -40,7 +41,7 @@ Examples
 
 
 def describe(interface: Interface) -> str:
-    """Return a table of the observation, the actions and the robot."""
+    """Return a table of the observation, then input and outputs, actions, targets and robot."""
     import numpy as np
 
     rows = [
@@ -55,14 +56,73 @@ def describe(interface: Interface) -> str:
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         lines.append("  " + "  ".join(cells).rstrip())
+    lines += _network(interface)
     lines.append(f"actions: turns of the {' and the '.join(interface.joints)} flippers [°]")
     for index, turns in enumerate(np.degrees(interface.actions)):
         lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
     lines.append(f"decision period: {interface.decision_period:g} s")
+    lines += [_targets(interface), *_warnings(interface)]
     lines.append("robot, in SI units")
     lines += [f"  {name}: {value:g}" for name, value in interface.robot.items()]
     lines.append(f"trained on {interface.terrain} by flipperctl {interface.package_version}")
     return "\n".join(lines)
+
+
+def _network(interface: Interface) -> list[str]:
+    """Return lines about the input and the outputs of the network."""
+    from flipperctl.core.actions import ACTIONS
+    from flipperctl.core.risk import LAGS
+    from flipperctl.runtime.session import INPUT, OUTPUT, RECURRENCE, RISK
+
+    frames, size = interface.frames, interface.size
+    frame = "one observation"
+    if frames > 1:
+        frame = (
+            f"the last {frames} observations of {size} numbers, oldest first; at the start of an "
+            "episode the first one also fills the frames before it"
+        )
+    lines = [
+        f"input: {INPUT}, float32 [batch, {interface.inputs}], {frame}",
+        f"output: {OUTPUT}, float32 [batch, {len(ACTIONS)}]",
+    ]
+    if interface.risk is not None:
+        lines.append(f"output: {RISK}, float32 [batch, 1], of the input alone")
+        lines.append(
+            f"output: {RECURRENCE}, float32 [batch, {len(LAGS)}], what resembling the observations "
+            f"{', '.join(map(str, LAGS))} decisions before adds to its log-odds"
+        )
+    return lines
+
+
+def _targets(interface: Interface) -> str:
+    """Return a line about the rule of the targets."""
+    from math import degrees, isfinite
+
+    rule, limit = interface.targets, "without a limit"
+    if isfinite(rule.limit):
+        limit = f"within ±{degrees(rule.limit):.1f}°"
+    if not interface.states_targets:
+        return f"targets: last target + turn, {limit}; not stated by the file, as in its training"
+    return (
+        "targets: last target, held within "
+        f"{degrees(rule.window):.1f}° of the measured angle, + turn, {limit}"
+    )
+
+
+def _warnings(interface: Interface) -> list[str]:
+    """Return lines about the risk and the escape; none for a file without them."""
+    lines, sign, escape = [], interface.risk, interface.escape
+    if sign is not None:
+        lines.append(
+            f"risk: probability of a failure within the next {sign.horizon} decisions; "
+            f"{sign.threshold:.3g} or more is a warning"
+        )
+    if escape is not None:
+        lines.append(
+            f"escape: from a warning on, {escape.decisions} decisions draw their actions from "
+            f"softmax(q_values / {escape.temperature:g})"
+        )
+    return lines
 
 
 def main() -> None:

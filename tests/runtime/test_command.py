@@ -1,5 +1,6 @@
 """The commands of an installation without dependencies: the interface printed, and one error."""
 
+import math
 import signal
 import sys
 from collections.abc import Iterator
@@ -8,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from flipperctl.__main__ import main as whole
-from flipperctl.runtime.__main__ import main
-from tests.runtime.linear import write
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.__main__ import describe, main
+from tests.runtime.linear import RISK, RULE, write
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +46,45 @@ def test_the_interface_is_printed_as_a_table(
     assert ["17", "theta_R", "rad", "L", "±3.142", "pitch"] in lines
     assert ["2", "-15.0", "+15.0"] in lines  # action 2: front down, rear up
     assert ["chassis_length:", "0.76"] in lines
+    assert ["input:", "observation,", "float32", "[batch,", "18],", "one", "observation"] in lines
+    assert ["output:", "q_values,", "float32", "[batch,", "9]"] in lines
+    assert not {"risk:", "escape:"} & {line[0] for line in lines}
+
+
+def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -> None:
+    file = write(
+        tmp_path / "p.onnx",
+        size=54,
+        frames=3,
+        targets=RULE,
+        risky=True,
+        risk=RISK,
+        escape={"temperature": 0.1, "decisions": 4},
+    )
+    lines = describe(OnnxPolicy(file).interface).splitlines()
+    assert {
+        "input: observation, float32 [batch, 54], the last 3 observations of 18 numbers, oldest "
+        "first; at the start of an episode the first one also fills the frames before it",
+        "output: risk, float32 [batch, 1], of the input alone",
+        "output: risk_recurrence, float32 [batch, 5], what resembling the observations 1, 2, 4, 8, "
+        "16 decisions before adds to its log-odds",
+        "targets: last target, held within 15.0° of the measured angle, + turn, within ±60.0°",
+        "risk: probability of a failure within the next 10 decisions; 0.7 or more is a warning",
+        "escape: from a warning on, 4 decisions draw their actions from softmax(q_values / 0.1)",
+    } <= set(lines)
+
+
+@pytest.mark.parametrize(
+    ("robot", "text"),
+    [
+        ({"angle_limit": math.pi / 3}, "targets: last target + turn, within ±60.0°; not stated"),
+        ({}, "targets: last target + turn, without a limit; not stated"),
+    ],
+)
+def test_a_file_without_a_rule_of_targets_says_so(
+    robot: dict[str, float], text: str, tmp_path: Path
+) -> None:
+    assert text in describe(OnnxPolicy(write(tmp_path / "p.onnx", robot=robot)).interface)
 
 
 @pytest.mark.parametrize(
