@@ -77,5 +77,5 @@ def title(found: Replay) -> str:
     conditions = f"{record.conditions['name']} {record.conditions['hash']}"
     return (
         f"{record.policy.label} on {found.config.terrain.plugin_name}, conditions {conditions}, "
-        f"episode {record.episode + 1}: {found.episode.outcome}"
+        f"episode {record.episode}: {found.episode.outcome}"
     )

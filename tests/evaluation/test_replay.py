@@ -14,6 +14,7 @@ from flipperctl.evaluation.failed_episodes import write_failures
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.scenes import evaluate
 from flipperctl.policies.source import PolicySource
+from flipperctl.runs.replay import title
 
 LEVEL = PolicySource.of_plugin("level", "here")
 STEP = EvalConfig(
@@ -58,6 +59,10 @@ def test_a_replay_is_bit_identical_and_another_episode_is_not(folder: Path) -> N
     assert other.digest != found.record.digest
     differs = replay(changed(folder, digest=found.record.digest, outcome="reached"))
     assert [words.split()[0] for words in differs.differences] == ["outcome", "digest"]
+
+
+def test_the_title_counts_episodes_as_the_files_do(folder: Path) -> None:
+    assert ", episode 0: stuck" in title(replay(folder / "failure_step_0.json"))
 
 
 def test_a_record_without_a_digest_compares_every_measure(folder: Path) -> None:
