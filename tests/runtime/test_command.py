@@ -11,6 +11,7 @@ import pytest
 from flipperctl.__main__ import main as whole
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.__main__ import describe, main
+from tests.cli.call import call
 from tests.runtime.linear import RISK, RULE, write
 
 
@@ -72,6 +73,16 @@ def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -
         "risk: probability of a failure within the next 10 decisions; 0.7 or more is a warning",
         "escape: from a warning on, 4 decisions draw their actions from softmax(q_values / 0.1)",
     } <= set(lines)
+
+
+def test_inspect_checkpoint_names_the_command_that_shows_an_exported_file(tmp_path: Path) -> None:
+    write(tmp_path / "my p.onnx")
+    done = call("inspect", "checkpoint", "my p.onnx", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert done.err == (
+        "error: my p.onnx is an exported file, not a checkpoint; "
+        "python -m flipperctl.runtime 'my p.onnx' prints its interface\n"
+    )
 
 
 @pytest.mark.parametrize(

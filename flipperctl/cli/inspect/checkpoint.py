@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from flipperctl.cli import options
+from flipperctl.errors import RequestError
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
@@ -33,6 +35,12 @@ def run(
     from flipperctl.terminal.checkpoint import print_checkpoint
     from flipperctl.terminal.document import show
 
-    saved = checkpoint.read(checkpoint.find(path))
+    file = checkpoint.find(path)
+    if file.suffix == ".onnx":
+        raise RequestError(
+            f"{file} is an exported file, not a checkpoint; "
+            f"python -m flipperctl.runtime {shlex.quote(str(file))} prints its interface"
+        )
+    saved = checkpoint.read(file)
     found = contents(saved)
     show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
