@@ -16,14 +16,15 @@ from __future__ import annotations
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
 from flipperctl.api import Plugin
-from flipperctl.errors import FlipperctlError, PluginFailedError
+from flipperctl.errors import FlipperctlError, PluginFailedError, TerrainError
 
 _LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
@@ -90,6 +91,17 @@ def raise_named(
     what = _text(error) if plain else f"{method} raised {error_line(error)}"
     where = f"{method}, {where}" if plain else where
     raise raised(f"{plugin_label(plugin)}{while_}: {what} ({where})") from error
+
+
+@contextmanager
+def naming_seed(seed: int | None) -> Iterator[None]:
+    """Add the seed of an episode, if it has one, to errors about its ground and its start."""
+    try:
+        yield
+    except (TerrainError, PluginFailedError) as error:
+        if seed is not None:
+            error.args = (f"{error}; the episode's seed is {seed}",)
+        raise
 
 
 def is_called_by_core(error: BaseException) -> bool:

@@ -145,8 +145,11 @@ def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
 
 
 def test_a_built_in_name_is_not_taken_silently(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match=r"'stair': flipperctl_plugins\.terrains\.stair\.Stair"):
+    with pytest.raises(
+        PluginError, match=r"'stair': flipperctl_plugins\.terrains\.stair\.Stair"
+    ) as e:
         plugins.load([write(tmp_path / "mine.py", "stair")])
+    assert "choose another name" in str(e.value)  # a built-in cannot be left out
 
 
 def test_the_same_name_in_another_family_is_free(tmp_path: Path) -> None:
@@ -176,3 +179,14 @@ def test_a_bad_name_and_a_wrong_family_are_errors(tmp_path: Path) -> None:
     wrong.write_text(wrong.read_text().replace("terrain", "reward"))
     with pytest.raises(PluginError, match="Ridge is not a RewardTerm"):
         plugins.load([wrong])
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger"],
+)
+def test_a_decorator_without_its_name_says_what_to_write(tmp_path: Path, kind: str) -> None:
+    file = tmp_path / "bare.py"
+    file.write_text(f"from flipperctl.api import {kind}\n@{kind}\nclass Ridge:\n    pass\n")
+    with pytest.raises(PluginError, match=rf'bare\.py:2: .*write @{kind}\("ridge"\)'):
+        plugins.load([file])

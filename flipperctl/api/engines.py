@@ -259,6 +259,7 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
         ValueError: the name is not valid or is already taken.
         TypeError: the class is not an ``Engine``, or its ``place`` takes no generator.
     """
+    registered = register(Engine, name)
 
     def decorate(cls: type[EngineT]) -> type[EngineT]:
         place = inspect.signature(cls.place)
@@ -270,6 +271,6 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
                 "called as place(profile, robot, start, rng); add the parameter rng, the generator "
                 "of values that vary between episodes"
             ) from None
-        return register(Engine, name)(cls)
+        return registered(cls)
 
     return decorate

@@ -47,9 +47,9 @@ def measure(name: str) -> Callable[[type[MeasureT]], type[MeasureT]]:
         ValueError: the name is not valid or is already taken.
         TypeError: the class is not a ``Measure``, or has settings.
     """
+    registered = register(Measure, name)
 
     def decorate(cls: type[MeasureT]) -> type[MeasureT]:
-        registered = register(Measure, name)
         if fields := list(getattr(cls, "model_fields", ())):
             raise TypeError(
                 f"@measure({name!r}): {cls.__name__} has the settings {', '.join(fields)}; every "

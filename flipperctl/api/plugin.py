@@ -44,6 +44,10 @@ NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
 """The rule for names of plugins, in words for an error."""
 
 
+_DECORATORS = {"sim": "engine", "perception": "sensor"}
+"""Kind → name of its decorator, where they differ."""
+
+
 def is_plugin_name(name: str) -> bool:
     """Return whether the name is valid for a plugin; see ``NAME_RULE``."""
     return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None
@@ -54,20 +58,24 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
 
     Raises:
         ValueError: the name is not valid or is already taken in the family.
-        TypeError: the decorated class is not a subclass of ``family``.
+        TypeError: the decorated class is not a subclass of ``family``, or there is no name.
     """
+    decorator = _DECORATORS.get(family.kind, family.kind)
+    if isinstance(name, type):  # the decorated class itself
+        own = name.__name__.lower()
+        raise TypeError(f'@{decorator} needs a name in parentheses: write @{decorator}("{own}")')
     if not is_plugin_name(name):
         raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
 
     def decorate(cls: type[PluginT]) -> type[PluginT]:
         if not issubclass(cls, family):
-            raise TypeError(f"@{family.kind}({name!r}): {cls.__name__} is not a {family.__name__}")
+            raise TypeError(f"@{decorator}({name!r}): {cls.__name__} is not a {family.__name__}")
         taken = registry.get((family.kind, name))
         if taken is not None:
             raise ValueError(
                 f"two {family.kind} plugins are called {name!r}: "
                 f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}; "
-                "keep one: uninstall the package, or leave out its file"
+                "choose another name, or keep one: uninstall the package, or leave out its file"
             )
         cls.plugin_name = name
         registry[family.kind, name] = cls

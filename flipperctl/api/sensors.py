@@ -149,6 +149,7 @@ def sensor(name: str) -> Callable[[type[SensorT]], type[SensorT]]:
         TypeError: the class is not a ``Sensor``, or implements neither ``over`` nor
             ``instruments`` and ``estimator``.
     """
+    registered = register(Sensor, name)
 
     def decorate(cls: type[SensorT]) -> type[SensorT]:
         whole = cls.over is not Sensor.over
@@ -158,6 +159,6 @@ def sensor(name: str) -> Callable[[type[SensorT]], type[SensorT]]:
                 f"@sensor({name!r}): {cls.__name__} needs a method over(profile, margin), or both "
                 "instruments(mounting) and estimator(robot)"
             )
-        return register(Sensor, name)(cls)
+        return registered(cls)
 
     return decorate

@@ -38,6 +38,7 @@ from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_m
 from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
+from flipperctl.guard import naming_seed
 from flipperctl.reward_sum import RewardSum
 
 Observation = NDArray[np.float32]
@@ -124,13 +125,14 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         sampled = config.sample(randomise_rng)
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
-        self.profile = self._generate(terrain_rng, float(difficulty))
         self._sections = sections
-        starts = self._place(start_rng)
-        if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
-            self.profile = start.ahead(self.profile)  # beside the line there is no place for it
+        with naming_seed(seed):
+            self.profile = self._generate(terrain_rng, float(difficulty))
             starts = self._place(start_rng)
-        start.check_placed(self.drive.world, self._start, config, self.profile)
+            if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
+                self.profile = start.ahead(self.profile)  # beside the line there is no place for it
+                starts = self._place(start_rng)
+            start.check_placed(self.drive.world, self._start, config, self.profile)
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)

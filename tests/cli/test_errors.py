@@ -197,6 +197,17 @@ def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path
         assert [word for word in ["odd", *words] if word not in error] == [], error
 
 
+def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -> None:
+    points = "[(0, 0), (1, 0.1 if rng.random() < 0.7 else float('nan'))]"
+    (tmp_path / "odd.py").write_text(TERRAIN.format(points=points))
+    mine = ["--plugins", "odd.py"]
+    evaluation = ["eval", "--controller", "level", "terrain=odd", "--episodes", "20"]
+    error = refused(*evaluation, *mine, cwd=tmp_path)
+    seed = error.rpartition("; the episode's seed is ")[2].strip()
+    repeat = ["inspect", "terrain", "odd", "--seed", seed, "--draws", "1"]
+    assert refused(*repeat, *mine, cwd=tmp_path) == error
+
+
 def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
     arguments = ["--controller", "level", "terrain=step", "terrain.low=0.3", "episode.run_up=0.2"]
     assert "overlaps the robot at the start" in refused("eval", *arguments, cwd=tmp_path)
