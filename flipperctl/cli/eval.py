@@ -142,7 +142,7 @@ def run(
     flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     if axes is not None:
         others["film"] = film
-        checkpoint_of_map = only(files, "--map")
+        checkpoint_of_map = only(files, "--map", controller)
         run_map(
             *(axes, flagged, checkpoint_of_map, controller, output), as_json=as_json, others=others
         )
@@ -158,7 +158,7 @@ def run(
         )
         return
     (policy,) = policies
-    found = scenes(arguments, policy.run, controller)
+    found = scenes(arguments, policy.run, None if policy.run else policy.method)
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
     groups = parse(by, "--by", [config for config, _ in found])

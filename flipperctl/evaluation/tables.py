@@ -103,7 +103,8 @@ def latex(result: EvaluationResult) -> str:
     ]
     for scene in result.scenes:
         lines.append(r"\midrule")
-        names = scene.terrain, scene.conditions.label
+        named = f"{scene.terrain}, {scene.name.scene}" if scene.name.scene else scene.terrain
+        names = named, scene.conditions.label
         for method, summary in _methods(scene):
             texts = [interval_text(c.mean, c.digits) for c in _cells(summary, further)]
             numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
@@ -144,6 +145,7 @@ def scene_rows(result: EvaluationResult, digits: int | None = None) -> Iterator[
                 "seed": scene.seed,
                 "conditions": scene.conditions.name,
                 "conditions_hash": scene.conditions.hash,
+                **({"suite_scene": scene.name.scene} if scene.name.scene else {}),
             }
 
 

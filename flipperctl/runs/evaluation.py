@@ -49,14 +49,15 @@ class EvaluationFiles:
         self._scenes, self._tell = scenes, tell
         several = any(source.label() != scenes[0][1].label() for _, source in scenes)
         self._film, self._record = film, record
+        for option, file in (("--film", film), ("--record", record)):
+            if file and several:
+                raise RequestError(
+                    f"{option} takes one policy, without further ones (--baseline none)"
+                )
         if film:
             _check_film(film, len(scenes))
         if record:
             check_writable(record)
-            if several:
-                raise RequestError(
-                    "--record takes one policy, without further ones (--baseline none)"
-                )
             require_one_layout(record, [config for config, _ in scenes])
         drawn = [] if several else [config for config, _ in scenes]
         self._pictures = files.picture_names(drawn)

@@ -37,14 +37,17 @@ def require_one_policy(
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
-def only(checkpoints: Sequence[Path], option: str) -> Path | None:
-    """Return the only checkpoint, if there is one.
+def only(checkpoints: Sequence[Path], option: str, controllers: str | None = None) -> Path | None:
+    """Return the only checkpoint, if there is one; ``controllers`` are those of --controller.
 
     Raises:
         RequestError: there are several, and ``option`` takes one.
     """
     if len(checkpoints) > 1:
         raise RequestError(f"{option} takes one policy; --checkpoint is given several times")
+    if controllers is not None and (checkpoints or "," in controllers):
+        given = ", ".join([*map(str, checkpoints), controllers])
+        raise RequestError(f"{option} takes one policy; {given} are given")
     return next(iter(checkpoints), None)
 
 

@@ -130,10 +130,12 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
 
 def group_tables(result: EvaluationResult) -> Iterator[Table]:
     """Yield a table of each scene's groups by each number (``eval --by``)."""
+    several = len({scene.method for scene in result.scenes}) > 1
     for name, scene in _named(result):
+        whose = f"{scene.method} on {name}" if several else name
         for by, groups in scene.by.items():
             if groups:
-                yield group_table(name, by, groups)
+                yield group_table(whose, by, groups)
 
 
 def search_lines(result: EvaluationResult) -> Iterator[str]:

@@ -59,6 +59,10 @@ def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
         (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
         ([AXES, "--by", "height"], "--by: no meaning beside --map"),
         ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),
+        (
+            [AXES, "--checkpoint", "generalist"],
+            "takes one policy; generalist, okada are",
+        ),
     ],
 )
 def test_a_wrong_request_is_one_error(arguments: list[str], words: str, tmp_path: Path) -> None:

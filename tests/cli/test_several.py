@@ -163,7 +163,7 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
         (["--controller", "okada,levle"], "did you mean 'level'?"),
         (["--controller", "okada,level", "--baseline", ",x"], "--baseline: names between commas"),
         (["--controller", "okada,level", "--record", "e.safetensors"], "--record takes one policy"),
-        (["--controller", "okada,level", "--film", "e.gif"], "--film shows one scene"),
+        (["--controller", "okada,level", "--film", "e.gif"], "--film takes one policy"),
         (["--controller", "okada", "suite=familes"], "did you mean 'families'?"),
         (["suite=families"], "give either --checkpoint"),
     ],
@@ -199,3 +199,18 @@ def test_a_later_controller_tells_what_it_leaves_out_too(tmp_path: Path) -> None
     done = call("eval", *words, *short, cwd=tmp_path)
     assert done.code == 0, done.err
     assert "mpc_value was not trained for robot.chassis_length=0.9" in done.err
+
+
+def test_a_controller_that_is_named_twice_plays_once(tmp_path: Path) -> None:
+    words = ("--controller", "okada,okada", "terrain=flat", "--episodes", "1", "--json")
+    done = call("eval", *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert [scene["controller"] for scene in json.loads(done.out)["scenes"]] == ["okada"]
+
+
+def test_tables_by_what_was_drawn_say_whose_they_are(tmp_path: Path) -> None:
+    words = ("--controller", "okada,random", "terrain=step", "--by", "height", "--episodes", "1")
+    done = call("eval", *words, "--baseline", "none", cwd=tmp_path)
+    assert done.code == 0, done.err
+    for name in ("okada", "random"):
+        assert f"{name} on step by height" in done.out

@@ -1,5 +1,6 @@
 """Every shipped suite composes for controllers and for policies of files."""
 
+import csv
 import os
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.runs.methods import Entrant
 from flipperctl.runs.suites import find_suite, shipped_suites, split_suite
+from tests.cli.call import call
 
 _GROUPS = "terrain", "sim", "perception", "conditions"
 
@@ -118,3 +120,17 @@ def test_an_unknown_suite_is_named_with_a_close_match() -> None:
         find_suite("gone.yaml")
     with pytest.raises(ConfigError, match="suite is given twice"):
         split_suite(["suite=paper", "suite=families"])
+
+
+def test_files_of_results_name_the_suites_scenes(tmp_path: Path) -> None:
+    text = "scenes: {dry: terrain=flat sim.friction=1.2, wet: terrain=flat sim.friction=0.6}\n"
+    (tmp_path / "mine.yaml").write_text(f"about: of two scenes\n{text}")
+    words = ("suite=mine.yaml", "--controller", "okada", "--baseline", "none", "--episodes", "1")
+    done = call("eval", *words, "--output", "judged", cwd=tmp_path)
+    assert done.code == 0, done.err
+    for name in ("episodes.csv", "table.csv"):
+        rows = csv.DictReader((tmp_path / "judged" / name).read_text().splitlines())
+        assert [row["suite_scene"] for row in rows] == ["dry", "wet"]
+    latex = (tmp_path / "judged" / "table.tex").read_text()
+    assert "flat, dry &" in latex
+    assert "flat, wet &" in latex
