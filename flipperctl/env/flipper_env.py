@@ -96,6 +96,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
         self._pictures = Pictures(renderer)
         self._generated: Profile | None = None  # before thinning
+        self._prepared: Profile  # after it
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._running = False
@@ -205,9 +206,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         terrain = self.config.terrain
         profile = ground.generate_profile(terrain, rng, difficulty)
         if profile is not self._generated:  # recorded ground returns the same profile each time
-            self.profile = ground.prepare_profile(profile, terrain, self.config.robot.track_radius)
+            radius = self.config.robot.track_radius
+            self._prepared = ground.prepare_profile(profile, terrain, radius)
             self._generated = profile
-        return self.profile
+        return self._prepared
 
     @property
     def points_drawn(self) -> int:

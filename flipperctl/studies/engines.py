@@ -140,7 +140,7 @@ def in_default_engine(config: Config) -> Config:
     """Return the configuration in the default engine, with the same friction and gravity.
 
     Raises:
-        ConfigError: the configuration already uses that engine.
+        ConfigError: the configuration already uses that engine, or samples what it does not have.
     """
     sim = config.sim
     if sim.plugin_name == DEFAULT_ENGINE:
@@ -150,8 +150,14 @@ def in_default_engine(config: Config) -> Config:
         )
     known = {name: sim.shared_setting(name) for name in _SHARED}
     shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
-    settings = {"name": DEFAULT_ENGINE, **shared}
-    return config.model_copy(update={"sim": resolver.create("sim", settings, "sim")})
+    plane = resolver.create("sim", {"name": DEFAULT_ENGINE, **shared}, "sim")
+    sampled = (one for one in config.randomise.sampled() if one.section == "sim")
+    if foreign := [one.key for one in sampled if one.field not in type(plane).model_fields]:
+        raise ConfigError(
+            f"{', '.join(foreign)}: sim={DEFAULT_ENGINE}, the engine to compare with, has no such "
+            f"setting; add {' '.join(f'{key}=null' for key in foreign)}"
+        )
+    return config.model_copy(update={"sim": plane})
 
 
 def compare_scenes(

@@ -7,6 +7,7 @@ from flipperctl.api import AnyTerrain, Profile, terrain
 
 from .combinator import Combinator
 from .drawn import Drawn
+from .midway import STARTS
 from .rough import Rough
 
 
@@ -34,6 +35,7 @@ class Excerpt(Drawn, Combinator):
         x, _ = profile.points.T
         inner = profile.points[(x > first) & (x < last)]
         ends = [(at, profile.height(at)) for at in (first, last)]
-        drawn = {**profile.drawn, "piece_start": first - profile.start, "piece_length": length}
+        known = {name: value for name, value in profile.drawn.items() if name not in STARTS}
+        drawn = {**known, "piece_start": first - profile.start, "piece_length": length}
         points = np.vstack([ends[:1], inner, ends[1:]])
         return Profile(points, profile.label, drawn=drawn)

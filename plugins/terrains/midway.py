@@ -10,6 +10,9 @@ from flipperctl.api import AnyTerrain, Profile, terrain
 from .combinator import Combinator
 from .stairwell import Stairwell
 
+STARTS = ("start_on", "finish_on")
+"""Numbers that it draws, which mean nothing where the ground is a part of another one."""
+
 
 @terrain("midway")
 class Midway(Combinator):

@@ -7,6 +7,7 @@ from flipperctl.api import AnyTerrain, Profile, terrain
 
 from .combinator import Combinator
 from .drawn import Drawn
+from .midway import STARTS
 from .ramp import Ramp
 from .step import Step
 
@@ -37,6 +38,8 @@ class Sequence(Drawn, Combinator):
             profile = part.labelled(rng)
             points.append(profile.points - profile.points[0] + end)
             labels.append(profile.label)
-            drawn |= {f"part{index + 1}_{name}": value for name, value in profile.drawn.items()}
+            for name, value in profile.drawn.items():
+                if name not in STARTS:  # the sequence has its own start and finish
+                    drawn[f"part{index + 1}_{name}"] = value
             end = points[-1][-1]
         return Profile(np.vstack(points), "+".join(labels), drawn=drawn)

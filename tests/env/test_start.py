@@ -1,11 +1,13 @@
 """Starts past the first edge: the robot stands on a slope or a stair."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from flipperctl.api import Profile, Robot, Start, World
+from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.mujoco import Mujoco
@@ -114,3 +116,17 @@ def test_an_engine_that_starts_level_alone_is_named(monkeypatch: pytest.MonkeyPa
     ramp = {"name": "ramp", "direction": "down", "length_low": 2.4, "length_high": 3.0}
     with pytest.raises(ConfigError, match="sim=planar does not place the robot along the ground"):
         FlipperEnv(ramp, episode={"run_up": -1.0}).reset(seed=2)
+
+
+def test_a_lifted_start_leaves_later_episodes_on_the_same_profile_their_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    profile = replace(slope(20.0), run_up=-1.0)
+    lifted = iter((True, False))
+    monkeypatch.setattr(flipper_env.ground, "generate_profile", lambda *args: profile)
+    monkeypatch.setattr(flipper_env.start, "is_lifted", lambda world, start: next(lifted))
+    env = FlipperEnv("flat")
+    env.reset(seed=1)
+    assert env.state.position[0] < profile.start
+    env.reset(seed=2)
+    assert env.state.position[0] > profile.start + 0.5

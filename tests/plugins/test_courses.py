@@ -139,3 +139,13 @@ def test_hard_courses_have_more_of_what_is_learnt_last() -> None:
     for label in ("deep gap", "ramp", "plum", "building_stair"):
         assert shares["hard_courses"][label] > shares["all_courses"][label]
     assert shares["all_courses"].keys() <= shares["hard_courses"].keys()
+
+
+def test_ground_within_other_ground_keeps_no_start_of_its_own() -> None:
+    midway = {"name": "midway", "start": 1, "finish": 1}
+    sequence = drawn("sequence", parts=[midway, "step"])
+    excerpt = drawn("excerpt", terrain=midway)
+    assert sequence.run_up is sequence.run_out is excerpt.run_up is excerpt.run_out is None
+    for profile in (sequence, excerpt):
+        assert not any("start_on" in name or "finish_on" in name for name in profile.drawn)
+    assert "part2_height" in sequence.drawn

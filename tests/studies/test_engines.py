@@ -81,3 +81,11 @@ def test_a_wall_lifts_level_flippers_from_the_friction_of_statics_on(engine: str
         env = FlipperEnv(config=EnvConfig(terrain=wall, sim=settings))
         _, poses, _ = drive(env, PolicySource.of_plugin("level", "").build(env.config), 0)
         assert (poses[:, 2].max() > 0.1) == expected, friction
+
+
+def test_what_only_the_other_engine_samples_is_named() -> None:
+    sampled = {"friction": [0.6, 1.2], "sim": {"lateral_slope": [0, 0.1], "one_sided": [0, 1]}}
+    config = EvalConfig(terrain="step", sim="mujoco", randomise=sampled)
+    keys = r"randomise\.sim\.lateral_slope, randomise\.sim\.one_sided: sim=planar"
+    with pytest.raises(ConfigError, match=rf"^{keys}.*add randomise\.sim\.lateral_slope=null ran"):
+        in_default_engine(config)
