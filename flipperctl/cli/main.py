@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from importlib import import_module
 
 import typer
@@ -13,7 +14,7 @@ from typer.exceptions import TyperException
 from flipperctl import entry
 from flipperctl.cli.command import App
 from flipperctl.errors import InterruptedRunError, RequestError
-from flipperctl.terminal.streams import log_to_stderr, plain_streams
+from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
 
 COMMANDS = (
     "train",
@@ -73,7 +74,8 @@ def _run(arguments: list[str]) -> int:
 
         print(f"flipperctl {__version__}")
         return 0
-    return run_app(app, arguments, "flipperctl")
+    with reserved_stdout() if "--json" in arguments else nullcontext():
+        return run_app(app, arguments, "flipperctl")
 
 
 def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.terminal.conditions import condition_lines
 from flipperctl.terminal.console import console, print_lines
+from flipperctl.terminal.document import show
 from flipperctl.terminal.evaluation import (
     comparisons,
     group_tables,
@@ -31,11 +30,7 @@ def print_result(result: EvaluationResult, label: str | None) -> None:
                 "is random; their intervals are meaningless (episode.start_noise, "
                 "perception.noise, randomise or conditions=varied make episodes differ)"
             )
-    if label is None:
-        print(result.to_json())
-    else:
-        _print_tables(result, label)
-    sys.stdout.flush()
+    show(result.to_dict(), lambda: _print_tables(result, label or ""), as_json=label is None)
 
 
 def _print_tables(result: EvaluationResult, label: str) -> None:

@@ -1,14 +1,18 @@
 """Print any text on standard output and standard error.
 
 A character that the encoding of a stream lacks (``LANG=C``, an old code page) is replaced by a
-plain spelling, instead of an error.
+plain spelling, instead of an error. With ``--json``, standard output has the document alone.
 """
 
 from __future__ import annotations
 
 import codecs
 import io
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from typing import TextIO
 
 PLAIN = "flipperctl.plain"
 """Name of the error handler for codecs."""
@@ -27,6 +31,57 @@ def plain_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # it is None if there is no console
             stream.reconfigure(errors=PLAIN)
+
+
+_document: TextIO | None = None  # standard output, while it is reserved
+
+
+def document_stream() -> TextIO:
+    """Return the stream for a document: standard output, also while it is reserved."""
+    return _document or sys.stdout
+
+
+@contextmanager
+def reserved_stdout() -> Iterator[None]:
+    """Reserve standard output for a document; all other prints, such as a plugin's, go to stderr.
+
+    File descriptor 1 leads there as well, for worker processes and libraries in other languages.
+    """
+    global _document
+    out = sys.stdout
+    if out is None:  # there is no console
+        yield
+        return
+    with ExitStack() as stack:
+        _document = stack.enter_context(_moved(out))
+        stack.enter_context(redirect_stdout(sys.stderr))
+        try:
+            yield
+        finally:
+            _document = None
+
+
+@contextmanager
+def _moved(out: TextIO) -> Iterator[TextIO]:
+    """Yield a stream that writes where ``out`` did, whose file descriptor is that of stderr now.
+
+    It is ``out`` itself if one of the two has no file descriptor, as in a test.
+    """
+    try:
+        descriptor, error = out.fileno(), sys.stderr.fileno()
+    except (AttributeError, OSError, ValueError):
+        yield out
+        return
+    out.flush()
+    saved = os.dup(descriptor)
+    os.dup2(error, descriptor)
+    moved = os.fdopen(saved, "w", encoding=out.encoding, errors=out.errors)
+    try:
+        yield moved
+    finally:
+        os.dup2(saved, descriptor)
+        with suppress(OSError):  # the first attempt to write has raised it
+            moved.close()
 
 
 def print_note(text: str) -> None:

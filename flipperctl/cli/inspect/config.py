@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated
 
 import typer
@@ -40,16 +39,14 @@ def run(
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import to_dict
     from flipperctl.config.describe import list_settings
+    from flipperctl.terminal.document import show
     from flipperctl.terminal.settings import print_settings
 
     config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
     if describe:
         (default,) = compose.compose_train()
         found = list_settings(config, default)
-        if as_json:
-            print(json.dumps(found, indent=2))
-        else:
-            print_settings(found)
+        show(found, lambda: print_settings(found), as_json=as_json)
         return
     plain = to_dict(config)
-    print(json.dumps(plain, indent=2) if as_json else OmegaConf.to_yaml(plain).rstrip())
+    show(plain, lambda: print(OmegaConf.to_yaml(plain).rstrip()), as_json=as_json)
