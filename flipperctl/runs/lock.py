@@ -80,6 +80,15 @@ def holder() -> dict[str, Any]:
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
 
+def is_held(directory: Path, name: str = "run") -> bool:
+    """Return whether a process works in the directory, by its note, which a dead one may leave.
+
+    A process on another machine counts as alive.
+    """
+    note = _note_now(directory / f".{name}.lock.json")
+    return note is not None and not is_dead(note)
+
+
 def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
     found = _read_note(note)
     if found is None:
@@ -100,14 +109,20 @@ def _read_note(note: Path) -> dict[str, Any] | None:
     """
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
-        try:
-            found = json.loads(note.read_text())
-            if {"pid", "host", "since"} <= found.keys() and not is_dead(found):
-                return dict(found)
-        except (OSError, ValueError, AttributeError):  # missing, damaged or not a mapping
-            pass
+        found = _note_now(note)
+        if found is not None and not is_dead(found):
+            return found
         time.sleep(0.02)
     return None
+
+
+def _note_now(note: Path) -> dict[str, Any] | None:
+    """Return the note that the file has now; None if it is missing or damaged."""
+    try:
+        found = json.loads(note.read_text())
+        return dict(found) if {"pid", "host", "since"} <= found.keys() else None
+    except (OSError, ValueError, AttributeError):  # missing, damaged or not a mapping
+        return None
 
 
 def is_dead(holder: dict[str, Any]) -> bool:

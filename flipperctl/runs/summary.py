@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import RequestError
+from flipperctl.runs import lock
 from flipperctl.runs.folder import METRICS, SUMMARY
 from flipperctl.training.events import read_rows
 
@@ -45,11 +46,15 @@ class RunRows:
 
 
 def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
-    """Return ``summary.json`` (None if missing), the number of episodes and the validations."""
+    """Return ``summary.json`` (None if missing), the number of episodes and the validations.
+
+    ``running``: whether a process trains it now.
+    """
     file = run / SUMMARY
     return {
         "run": str(run),
         "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
+        "running": lock.is_held(run),
         "episodes": len(rows.episodes),
         "validations": [{key: _number(row, key) for key in _SHOWN} for row in rows.validations],
     }

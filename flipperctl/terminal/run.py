@@ -17,9 +17,10 @@ from flipperctl.terminal.tables import Table
 def print_run(found: dict[str, Any], picture: Path | None) -> None:
     """Print a row for each validation (``runs.summary.summarise``), and the picture's name."""
     summary = found["summary"]
-    state = "still running or interrupted" if not summary else "finished"
-    if summary and not summary["finished"]:
-        state = f"interrupted; resume with: {_resume_command(Path(found['run']))}"
+    state = "still running" if found["running"] else "finished"
+    if not (found["running"] or (summary and summary["finished"])):
+        ended = "interrupted" if summary else "ended by an error, or killed"
+        state = f"{ended}; resume with: {_resume_command(Path(found['run']))}"
     headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
     table = Table(headings, f"{found['run']}: {state}", right=headings)
     for row in found["validations"]:

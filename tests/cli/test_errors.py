@@ -236,11 +236,14 @@ def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
         HEADER + '@reward("hole")\nclass Hole(RewardTerm):\n    def __call__(self, t):\n'
         "        return float('nan')\n"
     )
-    done = call("train", "+reward@rewards.hole=hole", *QUICK, "--plugins", "r.py", cwd=tmp_path)
+    words = ["+reward@rewards.hole=hole", "hydra.run.dir=run", "--plugins", "r.py"]
+    done = call("train", *words, *QUICK, cwd=tmp_path)
     assert done.code == 1
     assert "rewards.hole" in done.err
     assert "nan" in done.err
     assert "Error executing job" not in done.err
+    shown = " ".join(call("inspect", "run", "run", cwd=tmp_path).out.split())
+    assert "run: ended by an error, or killed; resume with: flipperctl train --resume run" in shown
 
 
 def test_a_network_of_wrong_output_shape_is_refused(tmp_path: Path) -> None:

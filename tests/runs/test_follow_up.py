@@ -8,6 +8,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.runs import follow_up
+from flipperctl.runs.lock import hold
 from flipperctl.runtime import OnnxPolicy
 from tests.cli.call import EXACT, call
 
@@ -145,6 +146,9 @@ def test_an_interrupted_run_is_resumed_with_its_plugins(made: Path, tmp_path: Pa
         plugins = [word for path in typed for word in ("--plugins", path)]
         shown = " ".join(call("inspect", "run", "run", *plugins, cwd=tmp_path).out.split())
         assert f"{resume} {printed} ┏" in shown
+    with hold(tmp_path / "run"):
+        shown = " ".join(call("inspect", "run", "run", cwd=tmp_path).out.split())
+    assert "run: still running ┏" in shown
 
 
 def test_a_checkpoint_of_version_0_2_tells_the_file_by_its_module() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import OutputError, RunHeldError
-from flipperctl.runs.lock import hold
+from flipperctl.runs.lock import hold, is_held
 
 DIES = """
 import errno, filelock._unix, os, sys
@@ -69,6 +69,16 @@ def test_a_process_that_died_holds_no_lock(
         without_locks(monkeypatch)
     with hold(tmp_path):
         assert json.loads((tmp_path / ".run.lock.json").read_text())["pid"] == os.getpid()
+
+
+def test_a_run_is_held_while_its_process_lives(tmp_path: Path) -> None:
+    assert not is_held(tmp_path)
+    with hold(tmp_path):
+        assert is_held(tmp_path)
+        assert not is_held(tmp_path, "sweep")
+    assert not is_held(tmp_path)
+    dies_holding(tmp_path, soft=False)
+    assert not is_held(tmp_path)
 
 
 def test_locks_of_other_names_and_folders_are_independent(tmp_path: Path) -> None:
