@@ -58,10 +58,9 @@ class Greedy(Controller):
         """
         valued = [policy for policy in self._trained if isinstance(policy, ValuedPolicy)]
         if not self.policy or len(valued) != len(self.named):
-            names = ", ".join(map(repr, (self.policy, *self.others)))
             raise ConfigError(
-                f"policy: {names}: no policies of files that this command reads; the names of "
-                "runs, checkpoints, exported files and shipped policies are allowed"
+                f"policy: {self.policy!r} is no policy of a file that this command reads; the name "
+                "of a run, a checkpoint, an exported file or a shipped policy is allowed"
             )
         return GreedyPolicy(valued)
 

@@ -60,8 +60,9 @@ def test_each_of_several_policies_is_part_of_the_identity(tmp_path: Path) -> Non
     [
         (("nowhere",), CheckpointError, r"^controller\.policy: nowhere: there is no such"),
         (("generalist", "nowhere"), CheckpointError, r"^controller\.others\[0\]: nowhere: there"),
-        (("",), ConfigError, "policy: '': no policies of files"),
-        (("", "generalist"), ConfigError, "policy: '', 'generalist': no policies of files"),
+        (("",), ConfigError, "policy: '' is no policy of a file"),
+        (("", "generalist"), ConfigError, "policy: '' is no policy of a file"),
+        (("generalist", ""), CheckpointError, r"^controller\.others\[0\]: "),
     ],
 )
 def test_what_is_no_policy_is_refused(
