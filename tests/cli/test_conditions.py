@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flipperctl.cli.hydra.compose import compose_train
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.scenes import scenes
 from flipperctl.env.flipper_env import FlipperEnv
 from tests.cli.call import call
@@ -165,3 +167,12 @@ def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(
         assert capsys.readouterr().err == ""
     scenes(["terrain=step", "episode.start_noise=0.1"], GENERALIST, None)
     assert "episode.start_noise" not in capsys.readouterr().err
+
+
+def test_a_file_of_a_robot_may_have_settings_that_are_sampled(tmp_path: Path) -> None:
+    file = tmp_path / "rover.yaml"
+    file.write_text("chassis_mass: 24\n")
+    words = [f"robot={file}", "randomise.chassis_mass=[21,27]"]
+    ((config, _),) = scenes(words, None, "okada")
+    (training,) = compose_train(Overrides.parse(words))
+    assert config.robot.chassis_mass == training.robot.chassis_mass == 24
