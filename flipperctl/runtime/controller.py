@@ -188,7 +188,9 @@ class FlipperController:
             return None
         angles = joints.front, joints.rear
         stalled = self._following.stalled(now, self._targets, angles)
-        if stalled:
+        if stalled and self._standing:  # their operator turns them
+            self._hold()
+        elif stalled:
             self._stall = " and ".join(stalled)
             self._held_until = now + self._limits.stall_hold
             self._targets = self._within(angles)  # do not push
@@ -209,7 +211,7 @@ class FlipperController:
 
     def _stand_by_or_begin(self, now: float) -> None:
         """Hold the flippers once the belts do not drive ahead; begin an episode once they do."""
-        before, self._standing = self._standing, self._standby.due(now)
+        before, self._standing = self._standing, self._standby.stands(now)
         if self._standing == before:
             return
         self._hold()

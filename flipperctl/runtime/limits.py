@@ -45,6 +45,8 @@ class Limits:
     """Speed of the belts ahead below which the flippers stand by [m/s]."""
     standby_after: float = 0.5
     """Time of such a speed after which they do; one at the start counts at once [s]."""
+    standby_until: float = 0.3
+    """Time of a larger speed after which the flippers stand by no longer [s]."""
     stall_error: float = 0.12
     """Angle by which a flipper may miss its target for long [rad]."""
     stall_time: float = 2.0

@@ -14,8 +14,10 @@ _ROUNDING = 1e-9
 class Standby:
     """Finds belts that have been slower than ``limits.standby_speed`` for ``standby_after``.
 
-    It takes what the belts' encoders measure, not how the robot moves: belts that slip under a
-    robot that is stuck drive, and belts that were stopped do not.
+    Once they have, it takes ``standby_until`` of a larger speed to end that: a single one, as from
+    slack tracks or a coarse encoder, moves no flipper of a parked robot. It takes what the belts'
+    encoders measure, not how the robot moves: belts that slip under a robot that is stuck drive,
+    and belts that were stopped do not.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -25,24 +27,28 @@ class Standby:
     def reset(self) -> None:
         """Know no speed, as on a robot without encoders of its belts."""
         self._speed: float | None = None
-        self._slow_since: float | None = None  # [s]
+        self._driven, self._since = True, 0.0  # what the last speed says, and since when [s]
+        self._stands = False
 
     def update(self, now: float, speed: float) -> None:
-        """Receive a speed of the belts, ahead positive [m/s]; one that is slow counts from now on.
+        """Receive a speed of the belts, ahead positive [m/s].
 
         If the first speed of all is slow, the belts have never driven, and that counts at once.
         """
         first, self._speed = self._speed is None, speed
-        if speed >= self._limits.standby_speed:
-            self._slow_since = None
-        elif self._slow_since is None:
-            self._slow_since = now - self._limits.standby_after if first else now
+        driven = speed >= self._limits.standby_speed
+        if first:
+            self._stands = not driven
+        if driven is not self._driven:
+            self._driven, self._since = driven, now
 
-    def due(self, now: float) -> bool:
+    def stands(self, now: float) -> bool:
         """Return whether the flippers stand by; False before any speed."""
-        return self._slow_since is not None and now - self._slow_since >= (
-            self._limits.standby_after - _ROUNDING
-        )
+        if self._stands is self._driven:  # the last speeds say otherwise
+            wait = self._limits.standby_until if self._driven else self._limits.standby_after
+            if now - self._since >= wait - _ROUNDING:
+                self._stands = not self._driven
+        return self._stands
 
     def reason(self) -> str:
         """Return a sentence with the speed, for an answer in standby."""

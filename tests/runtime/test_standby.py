@@ -48,6 +48,11 @@ class Robot:
             self.now += STEP
         return answers
 
+    def turned(self, front: float, rear: float, speed: float) -> Answer:
+        """Step once while an operator turns the flippers to these angles [rad]."""
+        (answer,) = self.run(STEP, speed, joints=JointAngles(self.now, front, rear))
+        return answer
+
 
 @pytest.fixture
 def robot(file: Path) -> Robot:
@@ -101,7 +106,9 @@ def test_belts_that_hesitate_are_no_stop(robot: Robot) -> None:
 def test_belts_that_start_again_begin_an_episode(robot: Robot) -> None:
     begun = decided(robot.run(3.0, 0.2))
     robot.run(2.0, 0.0)
-    robot.angles = (-0.5, 0.6)  # moved by the operator
+    for _ in range(6):
+        assert robot.turned(-0.5, 0.6, 0.2).state == "standby"  # until standby_until
+    robot.angles = (-0.5, 0.6)
     again = robot.run(3.0, 0.2)
     assert again[0].action is not None  # at once
     assert [answer.action for answer in decided(again)] == [answer.action for answer in begun]
@@ -148,3 +155,26 @@ def test_without_escapes_each_action_is_the_best(file: Path) -> None:
     answers = decided(robot.run(12.0, 0.2))
     assert {answer.action for answer in answers} <= {0, 1}  # whose heights are nearly equal
     assert all(answer.warning for answer in answers)
+
+
+@pytest.mark.parametrize("speeds", [(0.03,), (0.03, 0.0, 0.05, -0.01, 0.2)])
+def test_single_speeds_move_no_flipper_of_a_parked_robot(
+    robot: Robot, speeds: tuple[float, ...]
+) -> None:
+    robot.run(3.0, 0.0)
+    answers = []
+    for speed in speeds:
+        answers += robot.run(0.1, speed) + robot.run(0.1, 0.0)
+    answers += robot.run(2.0, 0.0)
+    assert {answer.state for answer in answers} == {"standby"}
+    assert robot.angles == (0.3, -0.2)
+
+
+def test_an_operator_turns_the_flippers_in_standby_without_a_fault(robot: Robot) -> None:
+    robot.run(2.0, 0.2)
+    robot.run(1.0, 0.0)
+    fronts = [*np.linspace(0.3, 1.4, 240), *([0.9] * 120)]  # 1.4 rad is past the policy's limit
+    answers = [robot.turned(float(front), -0.2, 0.0) for front in fronts]
+    assert {(answer.state, answer.fault) for answer in answers} == {("standby", "")}
+    assert answers[-1].targets is not None
+    assert answers[-1].targets[0] == pytest.approx(0.9, abs=LIMITS.stall_error)
