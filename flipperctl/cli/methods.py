@@ -66,7 +66,8 @@ def method_scenes(
         for scene, config, source in composer.of(entrant):
             add(entrant, scene, config, source)
     beside = [(e, PolicySource.of_plugin(e.method, "--baseline")) for e in standing]
-    chosen = any(key_of(word).startswith("rewards") for part in sections for word in part)
+    keys = [key_of(word).rpartition("@")[2] for part in sections for word in part]
+    chosen = any(key.startswith("rewards") for key in keys)
     for rows in list(found.values()):
         scene, configs = rows[0][1].scene, _of_each_reward(rows)
         if not chosen:  # as when they are asked for by name, so that the same cells serve

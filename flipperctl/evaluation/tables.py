@@ -92,7 +92,7 @@ def latex(result: EvaluationResult) -> str:
     lines = [
         *([] if stopped is None else [f"% {_escape(stopped.text)}"]),
         *(
-            f"% {_escape(scene.terrain)}: seed {scene.seed}, conditions "
+            f"% {_escape(_named(scene))}: seed {scene.seed}, conditions "
             f"{_escape(scene.conditions.name)} {scene.conditions.hash}"
             for scene in result.scenes
         ),
@@ -103,8 +103,7 @@ def latex(result: EvaluationResult) -> str:
     ]
     for scene in result.scenes:
         lines.append(r"\midrule")
-        named = f"{scene.terrain}, {scene.name.scene}" if scene.name.scene else scene.terrain
-        names = named, scene.conditions.label
+        names = _named(scene), scene.conditions.label
         for method, summary in _methods(scene):
             texts = [interval_text(c.mean, c.digits) for c in _cells(summary, further)]
             numbers = [str(summary.episodes), str(summary.outcomes.reached), *texts]
@@ -112,6 +111,11 @@ def latex(result: EvaluationResult) -> str:
             numbers = [number.replace("–", "--") for number in numbers]
             lines.append(_latex_row([*map(_escape, (*names, method)), *numbers]))
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _named(scene: SceneResult) -> str:
+    """Return the terrain, and the name within the suite if there is one."""
+    return f"{scene.terrain}, {scene.name.scene}" if scene.name.scene else scene.terrain
 
 
 def _latex_row(cells: Sequence[str]) -> str:

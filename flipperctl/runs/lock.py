@@ -81,12 +81,19 @@ def holder() -> dict[str, Any]:
 
 
 def is_held(directory: Path, name: str = "run") -> bool:
-    """Return whether a process works in the directory, by its note, which a dead one may leave.
+    """Return whether a process works in the directory: one of here or of another machine.
 
-    A process on another machine counts as alive.
+    A note alone may be that of a dead process.
     """
-    note = _note_now(directory / f".{name}.lock.json")
-    return note is not None and not is_dead(note)
+    path = directory / f".{name}.lock"
+    if not path.exists() and not path.with_suffix(".softlock").exists():
+        return False
+    try:
+        _acquire(path).release()
+    except (Timeout, OSError):  # a folder that may only be read has the note alone
+        note = _note_now(directory / f".{name}.lock.json")
+        return note is not None and not is_dead(note)
+    return False
 
 
 def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:

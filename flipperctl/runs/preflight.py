@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from flipperctl.errors import ConfigError
 
 if TYPE_CHECKING:
+    from flipperctl.checkpoint.document import State
     from flipperctl.config import Train, TrainConfig
 
 _RESUMABLE = ("train.", "device", "logger")
 """What the overrides of a resumed run begin with."""
-_KEPT = ("best_by", "validation_episodes", "validation_seed", "record")
-"""Settings of ``train`` that hold from the start: the best policy is chosen among all validations,
-and a file of episodes has all of them."""
+_JUDGING = ("best_by", "validation_episodes", "validation_seed")
+"""Settings of ``train`` that hold from the first validation on, of which all choose the best."""
 
 
 def check(config: TrainConfig) -> None:
@@ -36,7 +36,7 @@ def check_resumable(words: Iterable[str]) -> None:
     """Refuse overrides of a resumed run that would make it another run.
 
     Raises:
-        ConfigError: an override sets anything but the budget, the device or the loggers.
+        ConfigError: an override sets anything but ``train``, the device or the loggers.
     """
     for word in words:
         if "=" not in word or not word.startswith(_RESUMABLE):
@@ -46,8 +46,8 @@ def check_resumable(words: Iterable[str]) -> None:
             )
 
 
-def require_kept(before: Train, after: Train) -> None:
-    """Refuse changes of a run with a checkpoint that would mix two ways of judging or recording.
+def require_kept(before: Train, after: Train, state: State) -> None:
+    """Refuse changes of a run in this state that would mix two ways of judging or recording.
 
     Raises:
         ConfigError: one of these settings differs.
@@ -56,7 +56,8 @@ def require_kept(before: Train, after: Train) -> None:
     def word(value: object) -> str:
         return str(value).lower() if isinstance(value, bool) else f"{value}"
 
-    for name in _KEPT:
+    kept_from_now = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
+    for name in kept_from_now:
         kept, given = getattr(before, name), getattr(after, name)
         if given != kept:
             raise ConfigError(

@@ -142,8 +142,8 @@ def resume(
     with hold(directory):
         saved, before = run_folder.read(directory)
         config = with_overrides(before, dict(changes))
-        if saved is not None:
-            require_kept(before.train, config.train)
+        if saved is not None and (state := saved.document.state) is not None:
+            require_kept(before.train, config.train, state)
         check(config)
         return _continue(config, directory, reports, saved)
 

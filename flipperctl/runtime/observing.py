@@ -6,6 +6,7 @@ simulator.
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -36,9 +37,12 @@ def observe(
     if frame not in ("L", "R"):
         raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
     for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
-        if not isinstance(angle, int | float | np.number):
-            raise PolicyError(f"{where}: {name} is {str(angle)[:40]}; a number is allowed")
-        if not np.isfinite(angle):
+        try:
+            finite = math.isfinite(angle)
+        except (TypeError, ValueError) as error:
+            text = f"{where}: {name} is {str(angle)[:40]}; a number is allowed"
+            raise PolicyError(text) from error
+        if not finite:
             raise NonFiniteError(f"{where}: {name} is {angle}; finite numbers are allowed")
     if frame == "R":
         ground = layout.to_level(ground, pitch)

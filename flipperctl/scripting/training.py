@@ -42,7 +42,8 @@ def train(
     (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
     ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
     by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
-    settings, only those of ``train``, ``device`` and ``logger`` can be given with it. ``plugins``:
+    settings, those of ``train``, ``device`` and ``logger`` alone can be given with it, but for some
+    of ``train`` that hold for a whole run. ``plugins``:
     files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
     notebook.
 

@@ -65,8 +65,11 @@ def reserved_stdout() -> Iterator[None]:
 def _moved(out: TextIO) -> Iterator[TextIO]:
     """Yield a stream that writes where ``out`` did, whose file descriptor is that of stderr now.
 
-    It is ``out`` itself if one of the two has no file descriptor, as in a test.
+    It is ``out`` itself if it is not the process's own stdout, as in a test or a notebook.
     """
+    if out is not sys.__stdout__:
+        yield out
+        return
     try:
         descriptor, error = out.fileno(), sys.stderr.fileno()
     except (AttributeError, OSError, ValueError):

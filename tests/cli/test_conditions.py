@@ -84,6 +84,9 @@ def test_overrides_lie_over_the_conditions_and_one_without_effect_is_refused(
 
 
 def test_a_training_refuses_an_override_without_effect_too(tmp_path: Path) -> None:
+    robot = ["robot.chassis_mass=24", "randomise.chassis_mass=[21,27]"]
+    (config,) = compose_train(Overrides.parse(robot))
+    assert config.robot.chassis_mass == 24  # which the exported policy assumes
     words = ["train", "terrain=flat", "sim.friction=0.4", "randomise.friction=[0.9,1.2]"]
     done = call(*words, cwd=tmp_path)
     assert (done.code, done.out) == (2, "")

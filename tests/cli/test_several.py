@@ -95,6 +95,9 @@ def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None
     assert done.code == 0, done.err
     assert "suite mine: random" in done.out
     assert "best known (okada)" in done.out
+    rows = csv.DictReader((tmp_path / "out" / "episodes.csv").read_text().splitlines())
+    # Its name is not that of an okada of other settings that plays here.
+    assert {row["controller"] for row in rows} == {"random", "level", "best known (okada)"}
 
 
 def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
@@ -191,6 +194,10 @@ def test_other_rewards_of_a_checkpoint_are_told(tmp_path: Path) -> None:
     assert "return: these policies have different rewards" in done.err
     done = call("eval", *words, "--episodes", "1", "rewards=smooth", "--json", cwd=tmp_path)
     assert "different rewards" not in done.err
+    words = ("--controller", "okada,random", "terrain=flat", "+reward@rewards.hit=impact")
+    done = call("eval", *words, "--episodes", "1", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "different rewards" not in done.err  # the standing ones have the term too
 
 
 def test_a_later_controller_tells_what_it_leaves_out_too(tmp_path: Path) -> None:

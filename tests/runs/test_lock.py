@@ -79,6 +79,9 @@ def test_a_run_is_held_while_its_process_lives(tmp_path: Path) -> None:
     assert not is_held(tmp_path)
     dies_holding(tmp_path, soft=False)
     assert not is_held(tmp_path)
+    note = tmp_path / ".run.lock.json"
+    note.write_text(json.dumps({"pid": 1, "host": "elsewhere", "since": "yesterday"}))
+    assert not is_held(tmp_path)  # whoever wrote it, the lock is free
 
 
 def test_locks_of_other_names_and_folders_are_independent(tmp_path: Path) -> None:

@@ -68,3 +68,12 @@ def test_an_angle_that_is_not_known_is_refused(policy: OnnxPolicy) -> None:
     missing: Any = None
     with pytest.raises(PolicyError, match="front is None; a number is allowed"):
         policy.observation(GROUND, front=missing, rear=0.0, pitch=0.0)
+
+
+def test_an_angle_may_be_any_single_number(policy: OnnxPolicy) -> None:
+    expected = policy.observation(GROUND, front=0.5, rear=0.0, pitch=0.0)
+    for front in (np.array(0.5), np.float32(0.5)):
+        found = policy.observation(GROUND, front=front, rear=0.0, pitch=0.0)
+        assert found.tolist() == expected.tolist()
+    with pytest.raises(PolicyError, match=r"front is .*; a number is allowed"):
+        policy.observation(GROUND, front=np.zeros(2), rear=0.0, pitch=0.0)
