@@ -84,10 +84,6 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     stopped = checkpoint.read(tmp_path / "r" / checkpoint.LAST).document.state.decision
     assert 0 < stopped < 100_000
 
-    for word in ("best_by=return", "validation_seed=5", "validation_episodes=3", "record=true"):
-        done = call("train", "--resume", "r", f"train.{word}", cwd=tmp_path)
-        assert done.code == 2
-        assert f"train.{word}: the run goes on with train.{word.partition('=')[0]}=" in done.err
     more = f"train.decisions={stopped + 50}"
     done = call("train", "--resume", "r", more, "train.best_by=success", cwd=tmp_path)
     assert done.code == 0, done.err
@@ -96,6 +92,11 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     assert state.decision == stopped + 50
     decisions = [int(row["decision"]) for row in read_rows(metrics)]
     assert decisions == sorted(decisions)
+
+    for word in ("best_by=return", "validation_seed=5", "validation_episodes=3", "record=true"):
+        done = call("train", "--resume", "r", f"train.{word}", cwd=tmp_path)
+        assert done.code == 2
+        assert f"train.{word}: the run goes on with train.{word.partition('=')[0]}=" in done.err
 
     again = call("train", "--resume", "r", cwd=tmp_path)
     assert again.code == 0
