@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader
 from flipperctl.bags.episode import export_bag, typestore
 from flipperctl.config import EvalConfig
 from flipperctl.policies.source import PolicySource
-from tests.runtime.linear import ROBOT, RULE, write
+from tests.runtime.linear import RISK, ROBOT, RULE, write
 
 FILE = Path(__file__).parents[1] / "examples" / "ros2" / "flipperctl_node.py"
 Stream = list[tuple[float, str, Any]]
@@ -230,3 +230,14 @@ def test_shadow_mode_commands_nothing(node: Any, stream: Stream) -> None:
     assert [text for _, text, _ in told[3:]] == ["driving"] * len(told[3:])
     assert node.published["flipper_controller/commands"] == []
     assert node.published["belts_may_run"] == []
+
+
+@pytest.mark.parametrize("node", [{"escape": False}, {}], indirect=True)
+def test_escapes_can_be_switched_off(node: Any, tmp_path: Path) -> None:
+    escape = {"temperature": 1.0, "decisions": 4}
+    file = write(
+        tmp_path / "e.onnx", robot=ROBOT, targets=RULE, risky=True, risk=RISK, escape=escape
+    )
+    node.policy = str(file)
+    node.begin(type(node).begin.__globals__["MOUNT"])
+    assert (node.controller.policy._escape is not None) is node.escape

@@ -8,6 +8,7 @@ In: ``points`` (PointCloud2), ``imu/data`` (Imu), ``joint_states`` (JointState o
 and ``belt_speed`` (Float64, optional). Out: ``flipper_controller/commands`` (Float64MultiArray, as
 forward_command_controller takes it), ``belts_may_run`` (Bool) and ``/diagnostics``. The place of
 the LiDAR comes from tf. With ``-p shadow:=true`` nothing is commanded: the log shows what would be.
+With ``-p escape:=false`` no action is drawn on a warning.
 """
 
 import math
@@ -88,6 +89,7 @@ class FlipperNode(Node):
         self.pose = self.declare_parameter("pose", "belts").value
         self.policy = self.declare_parameter("policy", "policy.onnx").value
         self.shadow = self.declare_parameter("shadow", False).value
+        self.escape = self.declare_parameter("escape", True).value
         self.begin(MOUNT)
         self.cloud = self.joints = self.odometry = self.transform = None
         self.tf = Buffer()
@@ -106,7 +108,8 @@ class FlipperNode(Node):
         """Begin with a LiDAR at this place."""
         setup = RobotSetup(REP_103, cloud_frame=BASE, attitude_frame=BASE, mount=mount)
         setup, log = replace(setup, pose=self.pose), self.get_logger().info
-        self.controller = FlipperController(self.policy, setup, log=log, shadow=self.shadow)
+        options = {"shadow": self.shadow, "escape": self.escape}
+        self.controller = FlipperController(self.policy, setup, log=log, **options)
 
     def now(self):
         """Return the node's clock [s]; it must be that of the stamps."""
