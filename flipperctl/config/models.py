@@ -151,7 +151,10 @@ class EnvConfig(Settings):
             ConfigError: the values are not possible together.
         """
         found = replace_settings(self._sampled_sections, values)
-        return found["sim"], found["robot"], found["perception"]
+        robot = found["robot"]
+        if robot != self.robot:  # the policy decides in the rhythm of the configured one
+            robot = robot.model_copy(update={"control_period": self.robot.decision_period})
+        return found["sim"], robot, found["perception"]
 
     def environment(self) -> EnvConfig:
         """Return the part of the configuration that defines the environment."""

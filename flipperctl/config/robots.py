@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from flipperctl.api import Robot
+from flipperctl.api import Robot, Sensor
 from flipperctl.config.randomise import Randomise
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
@@ -23,6 +23,8 @@ DEFAULT_ROBOT = "nubot"
 """The robot whose values are the defaults of ``api.Robot``."""
 _SUFFIXES = (".yaml", ".yml")
 _KEY = "robot"
+_ALIKE = 0.02
+"""Relative difference of lengths that makes none [-]."""
 
 
 def known_robots() -> list[str]:
@@ -89,6 +91,18 @@ def notes_on_samples(robot: Robot, randomise: Randomise) -> Iterator[str]:
                 f"{one.key}: no episode has the robot's {_KEY}.{one.field}={own:.4g}, since its "
                 f"range is {low:g} to {high:g}; give a range around it, or {one.key}=null"
             )
+
+
+def notes_on_body(robot: Robot, perception: Sensor, randomise: Randomise) -> Iterator[str]:
+    """Yield a line if the body that hides ground from a sensor is not as long as the chassis."""
+    body, length = getattr(perception, "body_length", None), robot.chassis_length
+    hides = getattr(perception, "occlusion", False)
+    hides = hides or randomise.find("perception", "occlusion") is not None
+    if hides and body is not None and abs(body - length) > _ALIKE * length:
+        yield (
+            f"perception.body_length: a body of {body:.4g} m hides the ground below it, and the "
+            f"robot.chassis_length is {length:.4g} m; perception.body_length={length:.4g} hides all"
+        )
 
 
 def expand_files(words: Sequence[str]) -> list[str]:

@@ -71,16 +71,18 @@ class OraclePolicy:
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
         self._targets = state.front, state.rear
         self._history = History()
+        self._pending: int | None = None
+        self._decided_at = state.time
 
     def act(self, p: Perception) -> int:
         """Return the action of the largest value in the true state."""
         action = int(self.costs(p).argmin())
         self.took(action)
-        self._simulator.step(action)
         return action
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the negative value of each action in the true state, (9,) [-]."""
+        self._catch_up()
         settings, robot, root = self._settings, self._robot, self._here()
         objective = Returns(
             rewards=self._rewards,
@@ -110,6 +112,13 @@ class OraclePolicy:
         rule = TargetRule(robot.angle_step, robot.angle_limit)
         self._targets = rule.next_targets(self._targets, (state.front, state.rear), turns)
         self._history.took(action, robot.decision_period)
+        self._pending, self._decided_at = action, state.time
+
+    def _catch_up(self) -> None:
+        """Repeat the last action in the simulator, unless whoever asked for it has done so."""
+        if self._pending is not None and self._simulator.state.time == self._decided_at:
+            self._simulator.step(self._pending)
+        self._pending = None
 
     def groups(self, rng: np.random.Generator) -> StateGroups:
         """Return groups of states of the episode's ground with the values of their actions."""

@@ -97,5 +97,11 @@ def _sizes(config: TrainConfig) -> Iterator[tuple[str, tuple[float, float]]]:
     """Yield each dimension of the training's robots with its smallest and largest size [m, rad]."""
     for name in RobotGeometry.model_fields:
         own, sampled = getattr(config.robot, name), config.randomise.find("robot", name)
-        close = ((1 - TOLERANCE) * own, (1 + TOLERANCE) * own)
-        yield name, close if sampled is None else sampled.ends
+        low, high = (1 - TOLERANCE) * own, (1 + TOLERANCE) * own
+        if sampled is not None:
+            low, high = sampled.ends
+        for factor, scaled in config.robot.factors.items():
+            by = config.randomise.find("robot", factor)
+            if by is not None and name in scaled:
+                low, high = low * by.ends[0], high * by.ends[1]
+        yield name, (low, high)

@@ -31,16 +31,19 @@ class SearchSettings(Settings):
     seed: int = Field(1, ge=0, lt=2**31, description="seed of the proposals")
 
 
-def objective(best: dict[str, Any] | None, episodes: int) -> float | None:
+def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "success") -> float | None:
     """Return the objective that a sweeper maximises, from a run's best validation.
 
-    It is the success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz
-    [rad]: ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by
-    success, then by θ̂_R. Runs of earlier versions that lack θ̂_R at 100 Hz use θ̂_R at decisions.
+    It is the mean return if ``best_by``, as in ``train.best_by``, is ``return``. Else it is the
+    success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz [rad]:
+    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by success,
+    then by θ̂_R. Runs of earlier versions that lack θ̂_R at 100 Hz use θ̂_R at decisions.
     Return None if there was no validation.
     """
     if best is None:
         return None
+    if best_by == "return" and best.get("mean_return") is not None:
+        return float(best["mean_return"])
     variation = best.get("pitch_variation_100hz")
     if variation is None:  # a run of an earlier version
         variation = best["pitch_variation"] or 0.0

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from flipperctl import guard
 from flipperctl.api import Plugin
 from flipperctl.config import EnvConfig, resolver
-from flipperctl.config.robots import notes_on_samples
+from flipperctl.config.robots import notes_on_body, notes_on_samples
 
 _printed: set[str] = set()
 
@@ -30,7 +30,9 @@ def print_notices(config: EnvConfig) -> None:
     for plugin in _plugins(config):
         for notice in _notices(plugin):
             _print(f"{guard.plugin_label(plugin)}: {notice}")
-    for note in notes_on_samples(config.robot, config.randomise):
+    robot, randomise = config.robot, config.randomise
+    bodies = notes_on_body(robot, config.perception, randomise)
+    for note in (*notes_on_samples(robot, randomise), *bodies):
         _print(note)
 
 

@@ -1,6 +1,7 @@
 """Robots by name and from files."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -12,7 +13,13 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import EnvConfig, EvalConfig, to_dict
 from flipperctl.config.randomise import Randomise
-from flipperctl.config.robots import expand_files, known_robots, named_robot, notes_on_samples
+from flipperctl.config.robots import (
+    expand_files,
+    known_robots,
+    named_robot,
+    notes_on_body,
+    notes_on_samples,
+)
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
 from tests.cli.call import call
@@ -124,3 +131,17 @@ def test_conditions_for_nubot_are_remarked_on():
 def test_the_conditions_of_nubot_are_those_of_before():
     without = EvalConfig(terrain="step")
     assert to_dict(without) == to_dict(EvalConfig(terrain="step", robot="nubot"))
+
+
+def test_a_body_that_hides_less_than_the_chassis_is_noted() -> None:
+    def notes(**settings: Any) -> list[str]:
+        found = EnvConfig(terrain="flat", **settings)
+        return list(notes_on_body(found.robot, found.perception, found.randomise))
+
+    robot = {"chassis_length": 1.2}
+    assert not notes(robot=robot)
+    assert not notes(perception={"occlusion": True})
+    assert not notes(robot=robot, perception={"occlusion": True, "body_length": 1.2})
+    for hidden in ({"perception": {"occlusion": True}}, {"randomise": {"occlusion": 0.5}}):
+        (note,) = notes(robot=robot, **hidden)
+        assert "perception.body_length=1.2 hides all" in note

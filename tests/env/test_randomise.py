@@ -190,6 +190,8 @@ def test_a_slower_flipper_does_not_change_the_decisions_period() -> None:
     env.step(RAISE)
     assert env.state.time == pytest.approx(Robot().decision_period)
     assert env.state.front == pytest.approx(0.2 * 0.6, abs=0.01)
+    seen = env.simulator().perceive_exactly().robot  # by teachers and planners
+    assert (seen.flipper_speed, seen.decision_period) == (0.2, Robot().decision_period)
 
 
 def test_a_delayed_flipper_begins_to_turn_later() -> None:

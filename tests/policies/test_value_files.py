@@ -4,11 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from flipperctl.api import Robot
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.values import learned_value
+from flipperctl.policies.values import learned_value, value_of
+from tests.short import short_config
 
 VALUE = "controller.value"
 
@@ -50,3 +53,13 @@ def test_the_policy_of_a_planner_is_named_too() -> None:
     source = PolicySource(settings={"name": "planner", "policy": "nowhere"})
     with pytest.raises(CheckpointError, match=r"^controller\.policy: nowhere: there is no such"):
         source.build(EnvConfig(terrain="step"))
+
+
+def test_robots_of_sampled_sizes_are_those_of_the_training() -> None:
+    config = short_config(**{"randomise.robot.size": [0.6, 1.4]})
+    value = value_of(torch.nn.Identity(), config)
+    for size, fits in ((0.62, True), (1.0, True), (1.38, True), (0.5, False), (1.6, False)):
+        robot = config.robot.model_copy(
+            update={name: size * getattr(config.robot, name) for name in Robot.factors["size"]}
+        )
+        assert (not list(value.misfits(robot, config.perception.layout))) is fits

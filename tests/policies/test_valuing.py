@@ -19,9 +19,11 @@ from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PluginFailedError
 from flipperctl.policies.abilities import ValuingPolicy
+from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.rollout.episode import decisions
 
 SEEN, VALUES = np.zeros((2, 3, 18), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)
 
@@ -106,6 +108,29 @@ def test_value_iteration_gets_the_rewards_of_the_environment() -> None:
     found = resolver.create("controller", "value_iteration", "controller")
     assert isinstance(found, Controller)
     assert isinstance(controller_policy(found, EnvConfig(terrain="flat")), ValuingPolicy)
+
+
+def test_value_iteration_follows_the_episode_whoever_asks_for_its_costs() -> None:
+    config = EnvConfig(terrain="step", rewards={"pitch": "pitch", "end": "end"})
+    found = resolver.create("controller", "value_iteration", "controller")
+    assert isinstance(found, Controller)
+    own = controller_policy(found, config)
+    teacher = {"controller": "value_iteration", "student_share": 0, "random": 0}
+    rng = np.random.default_rng(0)
+    policies = (
+        own,
+        DemonstratingPolicy(own),
+        *(
+            TaughtPolicy(Rating(None), own, Teacher(**teacher, privileged=known), bool, rng)
+            for known in (False, True)
+        ),
+    )
+    played = [
+        [d.action for d in decisions(FlipperEnv(config=config), policy, seed=5)]
+        for policy in policies
+    ]
+    assert len(set(played[0])) > 1
+    assert played[0] == played[1] == played[2] == played[3]
 
 
 class Odd(RewardTerm):

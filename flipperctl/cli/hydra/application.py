@@ -136,7 +136,8 @@ class _Job:
         else:
             run = start(config, directory, reports(), keep_more=keep)
         print_best(run)
-        return objective(run.summary["best"], config.train.validation_episodes)
+        train = config.train
+        return objective(run.summary["best"], train.validation_episodes, train.best_by)
 
 
 def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
