@@ -1,7 +1,7 @@
 """The check of recorded episodes against a training: what must be equal, and what may differ.
 
 In: a training's configuration and a file of recorded episodes. Out: an error if the episodes have
-another meaning in the training; a sentence with the conditions that differ.
+another meaning in the training; notes on the conditions that differ and on what has no effect.
 """
 
 from __future__ import annotations
@@ -34,6 +34,18 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
         _check_layout(config, found.path, environment)
         _check_robot(config.robot, found.path, environment)
         _check_rewards(config, found.path, environment)
+
+
+def notes(config: TrainConfig, found: Recording) -> Iterator[str]:
+    """Yield what the user of a training should know about its recorded episodes, a line each."""
+    if text := differing_conditions(config, found):
+        yield text
+    agent = config.agent
+    if agent.cut_at_random and agent.n_step > 1 and config.teacher.td_weight:
+        yield (
+            f"teacher.episodes: {found.path} does not say which actions were random: sums of "
+            "rewards over its decisions are not cut, whatever agent.cut_at_random"
+        )
 
 
 def differing_conditions(config: TrainConfig, found: Recording) -> str:

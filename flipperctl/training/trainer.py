@@ -37,7 +37,7 @@ from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.progress import Progress
 from flipperctl.training.recorded import fill, read_teacher
-from flipperctl.training.recorded_fit import differing_conditions
+from flipperctl.training.recorded_fit import notes
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.relearning import Relearning
 from flipperctl.training.saving import RunSaver
@@ -175,14 +175,15 @@ class Trainer:
     def _add_recorded(self) -> None:
         """Put the recorded episodes of the teacher into the replay of a new run.
 
-        Notes to the listeners name the conditions in which they differ from the training.
+        Notes to the listeners name the conditions in which they differ from the training, and the
+        settings that have no effect on them.
 
         Raises:
             CheckpointError: their file is missing or damaged.
             ConfigError: they do not fit the training.
         """
         if not self.replay.added and (found := read_teacher(self.config)) is not None:
-            if text := differing_conditions(self.config, found):
+            for text in notes(self.config, found):
                 self._report(text)
             fill(self.replay, found, self.config)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Measure, RobotStates, Transition, measure
 
+from ..load import load_offset
 from .masses import flipper_share
 
 _TOUCH = 0.01
@@ -47,11 +48,12 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     or the rearmost point of contact, whichever is less: √(Δx² + Δz²) − Δz with the position
     (Δx, Δz) of the centre relative to that point. It is the energy that tips the robot over its
     weight (Hirose, Tsukagoshi and Yoneda 1998), in the side plane. It is 0 without a contact on
-    both sides of the centre.
+    both sides of the centre. The centre of mass is that of the robot with its load.
     """
     t = episode[0]
     robot, states = t.robot, RobotStates.of([t.after for t in episode])
-    ahead = robot.hinge_offset * _directions(states.pitch)  # (M, 2) [m], from the chassis centre
+    forward = _directions(states.pitch)  # (M, 2)
+    ahead = robot.hinge_offset * forward  # (M, 2) [m], from the chassis centre
     front = ahead + robot.flipper_axle * _directions(states.pitch + states.front)
     rear = -ahead - robot.flipper_axle * _directions(states.pitch - states.rear)
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + _TOUCH
@@ -62,6 +64,9 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     touching = gap <= _TOUCH  # never for NaN
     # Each pair's mass lies halfway along it.
     centre = flipper_share(robot) * (front + rear) / 2  # (M, 2) [m]
+    load_x, load_z = load_offset(robot)
+    upward = np.column_stack([-forward[:, 1], forward[:, 0]])  # (M, 2)
+    centre += load_x * forward + load_z * upward
     barriers = [_barriers(touching, x, z, centre, side) for side in (1.0, -1.0)]
     return np.minimum(*barriers)
 

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
 
+from ..load import load_offset, load_share
+
 
 @reward("stability")
 class Stability(RewardTerm):
@@ -16,7 +18,8 @@ class Stability(RewardTerm):
     The margin is the horizontal distance of the centre of mass from the nearer end of the support.
     The support reaches from the rearmost to the foremost point at which the robot's outline (three
     capsules: chassis and flipper pairs) touches the ground (McGhee and Frank 1968, in the side
-    plane). Without a margin the robot tips over its last contact or is in the air.
+    plane). Without a margin the robot tips over its last contact or is in the air. The centre of
+    mass is that of the robot with its load.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
@@ -28,7 +31,8 @@ class Stability(RewardTerm):
         0.111,
         ge=0,
         lt=0.5,
-        description="mass of each flipper pair as a fraction of the robot's [-]",
+        description="mass of each flipper pair as a fraction of the robot's without a load; the "
+        "default is nubot's [-]",
     )
 
     def __call__(self, t: Transition) -> float:
@@ -54,6 +58,9 @@ class Stability(RewardTerm):
             return -math.inf
         # Horizontal distance from the chassis' centre: each pair's mass lies halfway along it.
         centre = self.flipper_share * float(front[0] + rear[0]) / 2
+        x, z = load_offset(robot)
+        centre *= 1 - load_share(robot)
+        centre += x * math.cos(state.pitch) - z * math.sin(state.pitch)
         return min(centre - float(support[0]), float(support[-1]) - centre)
 
     def array(self, ts: Transitions) -> FloatArray:
@@ -78,6 +85,9 @@ class Stability(RewardTerm):
         first = np.where(touching, ground_x, np.inf).min(axis=1, initial=np.inf)
         last = np.where(touching, ground_x, -np.inf).max(axis=1, initial=-np.inf)
         centre = self.flipper_share * (front[:, 0] + rear[:, 0]) / 2
+        x, z = load_offset(robot)
+        centre *= 1 - load_share(robot)
+        centre += x * np.cos(state.pitch) - z * np.sin(state.pitch)
         margin = np.minimum(centre - first, last - centre)  # minus infinity in the air
         rewards: FloatArray = np.clip(margin, 0.0, self.enough) / self.enough - 1.0
         for index in np.flatnonzero((np.abs(gap - self.touch) < _ROUNDING).any(axis=1)).tolist():

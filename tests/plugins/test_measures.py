@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -35,9 +36,12 @@ def state(x: float = 0.0, z: float = 0.1, pitch: float = 0.0, **more: Any) -> Ro
 
 
 def decision(
-    after: RobotState, before: RobotState | None = None, path: Any = ((0, 0, 0), (0, 0, 0))
+    after: RobotState,
+    before: RobotState | None = None,
+    path: Any = ((0, 0, 0), (0, 0, 0)),
+    robot: Robot = ROBOT,
 ) -> Transition:
-    fields = {"profile": FLAT, "robot": ROBOT, "action": (0, 0), "pitches": np.zeros(2)}
+    fields = {"profile": FLAT, "robot": robot, "action": (0, 0), "pitches": np.zeros(2)}
     return Transition(before or state(), after, path=np.array(path, float), **fields)
 
 
@@ -55,6 +59,30 @@ def test_the_energy_margin_is_the_rise_of_the_centre_of_mass_until_it_tips() -> 
     assert value("energy_margin", [standing, flying]) == pytest.approx(expected / 2)
     on_its_nose = decision(state(z=0.1 + 0.28 * math.sin(1.2), pitch=-1.2, front=UP, rear=UP))
     assert value("energy_margin_min", [on_its_nose]) >= 0.0
+
+
+def test_the_energy_margin_includes_the_load() -> None:
+    # 60 kg of 105 kg, 0.3 m ahead and 0.4 m up: the centre moves by 4/7 of both, the raised pairs
+    # lift it by 10/105 of theirs, and the front contact at 0.32 m (above) is the nearer.
+    loaded = Robot(payload=60, payload_x=0.3, payload_z=0.4)
+    height = 0.1 + 4 / 7 * 0.4 + 10 / 105 * 0.168 * math.sin(UP)
+    expected = math.hypot(0.32 - 4 / 7 * 0.3, height) - height
+    standing = decision(state(front=UP, rear=UP), robot=loaded)
+    assert value("energy_margin", [standing]) == pytest.approx(expected, abs=1e-9)
+    # Upright on the rear tip, which is 0.28 + 0.336 below the chassis and touches up to 0.04 m on
+    # both sides: what is ahead in the robot is above, and what is above is behind.
+    upright = state(z=0.1 + 0.28 + 0.336, pitch=math.pi / 2)
+    height = 0.716 + 4 / 7 * 0.3
+    expected = math.hypot(0.04 - 4 / 7 * 0.05, height) - height
+    loaded = Robot(payload=60, payload_x=0.3, payload_z=0.05)
+    assert value("energy_margin", [decision(upright, robot=loaded)]) == pytest.approx(expected)
+    # Nose up by 0.3 rad on a slope: 1.9 m above the chassis moves the centre 4/7 · 0.561 = 0.321 m
+    # behind it, past the rear contact at 0.326 cos 0.3 - 0.1 sin 0.3 = 0.282 m.
+    slope = Profile([(-5.0, -5 * math.tan(0.3)), (5.0, 5 * math.tan(0.3))])
+    lying = state(z=0.1 / math.cos(0.3), pitch=0.3, front=UP, rear=UP)
+    for load, holds in ((-1.9, True), (1.9, False)):
+        on_slope = decision(lying, robot=Robot(payload=60, payload_z=load))
+        assert (value("energy_margin", [replace(on_slope, profile=slope)]) > 0) == holds
 
 
 def test_an_impact_is_the_change_of_velocity_within_10_ms() -> None:

@@ -1,5 +1,7 @@
 """The array form of each built-in reward term equals its other form at poses of every kind."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from flipperctl.api import (
     Outcome,
     Profile,
     RewardTerm,
+    Robot,
     RobotGeometry,
     RobotStates,
     Transitions,
@@ -63,6 +66,16 @@ def test_both_forms_are_equal(name: str, ts: Transitions) -> None:
     expected = np.array([term(t) for t in ts])
     assert term.array(ts) == pytest.approx(expected, abs=1e-12)
     assert len(set(expected.tolist())) > 2  # the poses tell terms apart
+
+
+def test_stability_is_equal_in_both_forms_with_a_load(ts: Transitions) -> None:
+    term = resolver.create("reward", "stability", "rewards")
+    assert isinstance(term, RewardTerm)
+    loaded = replace(ts, robot=Robot(payload=60, payload_x=0.2, payload_z=0.4))
+    assert term.array(loaded) == pytest.approx(np.array([term(t) for t in loaded]), abs=1e-12)
+    bare = term.array(replace(ts, robot=Robot()))
+    assert np.array_equal(bare, term.array(ts))  # bit for bit
+    assert (term.array(loaded) != bare).any()
 
 
 # Limits at which rounding decides, and a robot that lies upon its limit

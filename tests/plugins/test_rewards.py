@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.api import Outcome, Profile, RewardTerm, RobotGeometry, RobotState, Transition
+from flipperctl.api import (
+    Outcome,
+    Profile,
+    RewardTerm,
+    Robot,
+    RobotGeometry,
+    RobotState,
+    Transition,
+)
 from flipperctl.config import resolver
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m
@@ -185,6 +193,30 @@ def test_there_is_no_support_past_an_edge(x: float, value: float) -> None:
 
 def test_in_the_air_there_is_no_margin() -> None:
     assert paid("stability", transition(state(z=1.0))) == -1.0
+
+
+# A load of 60 kg on 45 kg is 4/7 of the mass. At 0.3 m ahead it moves the centre by 0.171429 m.
+def test_stability_includes_the_load() -> None:
+    level = transition(state(front=UP, rear=UP), robot=Robot(payload=60, payload_x=0.3))
+    ahead = -(1 - (0.28 - 0.171429) / 0.4)
+    assert paid("stability", level, enough=0.4, touch=1e-6) == pytest.approx(ahead, abs=1e-5)
+    behind = replace(level, robot=Robot(payload=60, payload_x=-0.3))
+    assert paid("stability", behind, enough=0.4, touch=1e-6) == pytest.approx(ahead, abs=1e-5)
+
+
+# Nose up by 0.3 rad, 0.4 m above the chassis is 0.4 sin 0.3 behind it. The pairs, at pitches of
+# 0.3 + π/3 and 0.3 - π/3, have 3/7 of their part without the load.
+def test_a_load_above_the_chassis_is_behind_it_on_a_slope() -> None:
+    slope = Profile([(-5.0, -5 * math.tan(0.3)), (5.0, 5 * math.tan(0.3))])
+    pose = state(0.0, 0.1 / math.cos(0.3), pitch=0.3, front=UP, rear=UP)
+    bare, loaded = (
+        paid("stability", transition(pose, profile=slope, robot=robot), enough=0.4)
+        for robot in (Robot(), Robot(payload=60, payload_z=0.4))
+    )
+    pairs = 0.111 * 0.336 * (math.cos(0.3 + UP) - math.cos(0.3 - UP)) / 2
+    moved = -4 / 7 * 0.4 * math.sin(0.3) - 4 / 7 * pairs
+    assert -1.0 < loaded < bare < 0.0
+    assert loaded - bare == pytest.approx(moved / 0.4)
 
 
 # Nose up by 0.3 rad with the front pair straight ahead and the rear pair level: the chassis' rear

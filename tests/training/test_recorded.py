@@ -15,8 +15,9 @@ from flipperctl.config import EnvConfig, Teacher, TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.policies.source import PolicySource
+from flipperctl.training.events import MetricsCsv
 from flipperctl.training.recorded import fill, read_teacher
-from flipperctl.training.recorded_fit import differing_conditions
+from flipperctl.training.recorded_fit import differing_conditions, notes
 from flipperctl.training.recorder import EPISODES
 from tests.cli.call import EXACT, call
 from tests.short import short_config, trainer
@@ -222,6 +223,40 @@ def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file:
     in_3d = short_config(sim={"name": "mujoco", "friction": 0.75})
     assert "sim=planar (here mujoco), perception" in differing_conditions(in_3d, found)
     assert differing_conditions(short_config(), recording.read(file)) == ""
+
+
+class HeardNotes(MetricsCsv):
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, ["flipper", "pitch", "end"])
+        self.heard: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.heard.append(text)
+
+
+def test_that_sums_over_recorded_decisions_are_not_cut_is_stated(
+    file: Path, tmp_path: Path
+) -> None:
+    settings = {"teacher.episodes": str(file), "agent.cut_at_random": True, "train.decisions": 40}
+    run = trainer(short_config(**settings), tmp_path)
+    listener = HeardNotes(tmp_path / "metrics.csv")
+    run.listeners.append(listener)
+    run.run()
+    assert listener.heard == [
+        f"teacher.episodes: {file} does not say which actions were random: sums of rewards over "
+        "its decisions are not cut, whatever agent.cut_at_random"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("agent.cut_at_random", False), ("agent.n_step", 1), ("teacher.td_weight", 0.0)],
+)
+def test_nothing_is_stated_where_there_is_no_sum_to_cut(
+    file: Path, name: str, value: object
+) -> None:
+    settings = {"teacher.episodes": str(file), "agent.cut_at_random": True, name: value}
+    assert list(notes(short_config(**settings), recording.read(file))) == []
 
 
 def test_labels_alone_may_come_from_other_rewards(file: Path) -> None:
