@@ -83,9 +83,11 @@ class Risk(torch.nn.Module):
         Raises:
             NonFiniteError: it is not a finite number.
         """
+        device = next(self.network.parameters()).device
+        row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with torch.inference_mode():
-            alone, coefficients = self(torch.from_numpy(observation).unsqueeze(0))
-        found = with_recurrence(float(alone), coefficients[0].numpy(), resembles)
+            alone, coefficients = self(row)
+        found = with_recurrence(float(alone), coefficients[0].cpu().numpy(), resembles)
         if not math.isfinite(found):
             raise NonFiniteError(f"the risk of an observation is {found}")
         return found
