@@ -25,11 +25,11 @@ USED = (
     *("near", "filter_margin", "chassis_width", "overall_width"),
     *("pose", "range_bias", "tilt_wander", "tilt_noise"),
 )
-"""Settings of ``perception=lidar`` that a robot's controller has too."""
+"""Settings of ``perception=lidar`` that the setup of a robot has too."""
 
 
 def check_used(keys: Iterable[str]) -> None:
-    """Check that a controller on a robot has the settings.
+    """Check that the settings are those of a robot's setup, not of the policy's file.
 
     Raises:
         RequestError: a key is that of another setting.
@@ -38,8 +38,9 @@ def check_used(keys: Iterable[str]) -> None:
     for key in keys:
         if key not in allowed:
             raise RequestError(
-                f"{key}: the policy's file states the robot, and its controller has a map as in "
-                f"the training; {', '.join(allowed)} are allowed"
+                f"{key}: the policy's file states the robot and, after a training with a LiDAR, "
+                f"the settings of its map, which are the default ones otherwise; "
+                f"{', '.join(allowed)} are allowed"
             )
 
 

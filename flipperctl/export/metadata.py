@@ -17,10 +17,12 @@ from flipperctl.checkpoint import plugin_references
 from flipperctl.config import TrainConfig, resolver
 from flipperctl.core import observation
 from flipperctl.core.escape import MEANING as MEANING_OF_ESCAPE
+from flipperctl.core.lidar.map_quality import MEANING as MEANING_OF_MAP
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import MEANING
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
+from flipperctl.sim.lidar.sensor import LidarSensor
 
 
 def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
@@ -59,6 +61,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         }
         if (escape := config.agent.escape) is not None:
             values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
+    if isinstance(layout, LidarSensor):
+        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

@@ -20,7 +20,7 @@ HELP = """Usage: python -m flipperctl.runtime FILE
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, input and outputs, the actions, the decision period, the rule of the targets, the
-risk and the escape, the robot and the training.
+risk, the escape and the map, the robot and the training.
 It needs only numpy and onnxruntime.
 
 --self-test finds wrong signs on the robot: it says which part to move, reads what the devices
@@ -61,7 +61,7 @@ def describe(interface: Interface) -> str:
     for index, turns in enumerate(np.degrees(interface.actions)):
         lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
     lines.append(f"decision period: {interface.decision_period:g} s")
-    lines += [_targets(interface), *_warnings(interface)]
+    lines += [_targets(interface), *_warnings(interface), *_map(interface)]
     lines.append("robot, in SI units")
     lines += [f"  {name}: {value:g}" for name, value in interface.robot.items()]
     lines.append(f"trained on {interface.terrain} by flipperctl {interface.package_version}")
@@ -123,6 +123,18 @@ def _warnings(interface: Interface) -> list[str]:
             f"softmax(q_values / {escape.temperature:g})"
         )
     return lines
+
+
+def _map(interface: Interface) -> list[str]:
+    """Return a line about the map of the controller; none for a file that does not state it."""
+    if (quality := interface.map_quality) is None:
+        return []
+    motion = "corrected" if quality.deskew else "not corrected"
+    return [
+        f"map: ground within {quality.half_width:g} m to each side, cells {quality.cell:g} m long "
+        f"and {quality.lane:g} m wide of up to {quality.keep} points, columns of {quality.fewest} "
+        f"or more, points with a noise of {quality.noise:g} m, {motion} for the motion in a scan"
+    ]
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.certainty import accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
-from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.interface import Interface
@@ -18,7 +18,9 @@ _LENGTHS = "chassis_length", "flipper_length", "track_radius"
 
 
 def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
-    """Return a new estimator with the bins of the policy and the lengths of its robot.
+    """Return a new estimator with the bins and the map of the policy and the lengths of its robot.
+
+    A policy whose file states no map, as of a training without a LiDAR, gets the default one.
 
     Raises:
         PolicyError: the file states no lengths of its robot.
@@ -32,13 +34,14 @@ def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
         chassis_width=setup.chassis_width,
         overall_width=setup.overall_width,
     )
-    settings = MapSettings(
-        bins=interface.bins,
-        bin_width=interface.bin_width,
-        accuracy=accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+    quality = interface.map_quality or MapQuality()
+    settings = quality.settings(
+        interface.bins,
+        interface.bin_width,
+        accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
         sides=False,  # no policy takes them
     )
-    return LidarEstimator(body, setup.mount, settings, _matcher(setup))
+    return LidarEstimator(body, setup.mount, settings, _matcher(setup), quality.deskew)
 
 
 def _matcher(setup: RobotSetup) -> ScanMatcher | None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.actions import PAIRS
 from flipperctl.core.escape import EscapeRule
+from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.targets import TargetRule
@@ -48,6 +49,8 @@ RISK = f"{PREFIX}risk"
 """Metadata entry of the risk, in files whose policy tells one."""
 ESCAPE = f"{PREFIX}escape"
 """Metadata entry of how actions are drawn on a warning, in files whose policy does so."""
+MAP = f"{PREFIX}map"
+"""Metadata entry of the map's settings, in files whose policy was trained with a LiDAR."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,8 @@ class Interface:
     """When the policy's risk is a warning; None for a policy that tells none."""
     escape: EscapeRule | None = None
     """How actions are drawn on a warning; None for a policy that never draws them."""
+    map_quality: MapQuality | None = None
+    """Settings of the map in the training; None for a policy that was trained without a LiDAR."""
 
     @property
     def size(self) -> int:
@@ -204,6 +209,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         ),
         risk=_risk(metadata, where),
         escape=_escape(metadata, where),
+        map_quality=_map_quality(metadata, where),
     )
 
 
@@ -261,6 +267,35 @@ def _escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
         ),
     )
     return EscapeRule(float(rule["temperature"]), rule["decisions"])
+
+
+def _map_quality(metadata: Mapping[str, str], where: str) -> MapQuality | None:
+    """Return the settings of the training's map; None if the file does not state them."""
+    if MAP not in metadata:
+        return None
+    lengths, counts = ("cell", "lane", "half_width", "noise"), ("keep", "fewest")
+    quality = read_entry(
+        metadata,
+        where,
+        MAP.removeprefix(PREFIX),
+        f"a mapping with the lengths {', '.join(lengths)}, each above 0, the whole numbers "
+        f"{' and '.join(counts)}, each above 0, and deskew, true or false,",
+        lambda v: (
+            isinstance(v, dict)
+            and all(is_positive(v.get(key)) for key in lengths)
+            and all(is_count(v.get(key)) for key in counts)
+            and isinstance(v.get("deskew"), bool)
+        ),
+    )
+    return MapQuality(
+        cell=float(quality["cell"]),
+        lane=float(quality["lane"]),
+        keep=quality["keep"],
+        half_width=float(quality["half_width"]),
+        fewest=quality["fewest"],
+        noise=float(quality["noise"]),
+        deskew=quality["deskew"],
+    )
 
 
 def _is_plugin(value: object) -> bool:

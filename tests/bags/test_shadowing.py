@@ -80,6 +80,7 @@ def test_an_episode_s_own_policy_proposes_what_it_did(folder):
         (["none.onnx", "drive"], "none.onnx: there is no such policy file"),
         (["p.onnx", "none"], "none: there is no such file or folder"),
         (["p.onnx", "drive", "robot=absolem"], "robot: the policy's file states the robot"),
+        (["p.onnx", "drive", "perception.half_width=0.6"], "the settings of its map, which are"),
         (["p.onnx", "drive", "perception.pose=true"], "no robot knows this; belts or matched"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,18 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import ObservationLayout
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.config import EnvConfig, TrainConfig, parse, resolver
+from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.errors import ConfigError, ExportError, MissingExtraError
 from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy
-from flipperctl.export.metadata import describe_observation
+from flipperctl.export.metadata import describe_observation, policy_metadata
 from flipperctl.export.parity import compare
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
-from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime import OnnxPolicy, RobotSetup
+from flipperctl.runtime.estimating import new_estimator
+from flipperctl.runtime.interface import read_interface
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +88,42 @@ def test_the_layout_names_every_number_of_an_observation() -> None:
     assert [entry["frame"] for entry in entries] == ["L"] * 5 + ["R", "R", "L"]
     assert "[-0.500, -0.300) m" in entries[0]["meaning"]
     assert "[0.300, 0.500) m" in entries[4]["meaning"]
+
+
+CHOSEN = {"cell": 0.05, "lane": 0.2, "keep": 64, "half_width": 0.6, "fewest": 12, "deskew": False}
+"""Settings of a map, none of them the default."""
+
+
+def with_lidar(saved: checkpoint.Checkpoint, **settings: object) -> TrainConfig:
+    lidar = {"name": "lidar", "pose": "belts", **settings}
+    return parse(TrainConfig, {**resolver.to_dict(saved.config()), "perception": lidar})
+
+
+def test_a_training_with_a_lidar_states_its_map(saved: checkpoint.Checkpoint) -> None:
+    lidar = policy_metadata(with_lidar(saved, **CHOSEN, noise=0.0))
+    stated = json.loads(lidar["flipperctl.map"])
+    assert "half_width to each side" in stated.pop("meaning")
+    assert stated == {**CHOSEN, "noise": 0.01}  # the map takes no points for more accurate
+    planar = policy_metadata(saved.config())
+    assert lidar == {**planar, "flipperctl.map": lidar["flipperctl.map"]}
+    assert "flipperctl.map" not in planar
+
+
+@pytest.mark.parametrize("settings", [{}, {**CHOSEN, "noise": 0.03}])
+def test_the_controller_has_the_map_of_the_training(
+    saved: checkpoint.Checkpoint, settings: dict[str, object]
+) -> None:
+    config = with_lidar(saved, **settings)
+    in_training = config.perception.estimator(config.robot)
+    for metadata in (
+        policy_metadata(config),
+        *([] if settings else [policy_metadata(saved.config())]),  # planar: the defaults
+    ):
+        on_robot = new_estimator(read_interface(metadata, "x"), RobotSetup())
+        assert isinstance(in_training, LidarEstimator)
+        expected = replace(in_training._settings, sides=False, accuracy=on_robot._settings.accuracy)
+        assert on_robot._settings == expected
+        assert on_robot._deskew == in_training._deskew
 
 
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:

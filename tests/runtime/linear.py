@@ -38,6 +38,12 @@ FORMAT_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 
+MAP = {
+    **{"cell": 0.05, "lane": 0.2, "keep": 64, "half_width": 0.6, "fewest": 12},
+    **{"noise": 0.03, "deskew": False},
+}
+"""Metadata of a file from a training with a LiDAR whose map has none of the default settings."""
+
 
 def write(
     path: Path,

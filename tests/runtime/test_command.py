@@ -12,7 +12,7 @@ from flipperctl.__main__ import main as whole
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.__main__ import describe, main
 from tests.cli.call import call
-from tests.runtime.linear import RISK, RULE, write
+from tests.runtime.linear import MAP, RISK, RULE, write
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +49,7 @@ def test_the_interface_is_printed_as_a_table(
     assert ["chassis_length:", "0.76"] in lines
     assert ["input:", "observation,", "float32", "[batch,", "18],", "one", "observation"] in lines
     assert ["output:", "q_values,", "float32", "[batch,", "9]"] in lines
-    assert not {"risk:", "escape:"} & {line[0] for line in lines}
+    assert not {"risk:", "escape:", "map:"} & {line[0] for line in lines}
 
 
 def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -> None:
@@ -83,6 +83,15 @@ def test_inspect_checkpoint_names_the_command_that_shows_an_exported_file(tmp_pa
         "error: my p.onnx is an exported file, not a checkpoint; "
         "python -m flipperctl.runtime 'my p.onnx' prints its interface\n"
     )
+
+
+def test_the_map_of_the_controller_is_printed(tmp_path: Path) -> None:
+    lines = describe(OnnxPolicy(write(tmp_path / "p.onnx", map=MAP)).interface).splitlines()
+    assert (
+        "map: ground within 0.6 m to each side, cells 0.05 m long and 0.2 m wide of up to 64 "
+        "points, columns of 12 or more, points with a noise of 0.03 m, not corrected for the "
+        "motion in a scan"
+    ) in lines
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from flipperctl.runtime import (
     RobotSetup,
     Signs,
 )
-from tests.runtime.linear import ROBOT, RULE, write
+from tests.runtime.linear import MAP, ROBOT, RULE, write
 
 RELAXED = Limits(ages=Ages(joints=0.2))  # the simulated encoders report with each scan
 LEVEL = np.stack(np.meshgrid(np.linspace(-1, 2, 61), np.linspace(-0.5, 0.5, 11)), -1).reshape(-1, 2)
@@ -62,16 +62,18 @@ def good(now: float, **changes: object) -> dict[str, object]:
     }
 
 
+@pytest.mark.parametrize("stated", [None, {**MAP, "fewest": 2}], ids=["default_map", "other_map"])
 def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
-    file: Path, monkeypatch: pytest.MonkeyPatch
+    stated: dict | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    file = write(tmp_path / "p.onnx", robot=ROBOT, targets=RULE, map=stated)
     recorded: list[Measured] = []
     update = LidarEstimator.update
     with monkeypatch.context() as patch:
         patch.setattr(
             LidarEstimator, "update", lambda self, m: (recorded.append(m), update(self, m))[1]
         )
-        perception = {"name": "lidar", "pose": "belts", "azimuths": 60}
+        perception = {"name": "lidar", "pose": "belts", "azimuths": 60, **(stated or {})}
         env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
         policy = PolicySource(file).build(env.config)
         driven = islice(decisions(env, policy, 8), 12)
@@ -89,6 +91,23 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
     assert len(actions) == 12
     assert taken[: len(actions)] == actions
     assert len(set(actions)) > 1
+
+
+def heights(file: Path) -> np.ndarray:
+    """What a controller of the file sees of kerbs ahead that leave its line free, (15,)."""
+    controller = FlipperController(file, IN_CHASSIS, RELAXED)
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(-1, 2, 241), np.linspace(-0.6, 0.6, 49)))
+    kerb = np.column_stack([x, y, np.where((np.abs(y) > 0.2) & (x > 0.8), 0.0, -0.1)])
+    controller.step(0.0, **good(0.0, cloud=Cloud(0.0, "base_link", kerb)))
+    ground, _ = controller._estimator.estimate(0.0)
+    return ground.heights
+
+
+def test_a_wide_robot_sees_the_width_of_its_training(file: Path, tmp_path: Path) -> None:
+    wide = write(tmp_path / "wide.onnx", robot=ROBOT, targets=RULE, map=MAP)
+    # The kerbs make up 44 % of the ground within 0.36 m of the line, and 67 % of that within 0.6 m.
+    assert heights(file)[-1] == pytest.approx(-0.1, abs=0.005)
+    assert heights(wide)[-1] == pytest.approx(0.0, abs=0.005)
 
 
 def told(m: Measured) -> object:

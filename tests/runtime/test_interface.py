@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.errors import PolicyError
 from flipperctl.runtime import OnnxPolicy
-from tests.runtime.linear import METADATA, write
+from tests.runtime.linear import MAP, METADATA, write
 
 
 def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
@@ -44,6 +45,34 @@ def test_a_policy_may_have_another_number_of_bins(tmp_path: Path) -> None:
     policy = OnnxPolicy(write(tmp_path / "p.onnx", size=8, bins=5, observation=entries))
     assert policy.interface.size == 8
     assert policy.act([0.0, 0.0, 0.2, 0.0, 0.0, 0.1, 0.1, 0.0]) == 2
+
+
+def test_the_map_of_the_training_is_read_where_the_file_states_it(tmp_path: Path) -> None:
+    assert OnnxPolicy(write(tmp_path / "p.onnx")).interface.map_quality is None
+    stated = OnnxPolicy(write(tmp_path / "m.onnx", map={"meaning": "x", **MAP})).interface
+    assert stated.map_quality == MapQuality(**MAP)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({name: value} for name in ("cell", "lane", "half_width", "noise") for value in (0, "1")),
+        *({name: value} for name in ("keep", "fewest") for value in (0, 4.5, True)),
+        *({"deskew": value} for value in (1, "true", None)),
+        {"cell": math.nan},
+    ],
+)
+def test_a_wrong_map_is_refused(change: dict, tmp_path: Path) -> None:
+    path = write(tmp_path / "p.onnx", map={**MAP, **change})
+    with pytest.raises(PolicyError, match=r"flipperctl\.map is .*half_width.*keep and fewest"):
+        OnnxPolicy(path)
+
+
+@pytest.mark.parametrize("name", MAP)
+def test_a_map_that_lacks_a_setting_is_refused(name: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "p.onnx", map={key: MAP[key] for key in MAP if key != name})
+    with pytest.raises(PolicyError, match=r"flipperctl\.map is "):
+        OnnxPolicy(path)
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,9 @@ from flipperctl.api import (
     sensor,
 )
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.cells import Grid
 from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator, Mount
-from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar.inertial import (
@@ -95,18 +94,10 @@ class LidarSensor(LidarSettings, Sensor):
         Raises:
             MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
         """
-        grid = Grid(cell=self.cell, lane=self.lane, keep=self.keep)
-        settings = MapSettings(
-            bins=self.bins,
-            bin_width=self.bin_width,
-            grid=grid,
-            half_width=self.half_width,
-            fewest=self.fewest,
-            noise=max(_LEAST_NOISE, self.noise),
-            accuracy=self._accuracy,
-        )
+        quality = self.map_quality
+        settings = quality.settings(self.bins, self.bin_width, self._accuracy, sides=True)
         matcher = self._matcher() if self.pose == "matched" else None
-        return LidarEstimator(self._body(robot), self._mount, settings, matcher, self.deskew)
+        return LidarEstimator(self._body(robot), self._mount, settings, matcher, quality.deskew)
 
     def _matcher(self) -> ScanMatcher:
         try:
@@ -120,6 +111,19 @@ class LidarSensor(LidarSettings, Sensor):
     def exact(self) -> PlanarSensor:
         """Return the sensor of the true ground."""
         return PlanarSensor(**self.layout.model_dump())
+
+    @property
+    def map_quality(self) -> MapQuality:
+        """Settings of the map, which exported files state for the robot's controller."""
+        return MapQuality(
+            cell=self.cell,
+            lane=self.lane,
+            keep=self.keep,
+            half_width=self.half_width,
+            fewest=self.fewest,
+            noise=max(_LEAST_NOISE, self.noise),
+            deskew=self.deskew,
+        )
 
     @property
     def _accuracy(self) -> Accuracy:
