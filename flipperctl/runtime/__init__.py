@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from flipperctl.core.lidar.estimator import Mount
     from flipperctl.core.targets import TargetRule
-    from flipperctl.runtime.controller import Answer, FlipperController
+    from flipperctl.runtime.answer import Answer
+    from flipperctl.runtime.controller import FlipperController
     from flipperctl.runtime.interface import Interface, Quantity
     from flipperctl.runtime.limits import Ages, Limits
     from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
@@ -38,7 +39,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Answer": "flipperctl.runtime.controller",
+    "Answer": "flipperctl.runtime.answer",
     "FlipperController": "flipperctl.runtime.controller",
     "Attitude": "flipperctl.runtime.messages",
     "Cloud": "flipperctl.runtime.messages",

@@ -6,18 +6,16 @@ targets, whether the belts may run, and why.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.sensing import Measured, SensedGround
+from flipperctl.runtime.answer import Answer, Pair, State, log_line
 from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.following import Following
 from flipperctl.runtime.intake import Accepted, Fault, Intake
@@ -27,41 +25,8 @@ from flipperctl.runtime.policy import OnnxPolicy
 from flipperctl.runtime.robot_setup import RobotSetup
 from flipperctl.runtime.standby import Standby
 
-Pair = tuple[float, float]
-State = Literal["waiting", "standby", "driving", "holding", "stopped"]
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What the flippers and the belts shall do until the next step."""
-
-    targets: Pair | None
-    """Angles to turn the front and the rear flippers to, in the robot's signs [rad].
-
-    None as long as no angle was measured: then leave the flippers as they are.
-    """
-    setpoints: Pair | None
-    """Where the flippers shall be now on their way there, at the speed of the training [rad]."""
-    drive: bool
-    """Whether the belts may run."""
-    state: State
-    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``.
-
-    In ``standby`` the flippers are held too: nothing is wrong, and the belts do not drive ahead.
-    """
-    fault: str = ""
-    """Stable name of the fault, as ``cloud_age``; empty without one."""
-    reason: str = ""
-    """What was found and what is allowed, of a fault or in standby; otherwise empty."""
-    action: int | None = None
-    """The action, if this step decided; a row of ``interface.actions``."""
-    risk: float | None = None
-    """Probability of a failure soon, at the last decision; None before one, while the flippers are
-    not driven, and for a file without a risk."""
-    warning: bool = False
-    """Whether the risk is the file's threshold or more."""
 
 
 class FlipperController:
@@ -284,10 +249,7 @@ class FlipperController:
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            told = asdict(answer)
-            if self.policy.interface.risk is None:  # the lines of files without a risk stay
-                del told["risk"], told["warning"]
-            self._log(json.dumps({"time": _number(now), **told}))
+            self._log(log_line(now, answer, risk=self.policy.interface.risk is not None))
         return answer
 
     def _state(self, fault: Fault | None) -> State:
@@ -320,7 +282,3 @@ class FlipperController:
 
 def _covered(ground: SensedGround) -> float:
     return 1.0 if ground.seen is None else float(np.mean(ground.seen))
-
-
-def _number(now: object) -> object:
-    return now if isinstance(now, int | float) and math.isfinite(now) else str(now)[:40]

@@ -21,9 +21,10 @@ from flipperctl.core.actions import PAIRS
 from flipperctl.core.escape import EscapeRule
 from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.core.observation import ANGLES
-from flipperctl.core.risk import LAGS, SCALE, RiskSign
+from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import TargetRule
 from flipperctl.errors import PolicyError
+from flipperctl.runtime import optional
 from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
 from flipperctl.runtime.entries import (
     is_count,
@@ -42,15 +43,6 @@ LARGEST_HEIGHT = 5.0
 No passable ground is as high or as deep. The limit detects heights in wrong units: level ground is
 about -10 in centimetres and -100 in millimetres.
 """
-TARGETS = f"{PREFIX}targets"
-"""Metadata entry of the rule for the flippers' targets."""
-
-RISK = f"{PREFIX}risk"
-"""Metadata entry of the risk, in files whose policy tells one."""
-ESCAPE = f"{PREFIX}escape"
-"""Metadata entry of how actions are drawn on a warning, in files whose policy does so."""
-MAP = f"{PREFIX}map"
-"""Metadata entry of the map's settings, in files whose policy was trained with a LiDAR."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +182,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         frames=entry("frames", "a whole number above 0", is_count, absent="1"),
         joints=tuple(joints),
         actions=actions,
-        targets=_targets(metadata, where, robot),
-        states_targets=TARGETS in metadata,
+        targets=optional.targets(metadata, where, robot),
+        states_targets=optional.TARGETS in metadata,
         decision_period=entry("decision_period", "a time above 0", is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,
@@ -207,94 +199,9 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
                 absent="[]",
             )
         ),
-        risk=_risk(metadata, where),
-        escape=_escape(metadata, where),
-        map_quality=_map_quality(metadata, where),
-    )
-
-
-def _targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]) -> TargetRule:
-    """Return the rule for the targets; without its entry, the rule of earlier versions."""
-    if TARGETS not in metadata:
-        return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
-    rule = read_entry(
-        metadata,
-        where,
-        TARGETS.removeprefix(PREFIX),
-        "a mapping with the angles window and limit, each above 0",
-        lambda v: (
-            isinstance(v, dict) and all(is_positive(v.get(key)) for key in ("window", "limit"))
-        ),
-    )
-    return TargetRule(window=rule["window"], limit=rule["limit"])
-
-
-def _risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
-    """Return when the risk is a warning; None if the file has no risk."""
-    if RISK not in metadata:
-        return None
-    sign = read_entry(
-        metadata,
-        where,
-        RISK.removeprefix(PREFIX),
-        "a mapping with the whole number horizon, the threshold, above 0 and at most 1, the lags "
-        f"{list(LAGS)} and the scale {SCALE}",
-        lambda v: (
-            isinstance(v, dict)
-            and is_count(v.get("horizon"))
-            and is_positive(v.get("threshold"))
-            and v["threshold"] <= 1
-            and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
-        ),
-    )
-    return RiskSign(sign["horizon"], float(sign["threshold"]))
-
-
-def _escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
-    """Return how actions are drawn on a warning; None if they never are."""
-    if ESCAPE not in metadata:
-        return None
-    rule = read_entry(
-        metadata,
-        where,
-        ESCAPE.removeprefix(PREFIX),
-        f"a mapping with the temperature, above 0, and the whole number decisions, beside {RISK},",
-        lambda v: (
-            isinstance(v, dict)
-            and is_positive(v.get("temperature"))
-            and is_count(v.get("decisions"))
-            and RISK in metadata
-        ),
-    )
-    return EscapeRule(float(rule["temperature"]), rule["decisions"])
-
-
-def _map_quality(metadata: Mapping[str, str], where: str) -> MapQuality | None:
-    """Return the settings of the training's map; None if the file does not state them."""
-    if MAP not in metadata:
-        return None
-    lengths, counts = ("cell", "lane", "half_width", "noise"), ("keep", "fewest")
-    quality = read_entry(
-        metadata,
-        where,
-        MAP.removeprefix(PREFIX),
-        f"a mapping with the lengths {', '.join(lengths)}, each above 0, the whole numbers "
-        f"{' and '.join(counts)}, each above 0, and deskew, true or false,",
-        lambda v: (
-            isinstance(v, dict)
-            and all(is_positive(v.get(key)) for key in lengths)
-            and all(is_count(v.get(key)) for key in counts)
-            and isinstance(v.get("deskew"), bool)
-        ),
-    )
-    return MapQuality(
-        cell=float(quality["cell"]),
-        lane=float(quality["lane"]),
-        keep=quality["keep"],
-        half_width=float(quality["half_width"]),
-        fewest=quality["fewest"],
-        noise=float(quality["noise"]),
-        deskew=quality["deskew"],
+        risk=optional.risk(metadata, where),
+        escape=optional.escape(metadata, where),
+        map_quality=optional.map_quality(metadata, where),
     )
 
 
