@@ -55,3 +55,16 @@ def call(*arguments: str, cwd: Path) -> Done:
         os.environ.pop(plugins.VARIABLE, None)
         if before is not None:
             os.environ[plugins.VARIABLE] = before
+
+
+def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
+    """The error's text, after the checks that hold for every error."""
+    before = sorted(cwd.rglob("*"))
+    done = call(*arguments, cwd=cwd)
+    assert done.code == code, done.err
+    assert done.out == ""
+    assert done.err.startswith("error: ")
+    assert "Traceback" not in done.err
+    assert len(done.err.strip().splitlines()) <= 2, done.err
+    assert sorted(cwd.rglob("*")) == before
+    return done.err

@@ -11,8 +11,7 @@ from flipperctl.cli import bench
 from flipperctl.runs.measures import split_arguments
 from flipperctl.terminal import bench as bench_output
 from flipperctl.terminal.console import PlainConsole
-from tests.cli.call import call
-from tests.cli.test_errors import refused
+from tests.cli.call import call, refused
 
 
 def test_one_document_with_machine_settings_and_raw_numbers(tmp_path: Path) -> None:

@@ -3,8 +3,7 @@
 import json
 from pathlib import Path
 
-from tests.cli.call import call
-from tests.cli.test_errors import refused
+from tests.cli.call import call, refused
 
 WALL = '''
 from pydantic import Field

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.call import RUN, Done, call
-from tests.cli.test_errors import refused
+from tests.cli.call import RUN, Done, call, refused
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")

@@ -7,7 +7,7 @@ import pytest
 import typer
 
 from flipperctl.cli.main import app
-from tests.cli.test_errors import refused
+from tests.cli.call import refused
 
 
 def options() -> Iterator[tuple[str, ...]]:
