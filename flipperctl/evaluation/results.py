@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -293,7 +292,3 @@ class EvaluationResult:
             **({"failed": [f.to_dict() for f in self.failures]} if self.failures else {}),
             "scenes": [scene.to_dict() for scene in self.scenes],
         }
-
-    def to_json(self) -> str:
-        """Return the document of ``eval --json``."""
-        return json.dumps(self.to_dict(), indent=2)

@@ -77,7 +77,7 @@ def test_the_files_are_those_that_were_recorded(name: str, tmp_path: Path) -> No
         own = [row for row in rows if (row["scene"], row["conditions_hash"]) == key]
         scenes.append(scene(entry, own, document["controller"]))
     result = EvaluationResult(tuple(scenes))
-    assert result.to_json() + "\n" == text
+    assert json.dumps(result.to_dict(), indent=2) + "\n" == text
     files.write(tmp_path, result)
     for file in ("summary.json", "episodes.csv"):
         assert (tmp_path / file).read_bytes() == (RECORDED / name / file).read_bytes()

@@ -44,7 +44,8 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     for combination, plain in _compositions("train", overrides):
         config = _training(plain)
         # Those of the robot have an effect: policies and evaluations assume the configured one.
-        check_effect(config, {k: v for k, v in combination.typed.items() if k[:6] != "robot."})
+        typed = combination.typed.items()
+        check_effect(config, {key: word for key, word in typed if not key.startswith("robot.")})
         print_notices(config)
         found.append(config)
     return found
