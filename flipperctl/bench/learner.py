@@ -2,7 +2,8 @@
 
 An update samples the replay, takes one gradient step and makes a soft update of the target
 network, on one torch thread. A call of the learner makes ``agent.updates_together`` updates, as in
-training; each of them is a separate gradient step.
+training; each of them is a separate gradient step. With another ``device`` it is measured there,
+too.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench, CommonSettings
-from flipperctl.bench.statistics import measure_in_turn, quantity
+from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.function import FunctionPolicy
@@ -65,8 +66,10 @@ def measure(bench: Bench[CommonSettings], rivals: Rivals = no_rivals) -> dict[st
         replay = fill(config, s.transitions, s.seed)
         result: dict[str, Any] = {"about": ABOUT, "weights": {}, "quantities": {}, "ratios": {}}
         for index, batch_size in enumerate(s.batch_sizes):
-            ours = contestant(config, replay, batch_size, s.seed)
-            contestants = {"flipperctl": ours, **rivals(config, replay, batch_size, s.seed)}
+            contestants = {
+                **_ours(config, replay, batch_size, s.seed),
+                **rivals(config, replay, batch_size, s.seed),
+            }
             result["weights"] |= {name: c.weights for name, c in contestants.items()}
             clocks = {name: _clock(c, s.updates) for name, c in contestants.items()}
             for clock in clocks.values():
@@ -75,7 +78,11 @@ def measure(bench: Bench[CommonSettings], rivals: Rivals = no_rivals) -> dict[st
             def report(fraction: float, done: int = index, size: int = batch_size) -> None:
                 bench.report_progress(f"batches of {size}", (done + fraction) / len(s.batch_sizes))
 
-            for name, rates in measure_in_turn(clocks, s.repeats, report).items():
+            found = measure_in_turn(clocks, s.repeats, report)
+            if (there := f"flipperctl on {config.device}") in found:
+                name = f"{there} / flipperctl, batches of {batch_size}"
+                result["ratios"][name] = ratio(found[there], found["flipperctl"])
+            for name, rates in found.items():
                 moved = [batch_size * rate for rate in rates]
                 result["quantities"] |= {
                     f"{name}.updates.{batch_size}": quantity(rates, "1/s"),
@@ -112,14 +119,27 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
 
 
 def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) -> Contestant:
-    """Return flipperctl's learner."""
+    """Return flipperctl's learner on the configuration's device."""
     settings = config.agent.model_copy(update={"batch_size": batch_size})
-    agent = D3qn(config.network, config.perception, len(ACTIONS), settings, seed=seed)
+    agent = D3qn(
+        *(config.network, config.perception, len(ACTIONS), settings),
+        seed=seed,
+        device=config.device,
+    )
     rng = np.random.default_rng(seed)
     together = settings.updates_together
     rows = together * batch_size
     count = sum(p.numel() for p in agent.online.parameters())
     return Contestant(lambda: agent.update(replay.sample(rows, rng), 0.0), together, count)
+
+
+def _ours(config: TrainConfig, replay: Replay, batch_size: int, seed: int) -> dict[str, Contestant]:
+    """Return flipperctl's learner on the CPU, and on the configured device if that is another."""
+    on_cpu = config.model_copy(update={"device": "cpu"})
+    found = {"flipperctl": contestant(on_cpu, replay, batch_size, seed)}
+    if config.device != "cpu":
+        found[f"flipperctl on {config.device}"] = contestant(config, replay, batch_size, seed)
+    return found
 
 
 def _clock(contestant: Contestant, updates: int) -> Callable[[], float]:

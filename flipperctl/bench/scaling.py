@@ -173,7 +173,10 @@ def measure(
                     collectors[f"{name}.{workers}"] = factory(bench.config, workers)
             except MissingExtraError as error:
                 missing.append(str(error))
-        clocks = {name: _clock(made, s.decisions) for name, made in collectors.items()}
+        clocks = {
+            name: _clock(made, s.decisions * int(name.rpartition(".")[2]))
+            for name, made in collectors.items()
+        }
         for clock in clocks.values():
             clock()  # warm-up
         rates = measure_in_turn(

@@ -57,7 +57,10 @@ class BenchSettings(CommonSettings):
     )
     calls: int = Field(5000, ge=10, le=10_000_000, description="latency: calls per round [-]")
     decisions: int = Field(
-        2000, ge=100, le=10_000_000, description="latency, scaling: decisions of a short run [-]"
+        2000,
+        ge=100,
+        le=10_000_000,
+        description="latency: decisions of a short run; scaling: decisions of each worker [-]",
     )
 
 

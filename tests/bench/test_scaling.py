@@ -51,7 +51,7 @@ def test_every_collector_is_measured_and_closed() -> None:
     check_ratio(found, "processes.2 / processes.1", "processes.2", "processes.1")
     assert found["missing"] == ["ray is not installed; install flipperctl[ray]"]
     wanted = bench.settings.decisions * (bench.settings.repeats + 1)  # once to warm up
-    assert [(c.collected, c.closed) for c in made] == [(wanted, 1), (wanted, 1)]
+    assert [(c.collected, c.closed) for c in made] == [(wanted, 1), (2 * wanted, 1)]
 
 
 @pytest.mark.parametrize(
