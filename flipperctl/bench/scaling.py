@@ -122,26 +122,32 @@ def process_collector(config: TrainConfig, workers: int) -> Collector:
     return WorkersCollector(config, ProcessWorkers(workers, to_dict(config), paths))
 
 
-def ray_collector(config: TrainConfig, workers: int) -> Collector:
-    """Return a collector with ``collector=ray`` on a local cluster for all contestants."""
-    from flipperctl.rollout.ray_cluster import start_local
-    from flipperctl.rollout.ray_workers import RayWorkers
+def ray_collector(cpus: int) -> Factory:
+    """Return the factory of ``collector=ray`` on one local cluster of ``cpus`` CPUs."""
 
-    start_local(sum(worker_counts()))
-    settings = RayCollector(workers=workers)
-    paths = plugins.configured_paths()
-    return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))
+    def create(config: TrainConfig, workers: int) -> Collector:
+        from flipperctl.rollout.ray_cluster import start_local
+        from flipperctl.rollout.ray_workers import RayWorkers
+
+        start_local(cpus)
+        settings = RayCollector(workers=workers)
+        paths = plugins.configured_paths()
+        return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))
+
+    return create
 
 
-def factories(config: TrainConfig) -> dict[str, tuple[Factory, tuple[int, ...]]]:
+def factories(
+    config: TrainConfig, counts: tuple[int, ...]
+) -> dict[str, tuple[Factory, tuple[int, ...]]]:
     """Return the factory and the numbers of workers of each kind of collector, by name.
 
-    With a teacher, which labels what workers collect, there is none in this process.
+    ``counts``: those of processes and of Ray workers. With a teacher, which labels what workers
+    collect, there is no collector in this process.
     """
-    counts = worker_counts()
     found: dict[str, tuple[Factory, tuple[int, ...]]] = {
         "processes": (process_collector, counts),
-        "ray": (ray_collector, counts),
+        "ray": (ray_collector(sum(counts)), counts),
     }
     if config.teacher.controller is not None:
         return found
@@ -162,13 +168,14 @@ def measure(
 ) -> dict[str, Any]:
     """Measure decisions per second [1/s] of each collector, and their ratios."""
     s, threads = bench.settings, torch.get_num_threads()
+    counts = s.workers or worker_counts()
     torch.set_num_threads(1)
     collectors: dict[str, Collector] = {}
     missing: list[str] = []
     try:
-        for name, (factory, counts) in (found or factories(bench.config)).items():
+        for name, (factory, numbers) in (found or factories(bench.config, counts)).items():
             try:
-                for workers in counts:
+                for workers in numbers:
                     bench.report_progress(f"starting {name} with {workers}", 0.0)
                     collectors[f"{name}.{workers}"] = factory(bench.config, workers)
             except MissingExtraError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import Field
 
@@ -61,6 +61,11 @@ class BenchSettings(CommonSettings):
         ge=100,
         le=10_000_000,
         description="latency: decisions of a short run; scaling: decisions of each worker [-]",
+    )
+    workers: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = Field(
+        (),
+        description="scaling: numbers of workers; none: the powers of two up to the number of "
+        "cores [-]",
     )
 
 

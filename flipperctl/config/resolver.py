@@ -132,6 +132,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         if key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
             result[key] = by_name(value)
             continue
+        if key == "collector" and isinstance(value, str):  # a name alone, as on the command line
+            result[key] = {"name": value}
+            continue
         *parents, leaf = key.split(".")
         node = result
         for parent in parents:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from flipperctl.checkpoint.document import State
     from flipperctl.config import Train, TrainConfig
 
-_RESUMABLE = ("train.", "device", "logger")
+_RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
 _JUDGING = ("best_by", "validation_episodes", "validation_seed")
 """Settings of ``train`` that hold from the first validation on, of which all choose the best."""
@@ -36,13 +36,13 @@ def check_resumable(words: Iterable[str]) -> None:
     """Refuse overrides of a resumed run that would make it another run.
 
     Raises:
-        ConfigError: an override sets anything but ``train``, the device or the loggers.
+        ConfigError: an override sets anything but ``train``, device, collector or loggers.
     """
     for word in words:
         if "=" not in word or not word.startswith(_RESUMABLE):
             raise ConfigError(
-                f"{word!r}: a resumed run keeps its configuration; "
-                "only train.<field>=…, device=… and logger=… can be given with --resume"
+                f"{word!r}: a resumed run keeps its configuration; only train.<field>=…, "
+                "device=…, collector=… and logger=… can be given with --resume"
             )
 
 

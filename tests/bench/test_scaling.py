@@ -25,14 +25,18 @@ class Counting:
 def test_the_reference_plays_what_is_asked() -> None:
     # tests/rollout/test_ray.py plays on a cluster; a lone worker would import torch anew.
     bench, counts = small_bench(), {"in_process": (1,), "processes": (2,)}
-    made = scaling.factories(bench.config)
+    made = scaling.factories(bench.config, (1, 2))
     found = {name: (made[name][0], workers) for name, workers in counts.items()}
     check(scaling.measure(bench, found))
 
 
 def test_what_a_teacher_labels_is_collected_by_workers_alone() -> None:
     config = TrainConfig(terrain="step", network="at_d3qn", teacher={"controller": "okada"})
-    assert [*scaling.factories(config)] == ["processes", "ray"]
+    found = scaling.factories(config, (1, 8))
+    assert {name: counts for name, (_, counts) in found.items()} == {
+        "processes": (1, 8),
+        "ray": (1, 8),
+    }
 
 
 def test_every_collector_is_measured_and_closed() -> None:

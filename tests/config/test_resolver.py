@@ -2,7 +2,16 @@
 
 import pytest
 
-from flipperctl.config import EnvConfig, Teacher, parse, resolver, to_dict, with_overrides
+from flipperctl.config import (
+    EnvConfig,
+    RayCollector,
+    Teacher,
+    TrainConfig,
+    parse,
+    resolver,
+    to_dict,
+    with_overrides,
+)
 from flipperctl.errors import ConfigError
 
 
@@ -48,6 +57,13 @@ def test_overrides_drop_terms_and_add_others() -> None:
     found = with_overrides(base, {"rewards.pitch": None, "rewards.hit": "impact"})
     assert set(found.rewards) == {"flipper", "end", "hit"}
     assert with_overrides(base, {"rewards": {}}).rewards == {}
+
+
+def test_a_collector_may_be_named_alone() -> None:
+    base = TrainConfig(terrain="stair", network="at_d3qn")
+    found = with_overrides(base, {"collector": "ray", "collector.workers": 3})
+    assert found.collector == RayCollector(workers=3)
+    assert with_overrides(found, {"collector": "local"}).collector == base.collector
 
 
 def test_an_override_inside_a_value_names_the_value() -> None:

@@ -11,6 +11,7 @@ import pytest
 from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.rollout import ray_workers
+from flipperctl.runs.training import resume
 from tests.rollout.notes import Notes
 from tests.short import short_config, trainer
 from tests.training.test_searched import tiny
@@ -73,6 +74,10 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     assert summary["finished"] is False
     assert summary["lost_episodes"] == 0
     assert "The run continues with 2; others join when a CPU is free" in listener.notes[-1]
+    more = learner.progress.decision + 20
+    changes = {"collector": "local", "train.decisions": more, "train.validate_every": more}
+    resumed = resume(tmp_path, changes)  # without the cluster
+    assert (resumed.summary["decisions"], resumed.summary["lost_episodes"]) == (more, 0)
 
 
 def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) -> None:
