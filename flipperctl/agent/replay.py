@@ -244,6 +244,11 @@ class Replay:
             raise RuntimeError(f"{self.added} kept transitions fill the replay")
         self.kept = self.added
 
+    def take_back(self) -> None:
+        """Remove the transitions of the running episode."""
+        self.added -= self._episode
+        self.drop_pending()
+
     def drop_pending(self) -> None:
         """Discard the decisions that still lack their n-th reward."""
         self._pending.clear()

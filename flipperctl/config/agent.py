@@ -157,11 +157,11 @@ class Agent(Settings):
     def _fits_policy_gradient(self) -> Self:
         if not self.draws:
             return self
-        needed = self.policy_gradient.decisions
+        needed = 2 * self.policy_gradient.decisions  # a round ends with a whole episode
         for name, wrong, allowed in (
             ("n_step", self.n_step != 1, "1"),
             ("bootstrap_outcomes", bool(self.bootstrap_outcomes), "[]"),
-            ("replay_size", self.replay_size < needed, f"{needed} (its decisions) or more"),
+            ("replay_size", self.replay_size < needed, f"{needed} (twice its decisions) or more"),
         ):
             if wrong:
                 raise ConfigError(

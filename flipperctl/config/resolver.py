@@ -114,8 +114,14 @@ def parse(model: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
         raise ConfigError(explain(error, "", model)) from error
 
 
+_NAMED_FIRST = ("collector", "logger")
+
+
 def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
     """Return ``config`` with overrides applied; their keys may be nested or dotted.
+
+    The names of the loggers and of the collector come first, whatever the order, as groups do on
+    the command line. The collector that ``config`` has keeps its settings if it is named again.
 
     A reward term set to None is dropped; an empty mapping of rewards drops all terms.
 
@@ -123,7 +129,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
     """
     result = to_dict(config)
-    for key, value in overrides.items():
+    for key, value in sorted(overrides.items(), key=lambda item: item[0] not in _NAMED_FIRST):
         if (
             key == "rewards" and value == {}
         ):  # an empty mapping replaces the terms instead of merging into them
@@ -133,7 +139,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             result[key] = by_name(value)
             continue
         if key == "collector" and isinstance(value, str):  # a name alone, as on the command line
-            result[key] = {"name": value}
+            kept = result.get(key)
+            if not (isinstance(kept, dict) and kept.get("name") == value):
+                result[key] = {"name": value}
             continue
         *parents, leaf = key.split(".")
         node = result

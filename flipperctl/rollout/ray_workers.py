@@ -158,17 +158,22 @@ class RayWorkers:
         self._report(text)
 
     def _dispatch(self) -> None:
-        """Send the queued requests to the started actors with the fewest pending ones."""
+        """Send queued requests to the started actors with the fewest pending ones.
+
+        Each gets as many as keep it busy; the rest waits for others, which may start later.
+        """
         if not self._started:
             return
         load = {id(actor): 0 for actor in self._started}
         for _, actor in self._sent.values():
             load[id(actor)] = load.get(id(actor), 0) + 1
         while self._queue:
+            actor = min(self._started, key=lambda one: load[id(one)])
+            if load[id(actor)] >= _REQUESTS_PER_WORKER:
+                return
             request = self._queue.popleft()
             if self._shared[0] is not request.weights:
                 self._shared = (request.weights, self._ray.put(dict(request.weights)))
-            actor = min(self._started, key=lambda one: load[id(one)])
             load[id(actor)] += 1
             light = replace(request, weights={})
             self._sent[actor.play.remote(light, self._shared[1])] = (request, actor)

@@ -20,6 +20,8 @@ STANDING = ("level", "okada")
 """Controllers that stand in a table of several methods unless others are named."""
 _PLACES = ("seed", "device", "collector", "logger")
 """Settings in which the trainings of one method may differ."""
+_PACE = ("workers", "threads", "checkpoint_every", "regret_episodes")
+"""Settings of ``train`` in which they may differ, since a run may go on elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,7 @@ def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
         return ExportedPolicy(file).interface.seed, {"file": str(file)}
     config = checkpoints.read(file).policy_config()
     plain = resolver.to_dict(config)
+    plain["train"] = {name: value for name, value in plain["train"].items() if name not in _PACE}
     return config.seed, {name: value for name, value in plain.items() if name not in _PLACES}
 
 

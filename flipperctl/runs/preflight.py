@@ -47,7 +47,7 @@ def check_resumable(words: Iterable[str]) -> None:
 
 
 def require_kept(before: Train, after: Train, state: State) -> None:
-    """Refuse changes of a run in this state that would mix two ways of judging or recording.
+    """Refuse changes of a run in this state that would mix ways of judging or collecting.
 
     Raises:
         ConfigError: one of these settings differs.
@@ -57,6 +57,8 @@ def require_kept(before: Train, after: Train, state: State) -> None:
         return str(value).lower() if isinstance(value, bool) else f"{value}"
 
     kept_from_now = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
+    if state.orders:  # workers have begun episodes
+        kept_from_now.append("mode")
     for name in kept_from_now:
         kept, given = getattr(before, name), getattr(after, name)
         if given != kept:

@@ -42,10 +42,9 @@ def train(
     (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
     ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
     by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
-    settings, those of ``train``, ``device`` and ``logger`` alone can be given with it, but for some
-    of ``train`` that hold for a whole run. ``plugins``:
-    files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
-    notebook.
+    settings, those of ``train``, ``device``, ``collector`` and ``logger`` alone can be given with
+    it, but for some of ``train`` that hold for a whole run. ``plugins``: files or folders of
+    plugins. ``progress``: whether progress is shown, on stderr or in the notebook.
 
     Raises:
         InterruptedRunError: the run was stopped by Ctrl-C or by the notebook's stop button;

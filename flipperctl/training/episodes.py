@@ -55,8 +55,13 @@ class EpisodeSource:
     def _temperature(self) -> float:
         return self._config.temperature_at(self._progress.decision)
 
-    def start_collector(self, outstanding: Sequence[RolloutRequest], stop: Stop) -> Collector:
+    def start_collector(
+        self, outstanding: Sequence[RolloutRequest], stop: Stop, recorded: int = 0
+    ) -> Collector:
         """Start the collector; resend the ``outstanding`` requests of a resumed run.
+
+        ``recorded``: decisions of ``teacher.episodes``, which count among those before the first
+        update, and so before the student drives.
 
         ``stop`` can end its waits and its evaluations.
         """
@@ -64,9 +69,12 @@ class EpisodeSource:
         if (teacher := config.teacher.controller) is not None:
             for note in controller_notes(teacher, config, "teacher.controller"):
                 self._report(note)
+        starts = max(1, config.agent.learning_starts - recorded)
         if config.train.mode == "exact":
-            return self._in_process_collector(stop)
-        document, paths = to_dict(config), plugins.configured_paths()
+            return self._in_process_collector(stop, starts)
+        begun = config.agent.model_copy(update={"learning_starts": starts})
+        document = to_dict(config.model_copy(update={"agent": begun}))
+        paths = plugins.configured_paths()
         workers: RolloutWorkers
         if config.collector.name == "ray":
             from flipperctl.rollout.ray_workers import RayWorkers
@@ -87,7 +95,7 @@ class EpisodeSource:
         terrain = self._config.terrain
         progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
 
-    def _in_process_collector(self, stop: Stop) -> Collector:
+    def _in_process_collector(self, stop: Stop, starts: int) -> Collector:
         env = FlipperEnv(config=self._config.environment())
         frames, agent = self._config.network.frames, self._agent
         settings = self._config.agent
@@ -99,7 +107,7 @@ class EpisodeSource:
                 share=settings.exploring_share,
             )
         )
-        teacher, starts = self._config.teacher, settings.learning_starts
+        teacher = self._config.teacher
         if teacher.controller is not None:
             policy = TaughtPolicy(
                 policy,

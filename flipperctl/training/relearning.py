@@ -17,7 +17,7 @@ from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.config import TrainConfig
-from flipperctl.training.starting import start
+from flipperctl.training.starting import give, read_start
 
 _REPORTS = 4
 """Number of messages about the progress."""
@@ -40,6 +40,8 @@ class Relearning:
         """
         self._config, self._layout, self._replay = config, layout, replay
         self._seeds, self._report = seeds, report
+        relearns = config.teacher.final_updates and config.teacher.teaches
+        self._start = read_start(config) if relearns else None  # the file may change until then
 
     def run(self, agent: Learner, stop: Callable[[], bool]) -> bool:
         """Do all updates and give the agent the weights; do nothing if none are configured.
@@ -81,5 +83,6 @@ class Relearning:
             device=config.device,
             teacher=config.teacher,
         )
-        start(config, learner)
+        if self._start is not None:
+            give(self._start, learner)
         return learner

@@ -28,7 +28,11 @@ _ROWS = 64
 """Random inputs on which the two networks must agree [-]."""
 
 
-def read_start(config: TrainConfig) -> tuple[torch.nn.Module, torch.nn.Module | None] | None:
+Start = tuple[torch.nn.Module, torch.nn.Module | None]
+"""The networks of a policy and of its risk, if a training takes that."""
+
+
+def read_start(config: TrainConfig) -> Start | None:
     """Return the networks of the policy and of its risk that a training starts with.
 
     The second is None if the training learns no risk or the policy has none; the result is None if
@@ -65,8 +69,12 @@ def start(config: TrainConfig, agent: Learner) -> None:
         ConfigError: it has another network than the training.
     """
     found = read_start(config)
-    if found is None:
-        return
+    if found is not None:
+        give(found, agent)
+
+
+def give(found: Start, agent: Learner) -> None:
+    """Give the networks of ``agent`` the weights that ``read_start`` found."""
     module, risk = found
     for network in agent.starting:
         network.load_state_dict(module.state_dict())

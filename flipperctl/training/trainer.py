@@ -129,7 +129,7 @@ class Trainer:
                 start(self.config, self.agent)
                 self._add_recorded()
             self._save_all(self._outstanding)
-            collector = self.episodes.start_collector(self._outstanding, stop)
+            collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
             opened.append(collector)
             finished = self._train(collector, stop)
             self._save_all(collector.outstanding())
@@ -203,6 +203,7 @@ class Trainer:
             if self.progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first, or the run is to stop
+            self._updates.after_cut()
             self.replay.drop_pending()
             self._recorder.drop()
         else:

@@ -14,6 +14,7 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.agent.replay import Replay
 from flipperctl.config import TrainConfig
+from flipperctl.errors import ConfigError
 from flipperctl.training.progress import Progress
 from flipperctl.training.valued import ValuedStates
 
@@ -26,6 +27,9 @@ class Updates(Protocol):
 
     def after_episode(self) -> None:
         """Update the learner if an update is due after an episode that has ended."""
+
+    def after_cut(self) -> None:
+        """Forget what must not be learnt from an episode that the end of the budget has cut."""
 
 
 class ReplayUpdates:
@@ -63,6 +67,9 @@ class ReplayUpdates:
     def after_episode(self) -> None:
         """Do nothing."""
 
+    def after_cut(self) -> None:
+        """Do nothing: its complete transitions are as good as others."""
+
 
 class EpisodeUpdates:
     """Updates from the newest whole episodes, each of which is used once."""
@@ -86,8 +93,17 @@ class EpisodeUpdates:
         """Update the agent if enough decisions are new."""
         agent, replay, progress = self._agent, self._replay, self._progress
         new = replay.added - agent.learnt
+        if new > replay.capacity:  # one episode is longer than a whole round
+            raise ConfigError(
+                f"agent.replay_size: {replay.capacity:,} decisions are fewer than the {new:,} of "
+                "whole episodes that the policy gradient learns from at once; raise it"
+            )
         if new >= self._config.agent.policy_gradient.decisions:
             fraction = progress.decision / self._config.train.decisions
             progress.loss = agent.update(replay.newest(new), fraction, self._rng)
             agent.learnt = replay.added
             progress.updates += 1
+
+    def after_cut(self) -> None:
+        """Remove the part of the episode: another one would follow as if it were its rest."""
+        self._replay.take_back()

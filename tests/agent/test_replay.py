@@ -34,6 +34,19 @@ def rows(replay: Replay) -> list[tuple[float, int, float, float, float]]:
     return [tuple(row) for row in np.column_stack(columns)[: len(replay)].tolist()]
 
 
+def test_a_running_episode_can_be_taken_back() -> None:
+    replay = Replay(10, size=2, n_step=1, gamma=0.5)
+    feed(replay, [1.0, 2.0])
+    before = rows(replay)
+    feed(replay, [3.0, 4.0, 5.0], over=False)
+    replay.take_back()
+    assert rows(replay) == before
+    replay.take_back()  # no episode is running
+    assert rows(replay) == before
+    feed(replay, [6.0])
+    assert rows(replay) == [*before, (0, 0, 6.0, 1, 0.0)]
+
+
 def test_one_step_transitions_are_kept_as_they_come() -> None:
     replay = Replay(10, size=2, n_step=1, gamma=0.5)
     feed(replay, [1.0, 2.0])

@@ -93,7 +93,13 @@ def test_ctrl_c_saves_and_resume_goes_on(tmp_path: Path) -> None:
     decisions = [int(row["decision"]) for row in read_rows(metrics)]
     assert decisions == sorted(decisions)
 
-    for word in ("best_by=return", "validation_seed=5", "validation_episodes=3", "record=true"):
+    for word in (
+        "best_by=return",
+        "validation_seed=5",
+        "validation_episodes=3",
+        "record=true",
+        "mode=exact",
+    ):
         done = call("train", "--resume", "r", f"train.{word}", cwd=tmp_path)
         assert done.code == 2
         assert f"train.{word}: the run goes on with train.{word.partition('=')[0]}=" in done.err

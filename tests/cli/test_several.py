@@ -107,8 +107,10 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
     for number, seed in enumerate((4, 9)):
         file = tmp_path / "sweep" / f"{number}_seed={seed}" / checkpoint.BEST
         file.parent.mkdir(parents=True)
+        config = shipped.document.config
+        pace = {**config.train, "workers": 1 + number}  # one went on elsewhere
         document = shipped.document.model_copy(
-            update={"config": shipped.document.config.model_copy(update={"seed": seed})}
+            update={"config": config.model_copy(update={"seed": seed, "train": pace})}
         )
         checkpoint.write(file, document, shipped.tensors)
     (tmp_path / "sweep" / "2_seed=1" / "checkpoints").mkdir(parents=True)

@@ -37,6 +37,8 @@ def test_a_resumed_run_may_have_other_loggers() -> None:
     both = with_overrides(config, {"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
     assert to_dict(both)["logger"]["wandb"]["project"] == "stairs"
     assert list(both.logger) == ["wandb"]
+    later = with_overrides(config, {"logger.wandb.project": "stairs", "logger": ["csv", "wandb"]})
+    assert later.logger == both.logger
     one = with_overrides(both, {"logger.wandb.mode": "offline"})
     assert to_dict(one)["logger"]["wandb"] == to_dict(both)["logger"]["wandb"] | {"mode": "offline"}
 

@@ -64,6 +64,10 @@ def test_a_collector_may_be_named_alone() -> None:
     found = with_overrides(base, {"collector": "ray", "collector.workers": 3})
     assert found.collector == RayCollector(workers=3)
     assert with_overrides(found, {"collector": "local"}).collector == base.collector
+    later = with_overrides(base, {"collector.workers": 3, "collector": "ray"})
+    assert later.collector == found.collector  # in any order
+    kept = with_overrides(found, {"collector": "ray", "collector.patience": 9})
+    assert kept.collector == RayCollector(workers=3, patience=9)
 
 
 def test_an_override_inside_a_value_names_the_value() -> None:

@@ -7,9 +7,13 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
+from flipperctl.agent.policy_gradient import PolicyGradient
+from flipperctl.agent.replay import Replay
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.values import learned_value
+from flipperctl.training.progress import Progress
+from flipperctl.training.updates import EpisodeUpdates
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
@@ -53,6 +57,27 @@ def test_the_policy_moves_from_its_start_after_the_warm_up(run: Path) -> None:
     assert any(not torch.equal(anchor[name], online[name]) for name in anchor)
 
 
+def test_the_part_of_an_episode_that_the_budget_cut_is_not_learnt(run: Path) -> None:
+    last = checkpoint.read(run / checkpoint.LAST)
+    state, replay = last.document.state, last.part("replay")
+    assert state is not None
+    assert len(replay["discount"]) < state.decision == 600  # it cuts one
+    ends = (replay["discount"] == 0).sum()
+    assert replay["discount"][-1] == 0
+    assert ends == state.episode
+
+
+def test_a_round_longer_than_the_replay_is_refused(tmp_path: Path) -> None:
+    agent = trainer(config(), tmp_path).agent
+    assert isinstance(agent, PolicyGradient)
+    replay, row = Replay(4, size=2, n_step=1, gamma=0.5), np.zeros(2, np.float32)
+    for step in range(6):
+        replay.add(row, 0, 0.0, row, over=step == 5, bootstrap=False)
+    updates = EpisodeUpdates(config(), agent, replay, Progress(1.0), np.random.default_rng(0))
+    with pytest.raises(ConfigError, match=r"agent\.replay_size: 4 decisions .* than the 6 of"):
+        updates.after_episode()
+
+
 def test_a_resumed_run_equals_the_uninterrupted_one(run: Path, tmp_path: Path) -> None:
     stopped = trainer(config(), tmp_path)
     stopped.run(lambda: stopped.progress.decision >= 250)
@@ -86,7 +111,7 @@ def test_workers_draw_too(tmp_path: Path) -> None:
     [
         ({"agent.n_step": 3}, "agent.n_step: 3 does not go with agent.learner=policy_gradient"),
         ({"agent.bootstrap_outcomes": ["timeout"]}, "agent.bootstrap_outcomes: "),
-        ({"agent.replay_size": 100, "agent.policy_gradient.decisions": 101}, "101 .* or more is"),
+        ({"agent.replay_size": 199, "agent.policy_gradient.decisions": 100}, "200 .* or more is"),
         ({"teacher": {"controller": {"name": "okada"}}}, "set teacher=none"),
     ],
 )

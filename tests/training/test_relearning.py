@@ -1,5 +1,6 @@
 """``teacher.final_updates``: at its end, a training learns all labels anew."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,18 @@ class _Notes:
 
     def close(self) -> None:
         """Do nothing."""
+
+
+class _Deleting(_Notes):
+    """A listener that deletes a file after the first episode."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self._file = file
+
+    def episode(self, row: dict[str, object]) -> None:
+        """Delete the file."""
+        self._file.unlink(missing_ok=True)
 
 
 def config(updates: int, **more: object) -> TrainConfig:
@@ -86,6 +99,24 @@ def test_a_stop_in_it_changes_nothing(tmp_path: Path) -> None:
         "52 of 100",
         "76 of 100",
     ]
+
+
+def test_it_begins_with_the_weights_that_the_training_began_with(
+    short_run: Path, tmp_path: Path
+) -> None:
+    """The file that it started from may change, or go, while it trains."""
+    copy = tmp_path / "start.safetensors"
+    shutil.copy(short_run / checkpoint.BEST, copy)
+    first = trainer(config(3, **{"agent.start_from": str(copy)}), tmp_path / "first")
+    first.listeners.append(_Deleting(copy))
+    assert first.run()["finished"]
+    assert not copy.exists()
+    trained(tmp_path / "kept", config(3, **{"agent.start_from": str(short_run)}))
+    found, expected = (
+        checkpoint.read(tmp_path / name / checkpoint.LAST).part("online")
+        for name in ("first", "kept")
+    )
+    assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
 @pytest.mark.parametrize("more", [{}, {"td_weight": 0, "loss": "values"}])

@@ -1,0 +1,62 @@
+"""When the student of a training with recorded episodes drives: as soon as it learns."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flipperctl.checkpoint import recording
+from flipperctl.config import EnvConfig
+from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.policies.source import PolicySource
+from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.training import episodes
+from tests.short import short_config, trainer
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("starts", [30, 1000])
+def test_recorded_decisions_count_before_the_student_drives(
+    starts: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    environment = EnvConfig(terrain="step")
+    rule = PolicySource(settings={"name": "okada"})
+    played = list(play_episodes(environment, rule, episodes=2, seed=5, record=True))
+    file = tmp_path / "okada.safetensors"
+    recording.write(file, "okada", [(environment, [e.recorded for e in played if e.recorded])])
+    settings: dict[str, Any] = {
+        "agent.learning_starts": starts,
+        "teacher.controller": {"name": "okada"},
+        "teacher.episodes": str(file),
+    }
+    recorded = sum(len(e.recorded.actions) for e in played if e.recorded)
+    assert 30 < recorded < 1000
+    begins = max(1, starts - recorded)
+
+    made: list[dict[str, Any]] = []
+
+    class Workers(ProcessWorkers):
+        def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+            made.append(config)
+            super().__init__(count, config, plugin_paths)
+
+    monkeypatch.setattr(episodes, "ProcessWorkers", Workers)
+    fast = trainer(short_config(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
+    fast.run(lambda: True)
+    assert [config["agent"]["learning_starts"] for config in made] == [begins]
+
+    learns: list[Callable[[], bool]] = []
+
+    def taught(*arguments: Any) -> TaughtPolicy:
+        learns.append(arguments[3])
+        return TaughtPolicy(*arguments)
+
+    monkeypatch.setattr(episodes, "TaughtPolicy", taught)
+    exact = trainer(short_config(**settings), tmp_path / "exact")
+    exact.run(lambda: True)
+    for decision, student in ((begins - 1, False), (begins, True)):
+        exact.progress.decision = decision
+        assert [check() for check in learns] == [student]
