@@ -87,10 +87,12 @@ class Started:
     """An actor that only counts its requests."""
 
     def __init__(self) -> None:
-        self.played: list[Any] = []
-        self.play = SimpleNamespace(
-            remote=lambda request, _: self.played.append(request) or request
-        )
+        self.played: list[int] = []
+        self.play = SimpleNamespace(remote=self._play)
+
+    def _play(self, request: RolloutRequest, _: Any) -> int:
+        self.played.append(request.episode)
+        return request.episode
 
 
 def test_requests_of_a_resumed_run_wait_for_workers_that_start_later(
