@@ -21,6 +21,12 @@ from flipperctl.evaluation.statistics import summarise
 from flipperctl.evaluation.store import CellFolder, EpisodeStore
 
 BEST_KNOWN = "best known"
+"""How such rows are called, before the label of the policy in brackets."""
+
+
+def is_best_known(label: str) -> bool:
+    """Return whether a row's label is that of the best stored policy."""
+    return label.startswith(f"{BEST_KNOWN} (")
 
 
 def with_best_known(
@@ -34,21 +40,17 @@ def with_best_known(
     """
     if not isinstance(store, CellFolder):
         return result
-    configs = {_key(config, Conditions.of(config)): config for config, _ in scenes}
     found: list[SceneResult] = []
     for _, rows in groupby(result.scenes, lambda one: (one.name.scene, one.conditions.hash)):
         together = list(rows)
         first = together[0]
-        config = configs.get((first.terrain, first.conditions.hash, first.seed))
-        best = None if config is None else _best(config, first.name.scene, store)
+        best = None
+        if first.index is not None:
+            best = _best(scenes[first.index][0], first.name.scene, store)
         found += together
         if best is not None and all(_rank(best.episodes) > _rank(o.episodes) for o in together):
             found.append(best)
     return replace(result, scenes=tuple(found))
-
-
-def _key(config: EvalConfig, conditions: Conditions) -> tuple[str, str, int]:
-    return config.terrain.plugin_name, conditions.hash, config.eval.seed
 
 
 def _best(config: EvalConfig, scene: str, store: CellFolder) -> SceneResult | None:

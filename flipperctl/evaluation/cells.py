@@ -18,7 +18,7 @@ from typing import Any
 
 import flipperctl
 from flipperctl.config import EvalConfig, to_dict
-from flipperctl.config.identity import foreign_sources
+from flipperctl.config.identity import content_digest, foreign_sources, read_files
 from flipperctl.env.metrics import measures
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.policies.identity import PolicyIdentity
@@ -141,7 +141,9 @@ def _scoring(config: EvalConfig) -> dict[str, Any]:
     """Return what results depend on besides the conditions, as plain data."""
     whole = to_dict(config.environment())
     found = measures()
+    read = [file for one in [*config.rewards.values(), *found.values()] for file in read_files(one)]
     return {
+        **({"files": [content_digest(file) for file in read]} if read else {}),
         "rewards": whole["rewards"],
         "layout": {name: whole["perception"][name] for name in ("bins", "bin_width")},
         "measures": {name: to_dict(measure) for name, measure in found.items()},

@@ -43,8 +43,7 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
             "conditions_hash": scene.conditions.hash,
             **({"suite_scene": scene.name.scene} if scene.name.scene else {}),
         }
-        label = scene.method if scene.index is None else scene.controller  # of other results
-        players = [(label, scene.episodes)]
+        players = [(scene.row_label, scene.episodes)]
         players += [(other.controller, other.episodes) for other in scene.baselines]
         for label, episodes in players:
             for episode in episodes:

@@ -75,6 +75,20 @@ def proportion(count: int, total: int) -> Interval:
     return Interval(rate, low, high)
 
 
+def mean_of(parts: Sequence[Interval]) -> Interval:
+    """Return the mean of independent estimates with the interval that theirs imply.
+
+    The distances of their ends add up as squares (Zou & Donner 2008), so that rates of 0 and 1, in
+    which nothing varies, leave a width. Every part has both ends.
+    """
+    means, lows, highs = (
+        np.array([getattr(part, name) for part in parts]) for name in ("mean", "low", "high")
+    )
+    mean = float(means.mean())
+    below, above = (float(np.linalg.norm(means - ends)) for ends in (lows, highs))
+    return Interval(mean, mean - below / len(parts), mean + above / len(parts))
+
+
 def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
     """Return the success rate of a policy minus that of another, over ``total`` equal seeds.
 

@@ -240,6 +240,11 @@ class SceneResult:
         return self.name.method_text or self.controller
 
     @property
+    def row_label(self) -> str:
+        """Label of the policy in files: that of a row beside the evaluated ones says so."""
+        return self.method if self.index is None else self.controller
+
+    @property
     def has_identical_episodes(self) -> bool:
         """Whether there are several episodes whose outcomes and measures are all identical."""
         measured = {

@@ -7,7 +7,7 @@ methods with the episodes that all of them played.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.scores import Method
 from flipperctl.messages import close_match
 
@@ -49,6 +50,7 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
             was played by all.
     """
     runs: dict[str, list[Episodes]] = {}
+    rules: set[str] = set()
     notices: list[str] = []
     seen: set[Path] = set()
     for word in words:
@@ -62,12 +64,14 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
                 continue
             seen.add(place)
             for index, (label, episodes) in enumerate(_policies(one / FILE, measure).items()):
+                if index:
+                    rules.add(label)
                 known = runs.setdefault((name if index == 0 else None) or label, [])
                 if episodes not in known:
                     known.append(episodes)
                 elif index == 0:
                     notices.append(f"{one} has the episodes of another seed and is left out")
-    return _shared(runs, notices)
+    return _shared(runs, rules, notices)
 
 
 def _named(word: str) -> tuple[str | None, Path]:
@@ -105,6 +109,8 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
                         f"{path}: there is no column {key!r}{close_match(key, columns)}"
                     )
             for row in reader:
+                if is_best_known(row["controller"]):
+                    continue  # it stands only where it beats all others
                 scene = f"{row['scene']} {row['conditions_hash']}"
                 value = float(row[measure])
                 if not np.isfinite(value):
@@ -124,8 +130,13 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
     return dict(found)
 
 
-def _shared(runs: Mapping[str, Sequence[Episodes]], notices: list[str]) -> Evaluated:
-    """Return the methods on the scenes and episodes that every run has."""
+def _shared(
+    runs: Mapping[str, Sequence[Episodes]], rules: Container[str], notices: list[str]
+) -> Evaluated:
+    """Return the methods on the scenes and episodes that every run has.
+
+    ``rules``: those with no training seed, which count once if these episodes are equal.
+    """
     every = [run for known in runs.values() for run in known]
     shared: dict[str, list[str]] = {}
     for scene in dict.fromkeys(scene for run in every for scene in run):
@@ -141,10 +152,13 @@ def _shared(runs: Mapping[str, Sequence[Episodes]], notices: list[str]) -> Evalu
     names = _short(list(shared))
     methods = []
     for method, known in runs.items():
-        pairs = {
-            names[scene]: [[run[scene][seed] for seed in seeds] for run in known]
-            for scene, seeds in shared.items()
-        }
+        reduced = [
+            {names[scene]: [run[scene][seed] for seed in seeds] for scene, seeds in shared.items()}
+            for run in known
+        ]
+        if method in rules:
+            reduced = [one for at, one in enumerate(reduced) if one not in reduced[:at]]
+        pairs = {name: [run[name] for run in reduced] for name in reduced[0]}
         values = {k: np.array([[v for v, _ in row] for row in rows]) for k, rows in pairs.items()}
         reached = {k: np.array([[r for _, r in row] for row in rows]) for k, rows in pairs.items()}
         methods.append(Method(method, values, reached))

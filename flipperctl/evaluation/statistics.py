@@ -140,7 +140,8 @@ def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) 
     Raises:
         ValueError: the episodes have no seed in common.
     """
-    parts = {label: _differences(paired(part, theirs), {}) for label, part in _parts(ours).items()}
+    pairs = {label: paired(part, theirs) for label, part in _parts(ours).items()}
+    parts = {label: _differences(found, {}) for label, found in pairs.items() if found}
     return _differences(paired(ours, theirs), parts)
 
 

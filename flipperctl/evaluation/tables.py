@@ -166,7 +166,7 @@ def _csv_cells(cell: Cell, digits: int | None) -> dict[str, float | None]:
 
 def _methods(scene: SceneResult) -> list[tuple[str, Summary]]:
     baselines = [(other.controller, other.summary) for other in scene.baselines]
-    return [(scene.controller, scene.summary), *baselines]
+    return [(scene.row_label, scene.summary), *baselines]
 
 
 def _cells(summary: Summary, further: Sequence[type[Measure]]) -> list[Cell]:

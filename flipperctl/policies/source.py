@@ -91,6 +91,11 @@ class PolicySource:
             return _exported(self.checkpoint, config)
         return _trained(self.checkpoint, config)
 
+    @property
+    def plans_for_rewards(self) -> bool:
+        """Whether the policy is a controller that drives for the configured rewards."""
+        return self.checkpoint is None and isinstance(self.controller(), RewardUser)
+
     def notes(self, config: EnvConfig) -> Iterator[str]:
         """Yield what a controller does otherwise than its settings name in this environment.
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from flipperctl.api import RewardTerm
 from flipperctl.config import EvalConfig
+from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.judging import Progress, no_progress, play_scene
 from flipperctl.evaluation.workers import EpisodeWorkers
@@ -43,8 +44,13 @@ def rank_policies(
             ``compare_rewards``.
     """
     for scene in scenes:
-        for source in policies.values():
+        for label, source in policies.items():
             source.build(scene.config)  # raises for a wrong layout or robot
+            if len(scene.rewards) > 1 and source.plans_for_rewards:
+                raise ConfigError(
+                    f"--compare: {label} drives otherwise for each of the rewards "
+                    f"{', '.join(scene.rewards)}; one of them is allowed"
+                )
     with EpisodeWorkers() as workers:
         ranked = [compare_rewards(scene, policies, workers, progress) for scene in scenes]
     return decide(ranked)

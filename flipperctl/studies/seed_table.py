@@ -11,10 +11,17 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.evaluation.aggregates import improvement, interquartile_mean
 from flipperctl.evaluation.estimates import Interval, PairedSuccess
-from flipperctl.evaluation.intervals import holm, paired_success, proportion
+from flipperctl.evaluation.intervals import (
+    holm,
+    mcnemar_p,
+    mean_of,
+    paired_success,
+    proportion,
+)
 from flipperctl.evaluation.power import paired_episodes, success_episodes
 from flipperctl.evaluation.scores import Method, means
 from flipperctl.evaluation.seed_intervals import (
@@ -129,7 +136,10 @@ def _row(method: Method, price: float) -> MethodRow:
 
 
 def _success(method: Method) -> Interval:
-    """Return the success rate; where all or none succeed, the interval is that of one seed."""
+    """Return the success rate.
+
+    Where nothing varies in any scene, the interval is that of one seed, whose episodes all have.
+    """
     rates = method.successes()
     episodes = sum(values.shape[1] for values in rates.values())
     mean = float(np.mean([values.mean() for values in rates.values()]))
@@ -138,6 +148,9 @@ def _success(method: Method) -> Interval:
     found = mean_interval(rates)
     if found.low is None or found.high is None:
         return found
+    if found.low == found.high:
+        counts = [(round(float(v.mean()) * v.shape[1]), v.shape[1]) for v in rates.values()]
+        return mean_of([proportion(reached, total) for reached, total in counts])
     return Interval(found.mean, max(0.0, found.low), min(1.0, found.high))
 
 
@@ -155,7 +168,7 @@ def _compare(
         success = _paired(method, other)
         p_success = success.p
     else:
-        success, p_success = difference_interval(method.successes(), other.successes())
+        success, p_success = _success_difference(method, other)
     return Comparison(
         other.name,
         score,
@@ -173,9 +186,31 @@ def _compare(
     )
 
 
+def _success_difference(method: Method, other: Method) -> tuple[Interval, float]:
+    """Return the difference of success over seeds and episodes, and its p-value.
+
+    Where each scene has one outcome for all seeds and episodes of a method, they are those of one
+    seed, whose episodes all have: the score intervals of the scenes and McNemar's exact test.
+    """
+    found, p = difference_interval(method.successes(), other.successes())
+    every = [*method.reached.values(), *other.reached.values()]
+    if found.low is None or not all(values.min() == values.max() for values in every):
+        return found, p
+    pairs = [
+        _pair(values[0], theirs[0])
+        for values, theirs in zip(method.reached.values(), other.reached.values(), strict=True)
+    ]
+    won, lost = (sum(getattr(pair, name) for pair in pairs) for name in ("won", "lost"))
+    return mean_of(pairs), mcnemar_p(won, lost)
+
+
 def _paired(method: Method, other: Method) -> PairedSuccess:
     ours = np.concatenate([values[0] for values in method.reached.values()])
     theirs = np.concatenate([values[0] for values in other.reached.values()])
+    return _pair(ours, theirs)
+
+
+def _pair(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> PairedSuccess:
     return paired_success(int(np.sum(ours & ~theirs)), int(np.sum(theirs & ~ours)), len(ours))
 
 

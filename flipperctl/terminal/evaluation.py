@@ -103,15 +103,17 @@ def has_methods(result: EvaluationResult) -> bool:
 def comparisons(result: EvaluationResult) -> Iterator[Table]:
     """Yield a table of the paired differences to each baseline.
 
-    After an interruption, the last scene may lack baselines.
+    A scene may lack baselines: after an interruption, or where one of them failed.
     """
-    for index, _ in enumerate(result.scenes[0].baselines):
-        have = [(n, scene) for n, scene in _named(result) if index < len(scene.baselines)]
-        yield _comparison([(name, scene.baselines[index]) for name, scene in have])
+    compared: dict[str, list[tuple[str, BaselineResult]]] = {}
+    for name, scene in _named(result):
+        for other in scene.baselines:
+            compared.setdefault(other.controller, []).append((name, other))
+    for baseline, found in compared.items():
+        yield _comparison(baseline, found)
 
 
-def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
-    baseline = compared[0][1].controller
+def _comparison(baseline: str, compared: list[tuple[str, BaselineResult]]) -> Table:
     further = shown(other.difference.further for _, other in compared)
     title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
     headings = [
@@ -128,11 +130,14 @@ def _comparison(compared: list[tuple[str, BaselineResult]]) -> Table:
     return found
 
 
+def _of_several(result: EvaluationResult) -> bool:
+    return len({scene.method for scene in result.scenes}) > 1
+
+
 def group_tables(result: EvaluationResult) -> Iterator[Table]:
     """Yield a table of each scene's groups by each number (``eval --by``)."""
-    several = len({scene.method for scene in result.scenes}) > 1
     for name, scene in _named(result):
-        whose = f"{scene.method} on {name}" if several else name
+        whose = f"{scene.method} on {name}" if _of_several(result) else name
         for by, groups in scene.by.items():
             if groups:
                 yield group_table(whose, by, groups)
@@ -149,14 +154,16 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
             else:
                 parts.append(f"{key} {value:.6g}")
         if parts:
-            yield f"search on {name}, means: {'; '.join(parts)}"
+            whose = f"{scene.method} on {name}" if _of_several(result) else name
+            yield f"search on {whose}, means: {'; '.join(parts)}"
 
 
 def risk_lines(result: EvaluationResult) -> Iterator[str]:
     """Yield a line for each scene with a policy that tells its risk."""
     for name, scene in _named(result):
         if scene.summary.risk is not None:
-            yield f"risk on {name}: {risk_text(scene.summary.risk.to_dict())}"
+            whose = f"{scene.method} on {name}" if _of_several(result) else name
+            yield f"risk on {whose}: {risk_text(scene.summary.risk.to_dict())}"
 
 
 def gap_cells(found: PairedSuccess) -> list[str]:

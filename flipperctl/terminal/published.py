@@ -23,14 +23,14 @@ _HEADINGS = (
 def published_table(result: EvaluationResult, label: str) -> Table | None:
     """Return a row for each such scene and one for what was published; None without such scenes.
 
-    ``label`` is the policy's.
+    ``label`` is the policy's, if there is only one.
     """
     found = [(scene, known) for scene in result.scenes for known in _published(scene)]
     if not found:
         return None
     table = Table(_HEADINGS, _TITLE)
     for scene, known in found:
-        s = scene.summary
+        s, label = scene.summary, scene.name.method_text or label
         counts = str(s.episodes), f"{s.success_rate:.3f}"
         if s.t_cost is None or s.pitch_variation is None:
             table.add(s.terrain, label, *counts, "–", "–", "–")

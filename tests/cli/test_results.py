@@ -104,3 +104,54 @@ def test_results_of_several_settings_of_a_policy_in_one_file_are_refused(tmp_pat
     done = call("inspect", "results", "both", cwd=tmp_path)
     assert done.code == 2
     assert "okada has several results on stair abcd, seed 7, as with several of its" in done.err
+
+
+def test_the_best_known_stands_beside_and_is_no_method(tmp_path: Path) -> None:
+    write(tmp_path / "judged", {"random": 3.0, "level": 2.0, "best known (mpc)": 1.0}, count=4)
+    file = tmp_path / "judged" / "episodes.csv"
+    lines = file.read_text().splitlines()
+    others = [
+        line.replace("stair", "step") for line in lines if "random" in line or "level" in line
+    ]
+    file.write_text("\n".join([*lines, *others]) + "\n")
+    done = call("inspect", "results", "judged", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    assert {name: row["seeds"] for name, row in rows.items()} == {"random": 1, "level": 1}
+    assert set(rows["random"]["by_scene"]) == {"stair", "step"}
+    assert "were played by all" not in done.err
+
+
+def test_a_rule_is_one_seed_though_one_folder_has_fewer_of_its_episodes(seeds: Path) -> None:
+    write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, count=5)
+    arguments = ("plain", "searched=other", "--against", "level", "--json")
+    done = call("inspect", "results", *arguments, cwd=seeds)
+    assert done.code == 0, done.err
+    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    assert {name: row["seeds"] for name, row in rows.items()} == {
+        "plain": 3,
+        "level": 1,
+        "searched": 1,
+    }
+    assert rows["searched"]["comparison"]["success"]["won"] == 0  # of McNemar's test
+
+
+def test_outcomes_that_never_vary_prove_no_more_than_those_of_one_seed(tmp_path: Path) -> None:
+    for seed in range(2):
+        folder = tmp_path / "plain" / f"{seed}"
+        write(folder, {f"runs/{seed}/best": 1 + seed / 10, "level": 2.0}, count=5)
+        file = folder / "episodes.csv"
+        lines = file.read_text().splitlines()
+        fails = [x.replace("reached", "stuck") if ",level," in x else x for x in lines]
+        reaches = [x.replace("stair", "step") for x in lines[1:]]
+        file.write_text("\n".join([*fails, *reaches]) + "\n")
+    done = call("inspect", "results", "plain", "--against", "level", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    compared = rows["plain"]["comparison"]
+    assert compared["success"]["mean"] == 0.5
+    assert compared["success"]["low"] < 0.45
+    assert compared["p_success"] == pytest.approx(0.0625)  # five pairs, all won
+    level = rows["level"]["success"]
+    assert level["mean"] == 0.5
+    assert 0.2 < level["low"] < 0.5 < level["high"] < 0.8

@@ -99,3 +99,10 @@ def test_wrong_requests_are_refused(arguments: list[str], expected: str, tmp_pat
     done = call("inspect", "reward", *arguments, cwd=tmp_path)
     assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
     assert expected in done.err
+
+
+def test_what_drives_for_a_reward_is_compared_by_one_alone(tmp_path: Path) -> None:
+    words = ("--compare", "level,value_iteration", "terrain=step", "rewards=paper,smooth")
+    done = call("inspect", "reward", *words, "--episodes", "1", cwd=tmp_path)
+    assert done.code == 2
+    assert "value_iteration drives otherwise for each of the rewards paper, smooth" in done.err

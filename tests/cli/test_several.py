@@ -83,6 +83,26 @@ def test_a_further_controller_is_the_only_one_that_plays(
     assert not played
 
 
+def test_the_best_stored_policy_is_ranked_on_the_episodes_of_each_scene(tmp_path: Path) -> None:
+    """Scenes of a suite may differ in the number of their episodes alone."""
+    ground = "terrain=step terrain.low=0.4 terrain.high=0.4"
+    suite = tmp_path / "mine.yaml"
+    suite.write_text(f"scenes: {{few: {ground} eval.episodes=1, more: {ground} eval.episodes=2}}\n")
+    to = ("--output", "out")
+    done = call(
+        "eval", "--controller", "okada", *ground.split(), *to, "--episodes", "2", cwd=tmp_path
+    )
+    assert done.code == 0, done.err
+    suited = ("eval", "suite=mine.yaml", "--controller", "random", "--baseline", "level")
+    done = call(*suited, *to, "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = json.loads(done.out)["scenes"]
+    best = [row["episodes"] for row in rows if "best known" in row.get("method", "")]
+    assert best == [1, 2]
+    table = csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines())
+    assert "best known (okada)" in {row["method"] for row in table}
+
+
 def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None:
     step = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "2")
     suite = tmp_path / "mine.yaml"

@@ -13,6 +13,7 @@ from flipperctl.evaluation.intervals import (
     holm,
     interval,
     mcnemar_p,
+    mean_of,
     mean_p,
     paired_success,
     proportion,
@@ -129,3 +130,12 @@ def test_holm_corrects_each_p_value_for_the_others() -> None:
     assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
     assert holm([0.5, 0.6]) == [1.0, 1.0]
     assert holm([]) == []
+
+
+def test_a_mean_of_rates_without_variation_has_the_width_of_their_intervals() -> None:
+    none, all_of_them = proportion(0, 100), proportion(100, 100)
+    found = mean_of([none, all_of_them, all_of_them])
+    assert found.mean == pytest.approx(2 / 3)
+    assert found.low == pytest.approx(2 / 3 - math.sqrt(2 * (1 - (all_of_them.low or 0)) ** 2) / 3)
+    assert found.high == pytest.approx(2 / 3 + (none.high or 0) / 3)
+    assert mean_of([none]) == none

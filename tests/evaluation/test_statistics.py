@@ -124,3 +124,11 @@ def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
 def test_rows_of_a_training_are_counted_alike() -> None:
     rows = [{"outcome": "reached"}, {"outcome": "stuck"}, {"outcome": "reached"}, {"outcome": ""}]
     assert reached(rows) == [rows[0], rows[2]]
+
+
+def test_a_part_that_the_other_did_not_play_is_not_compared() -> None:
+    """As when Ctrl-C ended a baseline on a mix."""
+    ours = [sample(0, "reached", 1.0), sample(1, "reached", 2.0, terrain="stair")]
+    found = differences(ours, [sample(0, "reached", 1.5)])
+    assert list(found.parts) == ["step"]
+    assert found.success.episodes == 1

@@ -252,3 +252,15 @@ def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
     store = CellFolder(tmp_path)
     evaluate([(config(2), OKADA)], store=store)
     assert not store.other_versions
+
+
+def test_a_file_that_a_reward_reads_is_part_of_what_is_stored(
+    tmp_path: Path, played: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "table.txt"
+    monkeypatch.setattr(type(config(1).rewards["end"]), "files_read", lambda term: (table,))
+    for content, expected in (("a", [0]), ("a", []), ("b", [0])):
+        table.write_text(content)
+        played.clear()
+        evaluate([(config(1), OKADA)], store=CellFolder(tmp_path / "cells"))
+        assert played == expected, content
