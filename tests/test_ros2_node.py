@@ -204,6 +204,13 @@ def unstamped(stream: Stream) -> Iterator[tuple[float, str, Any]]:
         yield time, topic, message
 
 
+def without_orientation(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    for time, topic, message in stream:
+        if topic == "imu/data":
+            message = Message(**{**vars(message), "orientation_covariance": [-1.0] + [0.0] * 8})
+        yield time, topic, message
+
+
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
@@ -213,6 +220,7 @@ def unstamped(stream: Stream) -> Iterator[tuple[float, str, Any]]:
         (blind, "cloud_points"),
         (elsewhere, "cloud_frame"),
         (unstamped, "joints_value"),
+        (without_orientation, "attitude_value"),
     ],
 )
 def test_a_bag_with_faults_is_refused_with_the_reason(

@@ -124,8 +124,11 @@ class FlipperNode(Node):
         if frame != BASE and self.place_of(frame):
             turn, place = self.transform[1:]
             points, frame = points @ turn.T + place, BASE
-        ages = None if times is None else -times[:, 0]
-        self.cloud = Cloud(seconds(message.header.stamp), frame, points, ages)
+        stamp, ages = seconds(message.header.stamp), None
+        if times is not None and len(times):  # drivers stamp either end of a turn, we the last
+            end = max(0.0, float(times.max()))
+            stamp, ages = stamp + end, end - times[:, 0]
+        self.cloud = Cloud(stamp, frame, points, ages)
 
     def place_of(self, frame):
         """Return whether tf knows the place of the device, which is fixed to the chassis."""
@@ -155,9 +158,10 @@ class FlipperNode(Node):
     def on_imu(self, message):
         """Step with each attitude: it moves the pose on."""
         time, q = seconds(message.header.stamp), message.orientation
+        w = math.nan if message.orientation_covariance[0] < 0 else q.w  # it tells no orientation
         rate = message.angular_velocity.z
         frame = message.header.frame_id
-        self.step(Attitude.from_quaternion(time, frame, q.x, q.y, q.z, q.w, rate))
+        self.step(Attitude.from_quaternion(time, frame, q.x, q.y, q.z, w, rate))
 
     def step(self, attitude=None):
         """Hand over what has arrived, and publish the answer."""

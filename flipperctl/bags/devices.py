@@ -164,10 +164,10 @@ def read_recording(path: Path, names: Names) -> Recording:
         for connection, _, data in reader.messages(connections=frames) if frames else ():
             message = reader.deserialize(data, connection.msgtype)
             if connection.msgtype == ODOMETRY:
-                odometry.append(message)
+                odometry.append((connection.topic, message))
             else:
                 add_transforms(transforms, connection.topic, message)
-        add_odometry(transforms, odometry)
+        add_odometry(path, transforms, odometry)
         cloud = first(reader, topics["cloud"])
         if cloud is None:
             raise RequestError(f"{path}: there is no message on {topics['cloud']}")

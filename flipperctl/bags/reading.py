@@ -91,8 +91,8 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
             elif kind in FRAMES:
                 add_transforms(transforms, connection.topic, reader.deserialize(data, kind))
             elif kind == ODOMETRY:
-                odometry.append(reader.deserialize(data, kind))
-    add_odometry(transforms, odometry)
+                odometry.append((connection.topic, reader.deserialize(data, kind)))
+    add_odometry(path, transforms, odometry)
     return Bag(chosen, clouds, transforms)
 
 
@@ -105,10 +105,24 @@ def add_transforms(transforms: Transforms, topic: str, message: Any) -> None:
         transforms.add(one.header.frame_id, one.child_frame_id, time, _pose(place, turn))
 
 
-def add_odometry(transforms: Transforms, odometry: Sequence[Any]) -> None:
-    """Add the poses of messages of an odometry for frames that have no transform."""
-    without = {one.child_frame_id for one in odometry if not transforms.has(one.child_frame_id)}
-    for one in odometry:
+def add_odometry(path: Path, transforms: Transforms, odometry: Sequence[tuple[str, Any]]) -> None:
+    """Add the poses of the messages of odometry, with their topics, for frames without another.
+
+    Raises:
+        RequestError: several topics tell the pose of one frame, and no transform does.
+    """
+    topics: dict[str, set[str]] = {}
+    for topic, one in odometry:
+        if not transforms.has(one.child_frame_id):
+            topics.setdefault(one.child_frame_id, set()).add(topic)
+    for frame, names in topics.items():
+        if len(names) > 1:
+            raise RequestError(
+                f"{path}: the poses of {frame!r} come from {' and '.join(sorted(names))}, and from "
+                "no transform; a bag with one of them, or with tf, is allowed"
+            )
+    without = topics.keys()
+    for _, one in odometry:
         if one.child_frame_id in without:
             place, turn = one.pose.pose.position, one.pose.pose.orientation
             time, pose = seconds(one.header.stamp), _pose(place, turn)

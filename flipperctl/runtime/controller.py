@@ -73,8 +73,14 @@ class FlipperController:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after the robot was carried: map, odometry and targets are forgotten."""
-        self._estimator = new_estimator(self.policy.interface, self._setup)
+        """Begin anew, as after the robot was carried: map, odometry and targets are forgotten.
+
+        The robot then stands on level ground.
+        """
+        self._begin(level=True)
+
+    def _begin(self, *, level: bool) -> None:
+        self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
         self.policy.reset()
         self._intake.forget()
         self._following.reset()
@@ -82,6 +88,7 @@ class FlipperController:
         self._standing = False  # whether the flippers stand by
         self._targets: Pair | None = None
         self._setpoints: Pair | None = None
+        self._begun: float | None = None  # time of the first step [s]
         self._due = -math.inf  # time of the next decision
         self._faulty_since: float | None = None
         self._held_until = -math.inf
@@ -107,6 +114,7 @@ class FlipperController:
         if jump is not None:
             return self._say(now, jump, None)
         elapsed, self._last = now - (now if self._last is None else self._last), now
+        self._begun = now if self._begun is None else self._begun
         messages = {"odometry": odometry, "attitude": attitude, "joints": joints, "cloud": cloud}
         # The scan comes last: it enters the map at the pose that the others tell.
         action = None
@@ -115,7 +123,7 @@ class FlipperController:
                 self._perceive(device, time, message)
                 if isinstance(message, Belts):
                     self._standby.update(now, message.speed)
-            fault = self._intake.fault(now) or self._stall_fault(now)
+            fault = self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
             if fault is None:
                 self._stand_by_or_begin(now)
                 if now >= self._due - _ON_TIME:
@@ -137,9 +145,7 @@ class FlipperController:
         elapsed = now - self._last
         if 0 <= elapsed <= self._limits.clock_jump:
             return None
-        held = self._targets, self._setpoints
-        self.reset()
-        self._targets, self._setpoints = held
+        self._begin(level=False)  # it may stand on an obstacle
         self._last = float(now)
         return Fault(
             "clock_jump",
@@ -147,9 +153,17 @@ class FlipperController:
             at_once=True,
         )
 
+    def _speed_fault(self, now: float) -> Fault | None:
+        """Return a fault for as long as the first speed of the belts may still come."""
+        longest, begun = self._limits.ages.odometry, self._begun or 0.0
+        if self._decided or "odometry" in self._intake.known or now - begun >= longest - _ON_TIME:
+            return None
+        text = f"no odometry was received yet; a robot without it decides after {longest:g} s"
+        return Fault("odometry_missing", text)
+
     def _stall_fault(self, now: float) -> Fault | None:
         joints = self._intake.joints
-        if joints is None or self._targets is None or self._shadow:
+        if joints is None or self._targets is None or self._shadow or not self._decided:
             return None
         angles = joints.front, joints.rear
         stalled = self._following.stalled(now, self._targets, angles)
@@ -158,7 +172,7 @@ class FlipperController:
         elif stalled:
             self._stall = " and ".join(stalled)
             self._held_until = now + self._limits.stall_hold
-            self._targets = self._within(angles)  # do not push
+            self._targets = self._setpoints = self._within(angles)  # do not push
             self._following.reset()
         if now < self._held_until:
             return Fault(
@@ -180,8 +194,8 @@ class FlipperController:
         if self._standing == before:
             return
         self._hold()
-        if not self._standing:  # the flippers may have been moved since
-            self._setpoints, self._due = self._targets, min(self._due, now)
+        if not self._standing:
+            self._due = min(self._due, now)
 
     def _decide(self, now: float) -> int | None:
         """Return the action; None if there is none, and ``_undecided`` says why.
@@ -198,6 +212,8 @@ class FlipperController:
             text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
             self._undecided = Fault("coverage", text)
             return None
+        if self._faulty_since is not None:  # the flippers may have been moved since
+            self._hold()
         measured = angles.front, angles.rear
         seen = layout.assemble(
             ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
@@ -207,11 +223,10 @@ class FlipperController:
             self.policy.reset()
             self._undecided = None
             return None
-        last = measured if self._targets is None else self._targets
-        front, rear = self.policy.next_targets(last, measured, action).tolist()
+        if self._targets is None or self._setpoints is None:
+            self._targets = self._setpoints = self._within(measured)
+        front, rear = self.policy.next_targets(self._targets, measured, action).tolist()
         self._targets = self._within((front, rear))
-        if self._setpoints is None:
-            self._setpoints = self._within(measured)
         self._decided, self._undecided = True, None
         return action
 
@@ -261,6 +276,8 @@ class FlipperController:
         if self._faulty_since is None:
             self._faulty_since = now
             self._hold()
+        elif self._targets is None:  # since a jump of the clock; no angle was known until now
+            self._hold()
         if fault.at_once:
             return "stopped"
         if not self._decided:
@@ -270,8 +287,8 @@ class FlipperController:
     def _hold(self) -> None:
         """Hold the flippers where they are; the policy forgets its earlier observations."""
         joints = self._intake.joints
-        if self._targets is not None and joints is not None:
-            self._targets = self._within((joints.front, joints.rear))
+        if joints is not None:
+            self._targets = self._setpoints = self._within((joints.front, joints.rear))
             self._following.reset()
         self.policy.reset()
 

@@ -17,8 +17,10 @@ from flipperctl.runtime.robot_setup import RobotSetup
 _LENGTHS = "chassis_length", "flipper_length", "track_radius"
 
 
-def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
+def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True) -> LidarEstimator:
     """Return a new estimator with the bins and the map of the policy and the lengths of its robot.
+
+    ``level``: whether the robot stands on level ground now.
 
     A policy whose file states no map, as of a training without a LiDAR, gets the default one.
 
@@ -41,7 +43,7 @@ def new_estimator(interface: Interface, setup: RobotSetup) -> LidarEstimator:
         accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
         sides=False,  # no policy takes them
     )
-    return LidarEstimator(body, setup.mount, settings, _matcher(setup), quality.deskew)
+    return LidarEstimator(body, setup.mount, settings, _matcher(setup), quality.deskew, level=level)
 
 
 def _matcher(setup: RobotSetup) -> ScanMatcher | None:

@@ -51,8 +51,11 @@ class Attitude:
     ) -> Attitude:
         """Return the attitude of a quaternion from the frame to a level world with z up.
 
-        The pitch is positive nose **down**, as rotations about +y are (REP 103).
+        The pitch is positive nose **down**, as rotations about +y are (REP 103). A quaternion whose
+        length is not 1, as of a unit that tells no orientation, gives NaN, which is refused.
         """
+        if not abs(math.hypot(x, y, z, w) - 1) < _UNIT:
+            return cls(time, frame, math.nan, math.nan, yaw_rate)
         rises_x, rises_y = 2 * (x * z - w * y), 2 * (y * z + w * x)
         return cls(time, frame, _asin(rises_y), -_asin(rises_x), yaw_rate)
 
@@ -81,6 +84,10 @@ class Odometry:
     """Instant of the measurement [s]."""
     speed: float
     """Mean of the left and the right belts, forward positive, before ``Signs`` [m/s]."""
+
+
+_UNIT = 0.05
+"""Most by which the length of a quaternion may differ from 1 [-]."""
 
 
 def _asin(value: float) -> float:

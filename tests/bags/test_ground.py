@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Robot, RobotState
-from flipperctl.bags.episode import Stamped, typestore, write_bag
+from flipperctl.bags.episode import TYPES, Stamped, typestore, write_bag
 from flipperctl.bags.ground import Frames, convert, thinned
 from flipperctl.bags.messages import LIDAR, Messages
 from flipperctl.bags.transforms import Pose, Transforms
@@ -200,3 +200,27 @@ def test_transforms_are_interpolated_and_inverted():
 def test_a_cube_keeps_the_mean_of_its_points():
     points = np.array([[0.001, 0.0, 0.0], [0.003, 0.0, 0.0], [0.05, 0.0, 0.0]])
     assert thinned(points, 0.02).tolist() == [[0.002, 0, 0], [0.05, 0, 0]]
+
+
+def two_odometries():
+    """Two topics tell the pose of the chassis, and no transform does."""
+    make = Messages(typestore())
+    yield Stamped(0.0, "/tf_static", make.mount(MOUNT[0], MOUNT[2], AXIS))
+    for time in TIMES.tolist():
+        for topic in ("/wheel/odom", "/odometry/filtered"):
+            yield Stamped(time, topic, make.odometry(state(time)))
+        points = (in_chassis(time) - MOUNT) @ mounting(AXIS)
+        yield Stamped(time, "/points", make.cloud(time, LIDAR, points))
+
+
+def test_two_odometries_of_one_frame_are_refused(tmp_path, monkeypatch):
+    for topic in ("/wheel/odom", "/odometry/filtered"):
+        monkeypatch.setitem(TYPES, topic, TYPES["/odom"])
+    write_bag(tmp_path / "bag", list(two_odometries()))
+    with pytest.raises(
+        RequestError, match=r"come from /odometry/filtered and /wheel/odom, and from"
+    ):
+        convert(tmp_path / "bag", tmp_path / "ground.xyz", Robot())
+    one = [m for m in two_odometries() if m.topic != "/wheel/odom"]
+    write_bag(tmp_path / "one", one)
+    check_step(convert(tmp_path / "one", tmp_path / "ground.xyz", Robot()))

@@ -71,6 +71,7 @@ def test_a_robot_whose_belts_do_not_drive_ahead_holds_its_flippers(
     assert {answer.state for answer in answers} == {"standby"}
     assert decided(answers) == []
     assert robot.angles == (0.3, -0.2)
+    assert {answer.targets for answer in answers} == {(0.3, -0.2)}
     last = answers[-1]
     assert (last.drive, last.fault, last.risk, last.warning) == (True, "", None, False)
     assert last.reason.startswith(f"the belts drive at {told} m/s; the flippers are held until")
@@ -80,6 +81,9 @@ def test_a_robot_whose_belts_do_not_drive_ahead_holds_its_flippers(
 def test_a_robot_that_is_stuck_while_its_belts_drive_goes_on(
     robot: Robot, speed: float | None
 ) -> None:
+    if speed is None:  # it waits for a speed that may still come
+        first = robot.run(0.3, speed)
+        assert {(a.state, a.fault) for a in first} == {("waiting", "odometry_missing")}
     answers = robot.run(12.0, speed)
     assert {answer.state for answer in answers} == {"driving"}
     assert len(decided(answers)) == 20
@@ -178,3 +182,9 @@ def test_an_operator_turns_the_flippers_in_standby_without_a_fault(robot: Robot)
     assert {(answer.state, answer.fault) for answer in answers} == {("standby", "")}
     assert answers[-1].targets is not None
     assert answers[-1].targets[0] == pytest.approx(0.9, abs=LIMITS.stall_error)
+
+
+def test_a_parked_robot_does_not_move_before_its_first_speed_comes(robot: Robot) -> None:
+    answers = [*robot.run(0.1, None), *robot.run(1.0, 0.0)]
+    assert decided(answers) == []
+    assert [answer.state for answer in answers[:3]] == ["waiting", "waiting", "standby"]

@@ -33,6 +33,8 @@ _MOST_POINTS = 10_000
 _TURN, _LEAST_SHARE = 0.1, 0.05
 """Time of a turn [s]; a scan that follows the one before sooner is a sector, of which this part of
 the points of a turn are used, or more [-]."""
+_LEVEL = 0.1
+"""Largest pitch of a robot that stands on level ground at the start [rad]."""
 _FADING = 30.0
 """Time in which an inertial unit's error of the pitch changes [s]."""
 
@@ -63,10 +65,13 @@ class LidarEstimator:
         settings: MapSettings,
         matcher: ScanMatcher | None = None,
         deskew: bool = True,
+        *,
+        level: bool = True,
     ) -> None:
         """``matcher`` corrects the pose by ``Belts`` and ``Inertial``; None: nothing does.
 
-        ``deskew``: correct the points for the robot's motion within a scan.
+        ``deskew``: correct the points for the robot's motion within a scan. ``level``: whether the
+        robot stands on level ground at first; else no ground and no constant errors are assumed.
         """
         self._body, self._mount = body, mount
         self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
@@ -79,9 +84,9 @@ class LidarEstimator:
         self._joints = Joints(0.0, 0.0)
         self._speed = 0.0  # of the belts [m/s]
         self._reckoned: float | None = None  # time to which odometry has moved the pose [s]
-        self._started = False
+        self._started = not level
         self._errors = StartErrors()
-        self._calibrated: float | None = None  # when these were estimated [s]
+        self._calibrated: float | None = None if level else 0.0  # when these were estimated [s]
         self._newest: float | None = None  # time of the newest message [s]
         self._scanned: float | None = None  # time of the newest scan [s]
 
@@ -101,9 +106,10 @@ class LidarEstimator:
         self._newest = time
         if isinstance(value, Scan):
             value = without_mixed(thinned(value, self._most_points(time)))
-            self._start()
-            self._calibrate(value, time)
-            self._add(without_bias(value, self._errors.distance), time)
+            pose = self._trail.pose_at(time, self._pose)  # newer attitudes may have come first
+            self._start(pose)
+            self._calibrate(value, time, pose)
+            self._add(without_bias(value, self._errors.distance), time, pose)
         else:
             self._receive(value, time)
 
@@ -114,14 +120,14 @@ class LidarEstimator:
         share = min(1.0, max(_LEAST_SHARE, elapsed / _TURN))
         return round(_MOST_POINTS * round(share, 3))  # a turn is not always exactly 0.1 s
 
-    def _calibrate(self, scan: Scan, time: float) -> None:
+    def _calibrate(self, scan: Scan, time: float, pose: Pose) -> None:
         """Estimate the constant errors of the devices from the first scan.
 
         The robot then stands on level ground, so it knows how far that is below.
         """
         if self._calibrated is not None:
             return
-        self._calibrated, pose = time, self._pose
+        self._calibrated = time
         turn = attitude(pose.roll, pose.pitch, 0.0)
         lidar = turn @ self._position_of_lidar
         points = lidar + scan.points @ (turn @ self._turn).T
@@ -159,7 +165,7 @@ class LidarEstimator:
             PerceptionError: nothing was measured, or not for ``_OLDEST``.
         """
         unknown = abs(self._speed) * self._age(time)
-        self._start()
+        self._start(self._pose)
         pose, joints = self._pose, self._joints
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
         stance = Stance(circles, self._body.track_radius)
@@ -189,13 +195,22 @@ class LidarEstimator:
             raise PerceptionError(f"the newest message is {age:.3g} s old; {_OLDEST:g} s at most")
         return max(0.0, age)
 
-    def _start(self) -> None:
-        """Assume level ground below and behind the robot, which stands on it, at the start."""
+    def _start(self, pose: Pose) -> None:
+        """Assume ground below and behind the robot, which stands on it, at the start.
+
+        It is level, or rises as the chassis does if that is on a slope or a stair.
+        """
         if self._started:
             return
         self._started = True
         hinge = self._body.chassis_length / 2 - self._body.track_radius
-        self._ground.assume_level(self._pose.x + hinge, self._pose.z - self._below())
+        if abs(pose.pitch) <= _LEVEL:
+            self._ground.assume_level(pose.x + hinge, pose.z - self._below())
+            return
+        self._calibrated = 0.0  # by level ground alone
+        slope = math.tan(pose.pitch)
+        below = self._body.track_radius / math.cos(pose.pitch)
+        self._ground.assume_level(pose.x + hinge, pose.z - below + slope * hinge, slope)
 
     def _below(self) -> float:
         """Return the height of the chassis centre above level ground on which it stands [m]."""
@@ -203,9 +218,13 @@ class LidarEstimator:
         lowered = max(0.0, -math.sin(joints.front), -math.sin(joints.rear))
         return body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
 
-    def _add(self, scan: Scan, time: float) -> None:
-        pose = self._pose
-        points = self._levelled(scan, time)
+    def _add(self, scan: Scan, time: float, pose: Pose) -> None:
+        """Put a scan into the map where it was measured, at ``pose``, and correct that by it.
+
+        Poses of newer attitudes, which came before the scan, are corrected alike.
+        """
+        before = pose
+        points = self._levelled(scan, time, pose)
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
             facing = attitude(pose.roll, pose.pitch, pose.yaw)[:, 0]
@@ -216,16 +235,18 @@ class LidarEstimator:
             error = self._ground.height_error(points, pose.x, pose.y, pose.yaw)
             pose = moved_to(pose, np.array([pose.x, pose.y, pose.z - error]))
             points[:, 2] -= error
-        self._pose = pose
-        self._trail.begin(time, pose)
+        self._pose = self._trail.correct(time, before, pose)
         origin = np.array([pose.x, pose.y, pose.z])
         origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
         self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y)
 
-    def _levelled(self, scan: Scan, time: float) -> FloatArray:
-        """Return the ground's points from the robot in the directions of frame M, (P, 3) [m]."""
-        pose, ages = self._pose, scan.ages
+    def _levelled(self, scan: Scan, time: float, pose: Pose) -> FloatArray:
+        """Return the ground's points from the robot in the directions of frame M, (P, 3) [m].
+
+        ``pose``: that of the robot at ``time``.
+        """
+        ages = scan.ages
         kept = np.asarray(np.isfinite(scan.points).all(axis=1))
         if ages is not None:
             kept &= np.isfinite(ages)

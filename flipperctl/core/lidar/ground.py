@@ -98,17 +98,20 @@ class GroundSeen:
         self._cells = Cells(
             settings.grid, self._reach + _PAST + _MARGIN, settings.half_width + _MARGIN
         )
-        self._start: tuple[float, float] | None = None
+        self._start: tuple[float, float, float] | None = None
         self._lift: float | None = None  # added to the map's heights; None before the first [m]
         self._at: tuple[float, float] | None = None  # the robot's latest place [m]
         self._way = 0.0  # that the robot has moved [m]
 
-    def assume_level(self, x: float, z: float) -> None:
-        """Take ground that was never seen for level at the height ``z``, up to ``x`` ahead [m].
+    def assume_level(self, x: float, z: float, slope: float = 0.0) -> None:
+        """Take ground that was never seen for a plane at the height ``z`` up to ``x`` ahead [m].
 
-        A robot knows so much when it starts: it stands on the ground below it.
+        ``slope``: by which it rises ahead [-]. A robot knows so much when it starts: it stands on
+        the ground below it.
         """
-        self._start = x, z
+        self._start = x, z, slope
+        if slope:
+            self._lift = 0.0
 
     def add(self, points: FloatArray, x: float, y: float) -> None:
         """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
@@ -273,11 +276,12 @@ class GroundSeen:
         """Return vertices of the assumed ground in frame L, (A, 2) [m]."""
         if self._start is None:
             return np.zeros((0, 2))
-        until, height = self._start
+        until, height, slope = self._start
         reach = self._reach + _PAST
         along = np.arange(-reach, reach, self._settings.grid.cell)
         along = along[x + along * math.cos(yaw) < until]
-        return np.column_stack([along, np.full(len(along), height - z)])
+        rise = slope * (x + along * math.cos(yaw) - until)
+        return np.column_stack([along, height - z + rise])
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""

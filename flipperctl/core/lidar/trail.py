@@ -6,6 +6,7 @@ LiDAR that turns measures the points of a scan at different times, from a robot 
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Any
 
@@ -38,9 +39,32 @@ class Trail:
         self._times = (*self._times, time)[-_MOST:]
         self._poses = (*self._poses, _numbers(pose))[-_MOST:]
 
-    def begin(self, time: float, pose: Pose) -> None:
-        """Forget all poses but this one, since the earlier motion was corrected."""
-        self._times, self._poses = (time,), (_numbers(pose),)
+    def pose_at(self, time: float, newest: Pose) -> Pose:
+        """Return the pose at a time that may lie before those of the newest poses.
+
+        ``newest`` is the last one, and the answer unless ``time`` lies before it.
+        """
+        if time >= self._times[-1]:
+            return newest
+        return Pose(*self._at(np.array([time]))[0].tolist())
+
+    def correct(self, time: float, before: Pose, pose: Pose) -> Pose:
+        """Correct the pose at ``time`` from ``before`` to ``pose``; return the newest one.
+
+        Earlier ones are forgotten. Later ones turn and move with the corrected one.
+        """
+        turn = pose.yaw - before.yaw
+        cosine, sine = math.cos(turn), math.sin(turn)
+        later = [at for at, then in enumerate(self._times) if then > time]
+        times, poses = [time], [pose]
+        for at in later:
+            x, y, z, roll, pitch, yaw = self._poses[at]
+            x, y = x - before.x, y - before.y
+            moved = pose.x + cosine * x - sine * y, pose.y + sine * x + cosine * y
+            times.append(self._times[at])
+            poses.append(Pose(*moved, pose.z + z - before.z, roll, pitch, yaw + turn))
+        self._times, self._poses = tuple(times), tuple(_numbers(one) for one in poses)
+        return poses[-1]
 
     def levelled(
         self, points: FloatArray, ages: FloatArray, time: float, origin: Pose

@@ -1,6 +1,7 @@
 """The estimator from messages alone, as on a robot."""
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -246,3 +247,55 @@ def test_a_scan_corrects_the_height_that_slipping_belts_feign() -> None:
     assert risen == pytest.approx(-0.1 - 0.02 * math.sin(0.5), abs=1e-3)
     robot.update(Measured("lidar", 0.1, ahead()))  # the ground is as far below as before
     assert robot.estimate(0.1)[0].heights[12] == pytest.approx(-0.1, abs=1e-3)
+
+
+def turning(robot: LidarEstimator, scan: Scan | None, at: float) -> LidarEstimator:
+    """Tip the robot up from 1 s on, with a scan of 1 s that arrives at another time."""
+    for step in range(11):
+        time = 1.0 + step / 100
+        robot.update(Measured("attitude", time, Inertial(0.0, step / 20, 0.0)))
+        if scan is not None and time >= at - 1e-9:
+            robot.update(Measured("cloud", 1.0, scan))
+            scan = None
+    return robot
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_a_scan_that_comes_late_lies_where_it_was_measured(speed: float) -> None:
+    """A cloud arrives after newer attitudes, by which the robot has already tipped up."""
+    found = []
+    for at in (1.0, 1.1):
+        robot = told(estimator(), Joints(0.0, 0.0), Belts(speed))
+        turning(robot, ahead(), at)
+        found.append((robot.estimate(1.1)[0], robot.pose))
+    (timely, pose), (late, other) = found
+    assert astuple(other) == pytest.approx(astuple(pose), abs=1e-6)
+    assert late.heights == pytest.approx(timely.heights, abs=1e-6)
+    assert timely.seen is not None
+    assert late.seen is not None
+    assert late.seen.tolist() == timely.seen.tolist()
+    assert timely.seen.any()
+
+
+def test_a_robot_that_may_stand_on_an_obstacle_assumes_no_ground() -> None:
+    turn = 0.4
+    for level in (True, False):
+        settings = MapSettings(bins=15, bin_width=0.15)
+        robot = LidarEstimator(BODY, UP, settings, level=level)
+        told(robot, Pose(0.0, 0.0, 0.3, 0.0, turn, 0.0), Joints(0.0, 0.0))
+        rear = robot.estimate(0.0)[0].heights[0]
+        assert bool(abs(rear + 0.55) < 0.01) is level  # the slope of the chassis
+
+
+@pytest.mark.parametrize("pitch", [0.35, -0.35])
+def test_a_robot_that_starts_on_a_slope_assumes_the_slope_behind_it(pitch: float) -> None:
+    robot = told(estimator(), Pose(0.0, 0.0, 0.3, 0.0, pitch, 0.0), Joints(0.0, 0.0))
+    below = 0.1 / math.cos(pitch)
+    bins = (np.arange(15) - 7) * 0.15
+    heights = robot.estimate(0.0)[0].heights
+    hinge = 0.28
+    for x, height in zip(bins, heights, strict=True):
+        if x < hinge - 0.15:
+            assert height == pytest.approx(math.tan(pitch) * x - below, abs=0.012), x
+    turned = told(robot, ahead(0.05))  # it takes no bias of the range from that
+    assert turned._errors.distance == turned._errors.pitch == 0.0

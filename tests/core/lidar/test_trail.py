@@ -1,6 +1,7 @@
 """The correction of a scan for the robot's motion during the turn."""
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def test_headings_are_interpolated_over_their_jump_at_pi() -> None:
 def test_a_corrected_pose_replaces_the_earlier_ones() -> None:
     trail = Trail(START)
     trail.record(1.0, START)
-    trail.begin(1.1, end := Pose(0.0, 0.0, 0.5, 0.0, 0.0, 0.0))
+    end = Pose(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
+    assert trail.correct(1.1, START, end) == end
     found = trail.levelled(np.zeros((1, 3)), np.array([0.1]), 1.1, end)
     assert found == pytest.approx(np.zeros((1, 3)))
 
@@ -57,3 +59,18 @@ def test_points_in_any_order_of_their_ages_are_moved_alike() -> None:
     found = trail.levelled(points, ages, 5.1, end)
     assert trail.levelled(points[order], ages[order], 5.1, end) == pytest.approx(found[order])
     assert trail.levelled(points[:0], ages[:0], 5.1, end).shape == (0, 3)
+
+
+def test_a_correction_of_an_earlier_pose_moves_the_later_ones_with_it() -> None:
+    trail = Trail(START)
+    trail.record(1.0, START)
+    trail.record(1.1, newest := Pose(0.2, 0.0, 0.1, 0.05, 0.3, 0.0))
+    between = trail.pose_at(1.05, newest)
+    assert astuple(between) == pytest.approx((0.1, 0.0, 0.05, 0.025, 0.15, 0.0))
+    assert trail.pose_at(1.1, newest) is newest
+    corrected = Pose(0.1, 0.02, 0.04, 0.025, 0.15, math.pi / 2)
+    found = trail.correct(1.05, between, corrected)
+    assert astuple(found) == pytest.approx((0.1, 0.12, 0.09, 0.05, 0.3, math.pi / 2))
+    assert astuple(trail.pose_at(1.0, found)) == pytest.approx(
+        astuple(corrected)
+    )  # nothing older is kept
