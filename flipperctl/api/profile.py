@@ -134,8 +134,11 @@ class Profile:
 
     @cached_property
     def cloud(self) -> FloatArray:
-        """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
-        return self.sample(0.02, 3.0)
+        """Points every 0.02 m of the outline with level ground on both sides, (P, 2) [m].
+
+        That goes on for 15 m: starts and finishes may lie 10 m away, and points around them count.
+        """
+        return self.sample(0.02, 15.0)
 
     def around(self, x: float, reach: float) -> FloatArray:
         """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""

@@ -46,9 +46,9 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
     """
     run_out = run_out_of(profile, episode)
     x = profile.end + run_out
-    top = profile.height(x) + robot.track_radius + episode.clearance
+    level = float(profile.points[-1, 1]) + robot.track_radius + episode.clearance
     if run_out >= 0:
-        return Finish(x, top)
+        return Finish(x, level)
     if profile.run_out is None:
         pose = resting(profile, robot, x, 0.0, 0.0, episode.overturn)
     else:
@@ -59,6 +59,5 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
             f"{profile.label!r} with a pitch below episode.overturn; finish elsewhere"
         )
     height, pitch = pose
-    level = profile.height(profile.end) + robot.track_radius + episode.clearance
     top = height + robot.hinge_offset * abs(math.sin(pitch)) + episode.clearance
     return Finish(x, top, math.tan(pitch), min(level, top))

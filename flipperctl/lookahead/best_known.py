@@ -74,7 +74,9 @@ class _Search:
         self._simulator, self._settings = simulator, settings
         self._robot = nominal(simulator.robot)
         profile = simulator.profile
-        self._model = Model(profile.points, self._robot, iterations=8)
+        known = simulator.perceive_exactly().friction
+        friction = 1.0 if known is None else known
+        self._model = Model(profile.points, self._robot, friction=friction, iterations=8)
         top = highest_at_finish(profile, self._robot, simulator.finish)
         self._goal = Goal(simulator.finish, top=top, smoothness=settings.smoothness)
         self._spent = 0

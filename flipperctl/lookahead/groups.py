@@ -89,13 +89,13 @@ def with_stops(values: FloatArray) -> FloatArray:
 
     Such a turn changes nothing. If both pairs are at a stop, neither turns.
     """
-    values = values.copy()
+    filled = values.copy()
     for front, rear in ACTIONS:
         action = action_index(front, rear)
         for other in ((0, rear), (front, 0), (0, 0)):
-            missing = ~np.isfinite(values[:, action])
-            values[missing, action] = values[missing, action_index(*other)]
-    return values
+            missing = ~np.isfinite(filled[:, action])
+            filled[missing, action] = values[missing, action_index(*other)]
+    return filled
 
 
 def _walks(graph: Graph, rng: np.random.Generator) -> NDArray[np.int64]:

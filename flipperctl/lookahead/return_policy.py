@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from flipperctl.api import (
     FloatArray,
     Perception,
     Profile,
+    RewardTerm,
     Robot,
+    Shaping,
     Simulator,
 )
 from flipperctl.config import Episode
@@ -47,12 +50,15 @@ class ReturnPolicy(MpcPolicy):
     def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
         """Plan with the value and its rewards, unless the ``settings`` have some.
 
+        The shaping is that of the value's training in any case, since only that cancels out: the
+        value of a state is the smaller by its potential.
+
         Raises:
             ConfigError: a reward term needs what predictions lack.
         """
         super().__init__(settings)
         self._learned = learned
-        self._rewards = RewardSum(learned.rewards if settings.rewards is None else settings.rewards)
+        self._rewards = RewardSum(_paid(learned.rewards, settings.rewards))
         self._rewards.require_predictable("controller.rewards")
 
     def reset(self, simulator: Simulator) -> None:
@@ -148,3 +154,15 @@ def _speed(plan: Plan, robot: Robot) -> float:
     """Return the mean speed of a plan along x [m/s]; 0 for one without decisions."""
     lasts = len(plan.actions) * robot.decision_period
     return float(plan.states[-1, 0] - plan.states[0, 0]) / lasts if lasts else 0.0
+
+
+def _paid(
+    own: Mapping[str, RewardTerm], given: Mapping[str, RewardTerm] | None
+) -> Mapping[str, RewardTerm]:
+    """Return the terms that plans are paid by: the given ones with the shaping of the value's."""
+    if given is None:
+        return own
+    return {
+        **{name: term for name, term in given.items() if not isinstance(term, Shaping)},
+        **{f"value.{name}": term for name, term in own.items() if isinstance(term, Shaping)},
+    }

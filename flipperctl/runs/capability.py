@@ -13,7 +13,7 @@ from pathlib import Path
 from flipperctl.config import EvalConfig
 from flipperctl.config.words import with_default
 from flipperctl.errors import InterruptedRunError, RequestError
-from flipperctl.evaluation.axes import parse_axes
+from flipperctl.evaluation.axes import Axis, cell_config, parse_axes
 from flipperctl.evaluation.capability import EPISODES, CapabilityMap
 from flipperctl.evaluation.failed_episodes import write_map_failures
 from flipperctl.evaluation.judging import Progress, no_progress
@@ -61,6 +61,7 @@ def map_scenes(
         folder: ResultFolder | None = None
         if output is not None:
             folder = stack.enter_context(result_folder(output, "map", NAMES))
+        _tell_notes(config, source, axes, tell)
         found = capability_map(config, source, axes, progress=progress, stop=stop)
         if not found.cells:
             raise InterruptedRunError("interrupted: no cell of the map is finished")
@@ -103,3 +104,20 @@ def write_map(folder: Path, found: CapabilityMap) -> None:
     write_json(folder / "map.json", found.to_dict())
     write_csv(folder / "map.csv", list(found.rows()))
     save(capability_figure(found), folder / "map.png")
+
+
+def _tell_notes(
+    config: EvalConfig, source: PolicySource, axes: tuple[Axis, Axis], tell: Callable[[str], None]
+) -> None:
+    """Tell what the controller does otherwise than its settings name, in which cells."""
+    first, second = (range(len(axis.values)) for axis in axes)
+    border = [*((i, 0) for i in first), *((0, j) for j in second)]
+    notes = {
+        note: cell for cell in border for note in source.notes(cell_config(config, axes, cell))
+    }
+    new = [(note, cell) for note, cell in notes.items() if note not in set(source.notes(config))]
+    if new:
+        note, cell = new[0]
+        where = ", ".join(f"{a.name}={a.values[at]:g}" for a, at in zip(axes, cell, strict=True))
+        more = f", and {len(new) - 1} like it in other cells" if len(new) > 1 else ""
+        tell(f"in a part of the map, such as {where}: {note}{more}")

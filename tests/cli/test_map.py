@@ -70,3 +70,13 @@ def test_a_wrong_request_is_one_error(arguments: list[str], words: str, tmp_path
     assert done.code == 2
     assert words in done.err
     assert len(done.err.strip().splitlines()) == 1
+
+
+def test_a_map_tells_where_a_controller_changes(tmp_path: Path) -> None:
+    """The learned values of ``mpc`` fit its robot alone."""
+    axes = "robot.flipper_length=0.5:0.6:2,sim.friction=0.9:1:2"
+    words = ("--controller", "mpc", "terrain=flat", "controller.beam=1", "controller.horizon=1")
+    done = call("eval", *words, "--map", axes, "eval.episodes=1", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "in a part of the map, such as robot.flipper_length=0." in done.err
+    assert "plans have the hand-set cost instead" in done.err

@@ -136,3 +136,20 @@ def test_a_ground_chooses_its_start_and_finish(chosen: str) -> None:
         FlipperEnv({"name": chosen, "run_up": -7.0}).reset(seed=0)
     with pytest.raises(ValueError, match="run_out is a finite number"):
         Profile(UP.points, run_out=math.nan)
+
+
+@pytest.mark.parametrize("run_out", [0.0, 0.5])
+def test_past_a_face_down_the_finish_is_on_the_lower_level(run_out: float) -> None:
+    drop = Profile([(0.0, 0.0), (1.0, 0.0), (1.0, -0.5)])
+    finish = finish_of(drop, Robot(), Episode(run_out=run_out))
+    assert finish.top == pytest.approx(-0.5 + RADIUS + CLEARANCE)
+
+
+def test_level_ground_far_from_the_edges_carries_a_robot() -> None:
+    """Reward terms and measures see the ground under a robot that starts or ends far away."""
+    profile = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2)])
+    for x, z in ((-9.0, 0.0), (10.5, 0.2)):
+        found = profile.around(x, 1.0)
+        assert found[0, 0] <= x - 0.9
+        assert found[-1, 0] >= x + 0.9
+        assert (found[:, 1] == z).all()

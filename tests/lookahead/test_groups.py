@@ -98,6 +98,18 @@ def test_a_turn_beyond_a_stop_has_the_value_of_not_making_it() -> None:
     assert np.isneginf(values).sum() == 5  # the argument is left alone
 
 
+@pytest.mark.parametrize("stop", [-1, 1])
+@pytest.mark.parametrize("pair", ["front", "rear"])
+def test_only_the_pair_at_its_stop_stays(pair: str, stop: int) -> None:
+    values = np.array([[float(10 * i + j) for i, j in ACTIONS]])
+    at_stop = [a for a in ACTIONS if a[0 if pair == "front" else 1] == stop]
+    values[0, [action_index(*a) for a in at_stop]] = -np.inf
+    found = with_stops(values)[0]
+    for i, j in at_stop:
+        stays = (0, j) if pair == "front" else (i, 0)
+        assert found[action_index(i, j)] == 10 * stays[0] + stays[1]
+
+
 def test_a_stop_of_one_pair_leaves_the_other_s_turn() -> None:
     values = np.arange(9.0)[None]
     values[0, [action_index(-1, j) for j in (-1, 0, 1)]] = -np.inf  # the front is at its stop

@@ -210,3 +210,15 @@ def test_searched_values_without_temporal_difference_are_accepted(tmp_path: Path
 def test_a_run_that_does_not_exist_is_named() -> None:
     with pytest.raises(CheckpointError, match="nowhere"):
         learned_value("nowhere", "controller.value")
+
+
+def test_the_shaping_that_cancels_is_that_of_the_value() -> None:
+    """Each state's value lacks the potential of its own training's shaping."""
+    own, given = terms(swing=8.0, shaped_progress=10.0), terms(pitch=1.0, shaped_progress=3.0)
+    made = ReturnPolicy(Mpc(value="run", rewards=given), learned(own))
+    assert made._rewards.terms == {
+        "pitch": given["pitch"],
+        "value.shaped_progress": own["shaped_progress"],
+    }
+    plain = ReturnPolicy(Mpc(value="run", rewards=given), learned(terms(swing=8.0)))
+    assert list(plain._rewards.terms) == ["pitch"]

@@ -8,7 +8,7 @@ trial after a restart.)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,10 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
+from flipperctl.errors import ConfigError
 from flipperctl.runs.optuna_search import check_settings, search
 from flipperctl.runs.search import SearchSettings
 from flipperctl.runs.sweep import Sweep
@@ -60,4 +62,25 @@ class SearchSweep:
             RunHeldError: another process works in the sweep's folder.
         """
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
+        _check_objective(sampled, fixed)
         search(self.settings, self.jobs, arguments, sampled, fixed, tell=print_note)
+
+
+def _check_objective(sampled: Iterable[str], fixed: Sequence[str]) -> None:
+    """Refuse a search whose trials have objectives that cannot be compared.
+
+    Raises:
+        ConfigError: it samples what the objective is, or rewards while that is their sum.
+    """
+    keys = list(sampled)
+    if "train.best_by" in keys:
+        raise ConfigError("train.best_by: a search has one objective; one value is allowed")
+    paying = [key for key in keys if key.split(".")[0] == "rewards"]
+    if not paying:
+        return
+    words = [word for word in fixed if not word.lstrip("+~").startswith("rewards.")]
+    if any(one.train.best_by == "return" for one in compose_train(Overrides.parse(words))):
+        raise ConfigError(
+            f"{paying[0]}: a search by returns (train.best_by=return) would find the rewards that "
+            "pay most, not those that teach best; search with train.best_by=success"
+        )

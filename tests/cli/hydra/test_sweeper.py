@@ -12,6 +12,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 from sqlalchemy.exc import SQLAlchemyError
 
+from flipperctl.cli.hydra import optuna_search
 from flipperctl.cli.hydra.optuna_search import SearchSweep
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
@@ -226,3 +227,24 @@ def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
     assert objective(best, 40, "return") == 7.0
     assert objective(best, 40, "last") == objective(best, 40) == objective(best, 40, "success")
     assert objective({**best, "mean_return": None}, 40, "return") == objective(best, 40)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["train.best_by=success,return"], "train.best_by: a search has one objective"),
+        (
+            ["rewards=smooth", "rewards.swing.weight=interval(2,16)", "train.best_by=return"],
+            "rewards.swing.weight: a search by returns",
+        ),
+        (["rewards=paper,smooth", "experiment=searched"], "rewards: a search by returns"),
+    ],
+)
+def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        optuna_search._check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_rewards_are_searched_by_success() -> None:
+    words = ["rewards=smooth", "rewards.swing.weight=interval(2,16)"]
+    optuna_search._check_objective(*Overrides.parse(words, check=False).sampled())
