@@ -97,6 +97,8 @@ class Graph:
             self.child[e.parent, e.action] = e.child
             reward[e.parent, e.action], kept[e.parent, e.action] = e.reward, e.kept
         self.nodes = Nodes.joined(self._waves)
+        self.unexplored = float((~np.isfinite(reward).any(axis=1)).mean())
+        """Share of the states from which nothing was explored, as the ground is too long [-]."""
         self.values = _iterated(reward, kept, self.child)
         """Value of each action, (N, 9) [-]; -inf for a turn beyond a stop."""
 

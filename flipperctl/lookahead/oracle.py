@@ -69,6 +69,7 @@ class OraclePolicy:
             patience=self._patience,
         )
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
+        simulator.report_result(unexplored=self._graph.unexplored)
         self._targets = state.front, state.rear
         self._history = History()
         self._pending: int | None = None

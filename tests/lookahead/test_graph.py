@@ -168,3 +168,11 @@ def shifted(nodes: Nodes, x: float, z: float) -> Nodes:
     states[:, :2] += by
     fields = {**vars(nodes), "states": states, "places": nodes.places + by}
     return Nodes(**fields)
+
+
+def test_ground_with_more_states_than_are_explored_says_so(
+    step: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert step.unexplored == 0.0
+    monkeypatch.setattr(graphs, "_MOST", 200)
+    assert 0.0 < graph_of(STEP, terms(swing=4.0)).unexplored < 1.0
