@@ -134,31 +134,53 @@ class Profile:
 
     @cached_property
     def cloud(self) -> FloatArray:
-        """Points every 0.02 m of the outline with level ground on both sides, (P, 2) [m].
+        """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
+        return self.sample(0.02, 3.0)
 
-        That goes on for 15 m: starts and finishes may lie 10 m away, and points around them count.
+    @cached_property
+    def _far_cloud(self) -> FloatArray:
+        """Points of ``cloud`` with 15 m of level ground on both sides, (P, 2) [m]."""
+        beyond = np.arange(1, 601) * 0.02
+        first, last = self.cloud[0], self.cloud[-1]
+        before = np.column_stack([first[0] - beyond[::-1], np.full(len(beyond), first[1])])
+        past = np.column_stack([last[0] + beyond, np.full(len(beyond), last[1])])
+        return np.vstack([before, self.cloud, past])
+
+    def around(self, x: float, reach: float, *, far: bool = False) -> FloatArray:
+        """Return points of the ground within ``reach`` [m] of x, (P', 2) in world [m].
+
+        ``far``: with 15 m of level ground on both sides, for a robot anywhere; else 3 m, as in
+        ``cloud``.
         """
-        return self.sample(0.02, 15.0)
-
-    def around(self, x: float, reach: float) -> FloatArray:
-        """Return the points of ``cloud`` within ``reach`` [m] of x, (P', 2) in world [m]."""
-        along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
-        return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
+        cloud = self._far_cloud if far else self.cloud
+        along = cloud[:, 0].data  # a memoryview, which is faster for bisect
+        return cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
 
     def around_each(
-        self, x: FloatArray, reach: FloatArray | float
+        self, x: FloatArray, reach: FloatArray | float, *, far: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return x and z of ``around`` of each of M positions, twice (M, P) in world [m].
 
         ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN.
         """
-        first = np.searchsorted(self.cloud[:, 0], x - reach)
-        counts = np.maximum(0, np.searchsorted(self.cloud[:, 0], x + reach) - first)
+        cloud = self._far_cloud if far else self.cloud
+        columns = self._far_columns if far else self._columns
+        first = np.searchsorted(cloud[:, 0], x - reach)
+        counts = np.maximum(0, np.searchsorted(cloud[:, 0], x + reach) - first)
         step = np.arange(counts.max(initial=0))
-        index = np.where(step < counts[:, None], first[:, None] + step, len(self.cloud))
-        return self._columns[0].take(index), self._columns[1].take(index)
+        index = np.where(step < counts[:, None], first[:, None] + step, len(cloud))
+        return columns[0].take(index), columns[1].take(index)
 
     @cached_property
     def _columns(self) -> FloatArray:
         """X and z of ``cloud``, and NaN at their end, (2, P + 1) [m]."""
-        return np.vstack([self.cloud, [math.nan, math.nan]]).T.copy()
+        return _columns(self.cloud)
+
+    @cached_property
+    def _far_columns(self) -> FloatArray:
+        return _columns(self._far_cloud)
+
+
+def _columns(points: FloatArray) -> FloatArray:
+    """Return x and z of points (P, 2), and NaN at their end, (2, P + 1) [m]."""
+    return np.vstack([points, [math.nan, math.nan]]).T.copy()

@@ -26,7 +26,7 @@ HELP = """Measure how fast flipperctl is on this machine.
 medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, families,
-updates, batch_sizes, transitions, calls, decisions.
+updates, batch_sizes, transitions, calls, decisions, workers.
 
 [bold]Examples[/]
 

@@ -57,7 +57,7 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     front = ahead + robot.flipper_axle * _directions(states.pitch + states.front)
     rear = -ahead - robot.flipper_axle * _directions(states.pitch - states.rear)
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + _TOUCH
-    x, z = t.profile.around_each(states.position[:, 0], reach)  # (M, P) [m]
+    x, z = t.profile.around_each(states.position[:, 0], reach, far=True)  # (M, P) [m]
     x, z = x - states.position[:, :1], z - states.position[:, 1:]
     axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
     gap = np.min([_distances(a, b, x, z) for a, b in axles], axis=0) - robot.track_radius

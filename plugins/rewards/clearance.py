@@ -29,7 +29,7 @@ class Clearance(RewardTerm):
         """Return the reward in [-1, 0]: -1 if the underside touches a bump, 0 without a bump."""
         cos, sin = math.cos(t.after.pitch), math.sin(t.after.pitch)
         (x, z), half = t.after.position, t.robot.hinge_offset * cos
-        ground = t.profile.around(float(x), half)  # (P, 2) [m]
+        ground = t.profile.around(float(x), half, far=True)  # (P, 2) [m]
         ends = (x - half, x + half)
         chord = np.interp(ground[:, 0], ends, [t.profile.height(float(e)) for e in ends])
         bumps = ground[ground[:, 1] - chord > self.bump]
@@ -43,7 +43,7 @@ class Clearance(RewardTerm):
         """Return the rewards of M decisions, (M,)."""
         cos, sin = np.cos(ts.after.pitch), np.sin(ts.after.pitch)
         (x, z), half = ts.after.position.T, ts.robot.hinge_offset * cos
-        ground_x, ground_z = ts.profile.around_each(x, half)  # (M, P) [m]
+        ground_x, ground_z = ts.profile.around_each(x, half, far=True)  # (M, P) [m]
         begin = ts.profile.heights(x - half)
         slope = (ts.profile.heights(x + half) - begin) / (2 * half)
         chord = begin[:, None] + slope[:, None] * (ground_x - (x - half)[:, None])

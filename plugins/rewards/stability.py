@@ -50,7 +50,9 @@ class Stability(RewardTerm):
         front = ahead + robot.flipper_axle * _direction(state.pitch + state.front)
         rear = -ahead - robot.flipper_axle * _direction(state.pitch - state.rear)
         reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + self.touch
-        ground = t.profile.around(float(state.position[0]), reach) - state.position  # (P, 2) [m]
+        ground = (
+            t.profile.around(float(state.position[0]), reach, far=True) - state.position
+        )  # (P, 2) [m]
         axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
         gap = np.min([_distance(a, b, ground) for a, b in axles], axis=0) - robot.track_radius
         support = ground[gap <= self.touch, 0]
@@ -70,7 +72,9 @@ class Stability(RewardTerm):
         front = ahead + robot.flipper_axle * _directions(state.pitch + state.front)
         rear = -ahead - robot.flipper_axle * _directions(state.pitch - state.rear)
         reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + self.touch
-        ground_x, ground_z = ts.profile.around_each(state.position[:, 0], reach)  # (M, P) [m]
+        ground_x, ground_z = ts.profile.around_each(
+            state.position[:, 0], reach, far=True
+        )  # (M, P) [m]
         ground_x -= state.position[:, :1]
         ground_z -= state.position[:, 1:]
         squared = np.minimum(

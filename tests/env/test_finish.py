@@ -149,7 +149,7 @@ def test_level_ground_far_from_the_edges_carries_a_robot() -> None:
     """Reward terms and measures see the ground under a robot that starts or ends far away."""
     profile = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2)])
     for x, z in ((-9.0, 0.0), (10.5, 0.2)):
-        found = profile.around(x, 1.0)
+        found = profile.around(x, 1.0, far=True)
         assert found[0, 0] <= x - 0.9
         assert found[-1, 0] >= x + 0.9
         assert (found[:, 1] == z).all()
