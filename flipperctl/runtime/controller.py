@@ -273,11 +273,9 @@ class FlipperController:
             self._faulty_since = None
             return "standby" if self._standing else "driving"
         now = self._last or 0.0
-        if self._faulty_since is None:
-            self._faulty_since = now
+        if self._faulty_since is None or self._targets is None:  # no angle was known until now
             self._hold()
-        elif self._targets is None:  # since a jump of the clock; no angle was known until now
-            self._hold()
+        self._faulty_since = now if self._faulty_since is None else self._faulty_since
         if fault.at_once:
             return "stopped"
         if not self._decided:

@@ -130,14 +130,16 @@ def _comparison(baseline: str, compared: list[tuple[str, BaselineResult]]) -> Ta
     return found
 
 
-def _of_several(result: EvaluationResult) -> bool:
-    return len({scene.method for scene in result.scenes}) > 1
+def _whose(result: EvaluationResult, name: str, scene: SceneResult) -> str:
+    """Return the name of a scene, after that of its policy if there are several."""
+    several = len({one.method for one in result.scenes}) > 1
+    return f"{scene.method} on {name}" if several else name
 
 
 def group_tables(result: EvaluationResult) -> Iterator[Table]:
     """Yield a table of each scene's groups by each number (``eval --by``)."""
     for name, scene in _named(result):
-        whose = f"{scene.method} on {name}" if _of_several(result) else name
+        whose = _whose(result, name, scene)
         for by, groups in scene.by.items():
             if groups:
                 yield group_table(whose, by, groups)
@@ -154,16 +156,15 @@ def search_lines(result: EvaluationResult) -> Iterator[str]:
             else:
                 parts.append(f"{key} {value:.6g}")
         if parts:
-            whose = f"{scene.method} on {name}" if _of_several(result) else name
-            yield f"search on {whose}, means: {'; '.join(parts)}"
+            yield f"search on {_whose(result, name, scene)}, means: {'; '.join(parts)}"
 
 
 def risk_lines(result: EvaluationResult) -> Iterator[str]:
     """Yield a line for each scene with a policy that tells its risk."""
     for name, scene in _named(result):
         if scene.summary.risk is not None:
-            whose = f"{scene.method} on {name}" if _of_several(result) else name
-            yield f"risk on {whose}: {risk_text(scene.summary.risk.to_dict())}"
+            risk = risk_text(scene.summary.risk.to_dict())
+            yield f"risk on {_whose(result, name, scene)}: {risk}"
 
 
 def gap_cells(found: PairedSuccess) -> list[str]:

@@ -293,9 +293,8 @@ def test_a_robot_that_starts_on_a_slope_assumes_the_slope_behind_it(pitch: float
     below = 0.1 / math.cos(pitch)
     bins = (np.arange(15) - 7) * 0.15
     heights = robot.estimate(0.0)[0].heights
-    hinge = 0.28
     for x, height in zip(bins, heights, strict=True):
-        if x < hinge - 0.15:
+        if x < 0.28 - 0.15:  # behind the front hinge
             assert height == pytest.approx(math.tan(pitch) * x - below, abs=0.012), x
     turned = told(robot, ahead(0.05))  # it takes no bias of the range from that
     assert turned._errors.distance == turned._errors.pitch == 0.0
