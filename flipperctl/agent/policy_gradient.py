@@ -52,6 +52,25 @@ def advantages(
     return found
 
 
+def limited(advantage: torch.Tensor, clip: float | None) -> torch.Tensor:
+    """Return advantages (T,) scaled to mean 0 and variance 1.
+
+    None of those that are scaled a first time exceeds ``clip`` (None: unlimited) when they are
+    scaled again: the few decisions before a failure have most of the variance else.
+    """
+    scaled = _scaled(advantage)
+    return scaled if clip is None else _scaled(scaled.clamp(-clip, clip))
+
+
+def _scaled(advantage: torch.Tensor) -> torch.Tensor:
+    return (advantage - advantage.mean()) / (advantage.std(unbiased=False) + 1e-8)
+
+
+def build_values(network: Network, layout: ObservationLayout, privileged: int) -> Baseline:
+    """Return the values of states with ``privileged`` numbers that only they see."""
+    return Baseline(input_size(network, layout), privileged, _WIDTH)
+
+
 class PolicyGradient(Learner):
     """A learner with the update from the episodes that its own policy drove."""
 
@@ -70,7 +89,7 @@ class PolicyGradient(Learner):
         super().__init__(network, layout, n_actions, settings, seed=seed, device=device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            self.values = Baseline(input_size(network, layout), privileged, _WIDTH).to(self.device)
+            self.values = build_values(network, layout, privileged).to(self.device)
         self._value_optimiser = Adam(flatten_parameters([self.values]))
         self._value_parameters = list(self.values.parameters())
         self.anchor = copy.deepcopy(self.online).requires_grad_(False)
@@ -116,7 +135,7 @@ class PolicyGradient(Learner):
         return error
 
     def _advantages(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the advantages, scaled to mean 0 and variance 1, and the values to learn, (T,)."""
+        """Return the advantages, scaled and limited, and the values to learn, (T,)."""
         assert batch.privileged is not None  # as in every batch of such a training
         assert batch.next_privileged is not None
         with torch.no_grad():
@@ -131,8 +150,7 @@ class PolicyGradient(Learner):
                 self.settings.policy_gradient.trace,
             )
         ).to(self.device)
-        scaled = (found - found.mean()) / (found.std(unbiased=False) + 1e-8)
-        return scaled, found + value
+        return limited(found, self.settings.policy_gradient.advantage_clip), found + value
 
     def _value_step(self, batch: Batch, goal: torch.Tensor) -> float:
         assert batch.privileged is not None

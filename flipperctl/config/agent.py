@@ -157,6 +157,11 @@ class Agent(Settings):
     def _fits_policy_gradient(self) -> Self:
         if not self.draws:
             return self
+        if self.policy_gradient.start_values and self.start_from is None:
+            raise ConfigError(
+                "agent.policy_gradient.start_values: true needs a run whose values to start with; "
+                "name it in agent.start_from, or leave it at false"
+            )
         needed = 2 * self.policy_gradient.decisions  # a round ends with a whole episode
         for name, wrong, allowed in (
             ("n_step", self.n_step != 1, "1"),

@@ -61,6 +61,18 @@ class PolicyGradient(Settings):
         description="weight of the divergence from the policy that the training starts with, which "
         "keeps what the advantages do not clearly change [-]",
     )
+    advantage_clip: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="standard deviations of a round's advantages beyond which an advantage counts "
+        "as that much: rare failures outweigh all small differences else; null: unlimited [-]",
+    )
+    start_values: bool = Field(
+        False,
+        description="start with the values of the run that agent.start_from names, too, which must "
+        "be one of agent.learner=policy_gradient; false: random weights [-]",
+    )
     value_rate: float = Field(1e-3, gt=0, le=1, description="Adam step of the values [-]")
     value_passes: int = Field(
         8,

@@ -97,9 +97,10 @@ def _recorded_decisions(config: TrainConfig) -> int:
 
 
 def _check_start(config: TrainConfig) -> None:
-    from flipperctl.training.starting import read_start
+    from flipperctl.training.starting import read_start, read_values
 
     read_start(config)
+    read_values(config)
 
 
 def _check_network(config: TrainConfig, recorded: int) -> None:

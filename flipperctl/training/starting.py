@@ -1,7 +1,7 @@
 """The weights that a training starts with in place of random ones.
 
 In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: its networks' weights in
-those of the training.
+those of the training, and on request those of its values.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import torch
 from flipperctl.agent.building import build_network
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
+from flipperctl.agent.policy_gradient import PolicyGradient, build_values
 from flipperctl.api import ACTIONS
-from flipperctl.checkpoint import find, read
+from flipperctl.checkpoint import LAST, find, read
 from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.config import TrainConfig
+from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.exported import is_exported
 from flipperctl.policies.source import check_layout
@@ -24,6 +26,7 @@ from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.policies.values import naming
 
 _SETTING = "agent.start_from"
+_VALUES = "agent.policy_gradient.start_values"
 _ROWS = 64
 """Random inputs on which the two networks must agree [-]."""
 
@@ -60,17 +63,45 @@ def read_start(config: TrainConfig) -> Start | None:
     return _same_network(config, name, module), None if risk is None else risk.network
 
 
+def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
+    """Return the weights of the values that a training starts with; None: random ones.
+
+    Raises:
+        CheckpointError: the run is missing or damaged.
+        ConfigError: it has no values, or values of other states than those of the training.
+    """
+    name = config.agent.start_from
+    if not (config.agent.draws and config.agent.policy_gradient.start_values and name):
+        return None
+    with naming(_SETTING):
+        found = read(find(Path(name), prefer=LAST)).part("values")
+    if not found:
+        raise ConfigError(
+            f"{_VALUES}: {name} has no values; name in {_SETTING} the run of a training with "
+            "agent.learner=policy_gradient, or leave it at false"
+        )
+    built = build_values(config.network, config.perception.layout, SIZE)
+    try:
+        require_equal_layout(found, built.state_dict())
+    except ValueError as error:
+        raise ConfigError(f"{_VALUES}: the values of {name} do not fit: {error}") from error
+    return found
+
+
 def start(config: TrainConfig, agent: Learner) -> None:
     """Give the networks of a new training the weights that it starts with, if it names any.
 
     Raises:
         CheckpointError: the file is missing, damaged or an exported one, or takes other
             observations than the training.
-        ConfigError: it has another network than the training.
+        ConfigError: it has another network than the training, or no values to start with.
     """
-    found = read_start(config)
+    found, values = read_start(config), read_values(config)
     if found is not None:
         give(found, agent)
+    if values is not None:
+        assert isinstance(agent, PolicyGradient)  # the only learner whose values can be given
+        agent.values.load_state_dict(values)
 
 
 def give(found: Start, agent: Learner) -> None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from flipperctl.agent.losses import clipped_gain, divergence
-from flipperctl.agent.policy_gradient import PolicyGradient, advantages
+from flipperctl.agent.policy_gradient import PolicyGradient, advantages, limited
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network
 from flipperctl.config import Agent, resolver
@@ -76,6 +76,19 @@ def test_advantages_sum_later_differences_up_to_the_end_of_the_episode() -> None
     assert advantages(differences, discounts, 0.5) == pytest.approx(np.array(expected))
 
 
+def test_limited_advantages_let_rare_failures_outweigh_the_rest_no_longer() -> None:
+    usual = torch.linspace(-1, 1, 990)
+    found = torch.cat([usual, torch.full((10,), -50.0)])
+    weight = {}
+    for clip in (None, 1.0):
+        scaled = limited(found, clip)
+        assert float(scaled.mean()) == pytest.approx(0.0, abs=1e-5)
+        assert float(scaled.std(unbiased=False)) == pytest.approx(1.0, abs=1e-4)
+        assert torch.equal(scaled[:990].argsort(), usual.argsort())  # the order remains
+        weight[clip] = float(scaled[990:].square().mean() / scaled[:990].square().mean())
+    assert weight[1.0] < weight[None] / 20
+
+
 def test_the_gain_is_the_advantage_times_the_ratio_up_to_the_clip() -> None:
     before = torch.tensor([[0.5, 0.5]]).expand(3, 2)
     now = torch.tensor([[0.8, 0.2], [0.2, 0.8], [0.55, 0.45]]).log()
@@ -138,6 +151,15 @@ def test_in_its_first_rounds_only_the_values_learn() -> None:
     assert all(torch.equal(after[name], tensor) for name, tensor in before.items())
     agent.update(round_of(agent, rng), 0.0, rng)
     assert any(not torch.equal(agent.online.state_dict()[n], t) for n, t in before.items())
+
+
+def test_limited_advantages_change_an_update() -> None:
+    free, limit = learner(), learner(policy_gradient={"advantage_clip": 0.5})
+    batch = round_of(free, np.random.default_rng(0))
+    for agent in (free, limit):
+        agent.update(batch, 0.0, np.random.default_rng(0))
+    theirs = limit.online.state_dict()
+    assert any(not torch.equal(theirs[n], t) for n, t in free.online.state_dict().items())
 
 
 def test_a_restored_learner_goes_on_bit_for_bit() -> None:

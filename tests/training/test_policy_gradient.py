@@ -113,6 +113,7 @@ def test_workers_draw_too(tmp_path: Path) -> None:
         ({"agent.bootstrap_outcomes": ["timeout"]}, "agent.bootstrap_outcomes: "),
         ({"agent.replay_size": 199, "agent.policy_gradient.decisions": 100}, "200 .* or more is"),
         ({"teacher": {"controller": {"name": "okada"}}}, "set teacher=none"),
+        ({"agent.policy_gradient.start_values": True}, "start_values: true needs a run"),
     ],
 )
 def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, object], text: str) -> None:

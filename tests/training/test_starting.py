@@ -8,10 +8,13 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.learner import Learner
+from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.config import to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.runs import preflight
 from tests.short import short_config, trainer
+
+VALUES = "agent.policy_gradient.start_values"
 
 
 def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_path: Path) -> None:
@@ -22,6 +25,32 @@ def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_pat
     theirs = checkpoint.read(checkpoint.find(short_run)).part("policy")
     for network in (new.agent.online, new.agent.target):
         assert all(torch.equal(network.state_dict()[name], theirs[name]) for name in theirs)
+
+
+def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> None:
+    def begun(folder: Path, **settings: object) -> PolicyGradient:
+        own = {"agent.learner": "policy_gradient", "agent.n_step": 1, "train.decisions": 1}
+        own["agent.policy_gradient.decisions"] = 100
+        new = trainer(short_config(**{**own, **settings}), folder)
+        new.run()
+        assert isinstance(new.agent, PolicyGradient)
+        return new.agent
+
+    first = begun(tmp_path / "first").values.state_dict()
+    later = {"agent.start_from": str(tmp_path / "first"), "seed": 8}
+    kept = begun(tmp_path / "kept", **later, **{VALUES: True}).values.state_dict()
+    assert all(torch.equal(kept[name], first[name]) for name in first)
+    fresh = begun(tmp_path / "fresh", **later).values.state_dict()
+    assert not all(torch.equal(fresh[name], first[name]) for name in first)
+
+
+def test_a_run_without_values_is_refused_before_the_training_begins(short_run: Path) -> None:
+    settings = {"agent.learner": "policy_gradient", "agent.n_step": 1, VALUES: True}
+    settings["agent.policy_gradient.decisions"] = 100
+    config = short_config(**{"agent.start_from": str(short_run), **settings})
+    text = rf"^{VALUES}: .*short_run\S* has no values; name in agent\.start_from the run of"
+    with pytest.raises(ConfigError, match=text):
+        preflight.check(config)
 
 
 def test_a_dropout_may_differ(tmp_path: Path) -> None:
