@@ -145,7 +145,8 @@ def read_geotiff(
     """Return a map of the file's first band, in the file's own frame.
 
     A file without a frame needs a ``resolution`` [m], as an NPY file does. Besides ``no_data``, the
-    value that the file itself states and its mask mark unknown heights.
+    value that the file itself states and its mask mark unknown heights. The band's own scale and
+    offset turn the stored numbers into heights in ``unit``; ``no_data`` is a stored number.
 
     Raises:
         ValueError: the coordinates are degrees, or the frame is stated twice or not at all.
@@ -156,9 +157,10 @@ def read_geotiff(
     def heights(part: Part) -> tuple[FloatArray, str]:
         with _opened(path) as file:
             read = file.read(1, masked=True, window=part)
+            scale, offset = file.scales[0], file.offsets[0]
         values = np.asarray(read.astype(np.float64).filled(np.nan))
         found, remark = without_missing(values, no_data)
-        return found * unit, remark
+        return (found * scale + offset) * unit, remark
 
     if transform.is_identity:
         return HeightMap(shape, _cells_from_resolution(resolution, rows), heights)

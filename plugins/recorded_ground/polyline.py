@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,13 @@ _LARGE = 1 << 20
 """Smallest size of a file that numpy's compiled reader tries first [bytes]."""
 
 
-def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, str]:
+def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, list[str]]:
     """Return columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
     Columns are separated by commas, or by semicolons or tabs with decimal points or commas, as
     spreadsheets write them. Lines that begin with # or // are comments. A line whose x or z is NaN
     or a value for missing heights is a gap, which is interpolated linearly up to ``largest_gap``
-    in the file's unit. Also returns a remark on missing values, empty without any.
+    in the file's unit. Also returns remarks on missing values and on unknown heights at the ends.
 
     Raises:
         ValueError: a column is missing, a value is not a number, x decreases, a gap is too long, or
@@ -42,7 +43,8 @@ def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, str]:
     if (count := int(known.sum())) < 2:
         raise ValueError(f"at least two points are needed; it has {count}")
     _check_gaps(points[:, 0], known, numbers, largest_gap)
-    return points[known], remark
+    remarks = [remark] if remark else []
+    return points[known], [*remarks, *_remarks_on_ends(points[:, 0], known, largest_gap)]
 
 
 def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -115,6 +117,14 @@ def _check_gaps(
             f"{x[at[first + 1]]:g}; the largest gap that is bridged is {largest:g} (largest_gap, "
             "in the file's unit)"
         )
+
+
+def _remarks_on_ends(x: FloatArray, known: NDArray[np.bool_], largest: float) -> Iterator[str]:
+    """Yield a remark on each end beyond the known points that is longer than a gap may be."""
+    inner, outer = x[known], x[np.isfinite(x)]
+    for first, last in ((outer[0], inner[0]), (inner[-1], outer[-1])):
+        if last - first > largest:
+            yield f"no height is known from x = {first:g} to {last:g}, which is left out"
 
 
 def _number(text: str, delimiter: str) -> float | None:

@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import AnyTerrain, Profile, terrain
+from flipperctl.api import AnyTerrain, FloatArray, Profile, terrain
 
 from .combinator import Combinator
 from .drawn import Drawn
@@ -29,13 +29,18 @@ class Excerpt(Drawn, Combinator):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points of the piece and its interpolated ends, with the inner label."""
         profile = self.terrain.labelled(rng)
-        length = min(self.draw(rng, "length"), profile.end - profile.start)
-        first = profile.start + rng.random() * (profile.end - profile.start - length)
-        last = first + length
-        x, _ = profile.points.T
-        inner = profile.points[(x > first) & (x < last)]
-        ends = [(at, profile.height(at)) for at in (first, last)]
+        whole = profile.end - profile.start
+        length = min(self.draw(rng, "length"), whole)
+        first = profile.start + rng.random() * (whole - length)
+        points = profile.points if length == whole else _piece(profile, first, first + length)
         known = {name: value for name, value in profile.drawn.items() if name not in STARTS}
         drawn = {**known, "piece_start": first - profile.start, "piece_length": length}
-        points = np.vstack([ends[:1], inner, ends[1:]])
         return Profile(points, profile.label, drawn=drawn)
+
+
+def _piece(profile: Profile, first: float, last: float) -> FloatArray:
+    """Return the points between two x [m] with the interpolated ends, (V, 2)."""
+    x, _ = profile.points.T
+    inner = profile.points[(x > first) & (x < last)]
+    ends = [(at, profile.height(at)) for at in (first, last)]
+    return np.vstack([ends[:1], inner, ends[1:]])

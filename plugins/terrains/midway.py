@@ -49,7 +49,7 @@ class Midway(Combinator):
         places = np.sort(rng.random(2)) * spare if starts and finishes else rng.random(2) * spare
         before = float(places[0]) if starts and spare > 0 else None
         behind = float(spare - places[1]) if finishes and spare > 0 else None
-        drawn: dict[str, float] = {**profile.drawn}
+        drawn = {name: value for name, value in profile.drawn.items() if name not in STARTS}
         drawn |= {} if before is None else {"start_on": before}
         drawn |= {} if behind is None else {"finish_on": behind}
         return replace(

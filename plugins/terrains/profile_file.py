@@ -202,8 +202,8 @@ class ProfileFile(Terrain):
     def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
         if self.start is None or self.end is None:
             unit = UNITS[self.unit]
-            found, remark = polyline.read_csv(file, self.largest_gap / unit)
-            remarks += [remark] if remark else []
+            found, own = polyline.read_csv(file, self.largest_gap / unit)
+            remarks += own
             remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
             return found * unit
         line = Line(self.start, self.end, self.spacing)

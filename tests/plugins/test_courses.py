@@ -86,7 +86,19 @@ def test_an_excerpt_is_a_piece_of_the_ground() -> None:
         assert piece.heights(x) == pytest.approx(whole.heights(x))
         firsts.add(piece.drawn["piece_start"])
     assert len(firsts) == 5
-    assert drawn("excerpt", terrain="gap", length_low=3.0).end < 1.0  # shorter ground is whole
+
+
+@pytest.mark.parametrize("ground", ["gap", "step", "stair", "building_stair"])
+def test_an_excerpt_of_shorter_ground_is_all_of_it(ground: str) -> None:
+    whole, piece = (
+        drawn(name, 4, **fields)
+        for name, fields in (
+            (ground, {}),
+            ("excerpt", {"terrain": ground, "length_low": 90.0, "length_high": 90.0}),
+        )
+    )
+    assert np.array_equal(piece.points, whole.points)  # with the faces at its ends
+    assert piece.drawn["piece_length"] == whole.end - whole.start
 
 
 def test_an_episode_begins_and_ends_midway() -> None:
@@ -103,6 +115,9 @@ def test_an_episode_begins_and_ends_midway() -> None:
     assert (neither.run_up, neither.run_out) == (None, None)
     short = drawn("midway", terrain="step", start=1, finish=1)
     assert (short.run_up, short.run_out) == (None, None)
+    inner = {"name": "midway", "terrain": stairs, "start": 1, "finish": 1}
+    around = drawn("midway", terrain=inner, start=0, finish=0)
+    assert not {"start_on", "finish_on"} & around.drawn.keys()  # it starts before the first edge
 
 
 def test_ground_around_midway_moves_its_ends() -> None:

@@ -116,6 +116,15 @@ def test_a_geotiff_contains_its_frame(tmp_path: Path) -> None:
         profile(file, resolution=0.05, **line)
 
 
+def test_a_geotiff_s_own_scale_and_offset_give_its_heights(tmp_path: Path) -> None:
+    heights = np.tile(block(np.arange(80) * 0.05 + 0.025), (60, 1))
+    file = tmp_path / "millimetres.tif"
+    write_tiff(file, 1000.0 * heights - 2000.0, nodata=0.0, transform=from_origin(0, 3, 0.05, 0.05))
+    with rasterio.open(file, "r+") as map_file:
+        map_file.scales, map_file.offsets = (0.001,), (2.0,)
+    assert_block(profile(file, start=(1.0, 1.5), end=(3.0, 1.5)), 0.02)
+
+
 def test_degrees_and_an_unknown_frame_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "degrees.tif"
     write_tiff(file, np.zeros((5, 5)), crs="EPSG:4326", transform=from_origin(10, 50, 0.1, 0.1))
@@ -161,6 +170,14 @@ def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
     x, y, z = scanned()[:-1].T
     write_cloud(file, np.column_stack([x, -z, y]))  # axes: right, down, ahead
     assert_block(profile(file, up="-y", **LINE), 0.02)
+
+
+def test_unknown_heights_at_the_ends_of_a_file_are_left_out_with_a_remark(tmp_path: Path) -> None:
+    file = tmp_path / "ends.csv"
+    file.write_text("x,z\n-4,nan\n0,0\n1,0.1\n2,0\n2.1,nan\n")
+    found = resolver.create("terrain", {"name": "profile_file", "path": str(file)}, "terrain")
+    assert found.notices() == (f"{file}: no height is known from x = -4 to 0, which is left out",)
+    assert found.generate(np.random.default_rng(0)).end == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(
