@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.messages import Scan
@@ -23,6 +24,10 @@ _ACROSS = 0.05
 """Deviation of the ground's slope across the robot, which is estimated too [rad]."""
 _AHEAD = 0.95
 """Farthest point ahead of the chassis centre; there is no edge before it [m]."""
+_BETWEEN = 0.35
+"""Largest distance from the robot's middle plane of points that it will drive over [m]."""
+_ELSEWHERE, _SHARE = 0.04, 0.9
+"""Largest distance from the ground of this part of its points, distances that err included [m]."""
 _STEEP = 0.3
 """Smallest drop of a ray per its length [-]."""
 _APART = 0.08
@@ -46,6 +51,17 @@ class StartErrors(NamedTuple):
     """By how much the pitch is too large [rad]."""
 
 
+def is_elsewhere(points: FloatArray, lidar: FloatArray, below: float) -> bool:
+    """Return whether points show the ground ahead of the robot elsewhere than level.
+
+    ``points`` (P, 3), none of them the robot's own, the ``lidar`` and ``below`` are those of
+    ``start_errors``. Too few points show nothing.
+    """
+    drop, off, ahead = _seen(points, lidar, below, _BETWEEN)
+    near = off[ahead & (drop >= _STEEP)]
+    return len(near) >= _FEWEST and float(np.quantile(np.abs(near), _SHARE)) > _ELSEWHERE
+
+
 def start_errors(points: FloatArray, lidar: FloatArray, below: float, tilt: float) -> StartErrors:
     """Return the likely errors; 0 if too few points show the ground.
 
@@ -53,11 +69,7 @@ def start_errors(points: FloatArray, lidar: FloatArray, below: float, tilt: floa
     axes that are level by the measured pitch; the ground lies ``below`` the centre [m]. ``tilt``:
     standard deviation of the pitch, 0 if it does not err [rad].
     """
-    rays = points - lidar
-    length = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
-    drop = -rays[:, 2] / length
-    off = points[:, 2] + below
-    ahead = (points[:, 0] > lidar[0]) & (points[:, 0] < _AHEAD) & (np.abs(points[:, 1]) <= _SIDE)
+    drop, off, ahead = _seen(points, lidar, below, _SIDE)
     used = ahead & (drop >= _STEEP) & (np.abs(off) <= _APART)
     if used.sum() < _FEWEST:
         return StartErrors()
@@ -70,6 +82,19 @@ def start_errors(points: FloatArray, lidar: FloatArray, below: float, tilt: floa
     if abs(found[0]) > _LARGEST:
         return StartErrors()
     return StartErrors(float(found[0]), float(found[1]) if tilt else 0.0)
+
+
+def _seen(
+    points: FloatArray, lidar: FloatArray, below: float, side: float
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Return drops per length of the rays [-], heights above level [m], and which are close ahead.
+
+    All (P,); ``side``: largest distance from the robot's middle plane [m].
+    """
+    rays = points - lidar
+    length = np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+    x, y, z = points.T
+    return -rays[:, 2] / length, z + below, (x > lidar[0]) & (x < _AHEAD) & (np.abs(y) <= side)
 
 
 def without_bias(scan: Scan, bias: float) -> Scan:

@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.calibration import StartErrors, start_errors, without_bias
+from flipperctl.core.lidar.calibration import (
+    StartErrors,
+    is_elsewhere,
+    start_errors,
+    without_bias,
+)
 from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
@@ -33,8 +38,11 @@ _MOST_POINTS = 10_000
 _TURN, _LEAST_SHARE = 0.1, 0.05
 """Time of a turn [s]; a scan that follows the one before sooner is a sector, of which this part of
 the points of a turn are used, or more [-]."""
-_LEVEL = 0.1
-"""Largest pitch of a robot that stands on level ground at the start [rad]."""
+_LEVEL, _LEVEL_ON_BELTS = 0.1, 0.02
+"""Largest pitch of a robot that stands on level ground at the start: on its flippers, and on the
+belts of its chassis, besides three deviations of the measured pitch [rad]."""
+_LOWERED = 0.01
+"""Angle by which a flipper is lowered [rad]."""
 _FADING = 30.0
 """Time in which an inertial unit's error of the pitch changes [s]."""
 
@@ -107,8 +115,8 @@ class LidarEstimator:
         if isinstance(value, Scan):
             value = without_mixed(thinned(value, self._most_points(time)))
             pose = self._trail.pose_at(time, self._pose)  # newer attitudes may have come first
-            self._start(pose)
-            self._calibrate(value, time, pose)
+            if self._calibrated is None:
+                self._begin(value, time, pose)
             self._add(without_bias(value, self._errors.distance), time, pose)
         else:
             self._receive(value, time)
@@ -120,19 +128,35 @@ class LidarEstimator:
         share = min(1.0, max(_LEAST_SHARE, elapsed / _TURN))
         return round(_MOST_POINTS * round(share, 3))  # a turn is not always exactly 0.1 s
 
-    def _calibrate(self, scan: Scan, time: float, pose: Pose) -> None:
-        """Estimate the constant errors of the devices from the first scan.
+    def _begin(self, scan: Scan, time: float, pose: Pose) -> None:
+        """Assume ground at the start, and estimate the constant errors, by the first scan.
 
-        The robot then stands on level ground, so it knows how far that is below.
+        On level ground the robot knows how far that is below. Nothing is assumed if the scan shows
+        the ground ahead elsewhere.
         """
+        turn = attitude(pose.roll, pose.pitch, 0.0)
+        lidar, below = turn @ self._position_of_lidar, self._below()
+        if self._stands_level(pose):
+            finite = np.asarray(np.isfinite(scan.points).all(axis=1))
+            if is_elsewhere(self._of_ground(scan.points, finite) @ turn.T, lidar, below):
+                self._started, self._calibrated = True, 0.0
+                return
+        self._start(pose)
         if self._calibrated is not None:
             return
         self._calibrated = time
-        turn = attitude(pose.roll, pose.pitch, 0.0)
-        lidar = turn @ self._position_of_lidar
         points = lidar + scan.points @ (turn @ self._turn).T
-        tilt = 0.0 if self._reckoned is None else self._settings.accuracy.tilt
-        self._errors = start_errors(points, lidar, self._below(), tilt)
+        self._errors = start_errors(points, lidar, below, self._tilt())
+
+    def _tilt(self) -> float:
+        """Return the standard deviation of the pitch, 0 if it does not err [rad]."""
+        return 0.0 if self._reckoned is None else self._settings.accuracy.tilt
+
+    def _stands_level(self, pose: Pose) -> bool:
+        """Return whether the robot may stand on level ground, by its pitch and its flippers."""
+        lowered = min(self._joints.front, self._joints.rear) < -_LOWERED
+        limit = _LEVEL if lowered else min(_LEVEL, _LEVEL_ON_BELTS + 3 * self._tilt())
+        return abs(pose.pitch) <= limit
 
     def _corrected(self, value: Inertial, time: float) -> Inertial:
         """Return the attitude without the error of the start, which fades."""
@@ -204,7 +228,7 @@ class LidarEstimator:
             return
         self._started = True
         hinge = self._body.chassis_length / 2 - self._body.track_radius
-        if abs(pose.pitch) <= _LEVEL:
+        if self._stands_level(pose):
             self._ground.assume_level(pose.x + hinge, pose.z - self._below())
             return
         self._calibrated = 0.0  # by level ground alone

@@ -13,6 +13,9 @@ import numpy as np
 from flipperctl.api import FloatArray, RobotState
 from flipperctl.core.lidar.rotations import attitude
 
+_VERTICAL = 1e-12
+"""Difference of 1 and the z part of the vertical up to which world's z axis is vertical [-]."""
+
 
 def to_world(state: RobotState) -> FloatArray:
     """Return the rotation from frame R to world."""
@@ -26,6 +29,17 @@ def upwards(state: RobotState) -> FloatArray:
     x, y = math.sin(state.pitch), math.sin(state.roll)
     z = math.sqrt(max(0.0, 1.0 - x * x - y * y))
     return np.array([x, y, math.copysign(z, math.cos(state.pitch))])
+
+
+def heading(state: RobotState) -> float:
+    """Return the heading of a level frame [rad]: about the vertical, and not about world's z."""
+    if state.orientation is None:
+        return state.yaw
+    level = levelled(state)
+    if level[2, 2] > 1.0 - _VERTICAL:
+        return state.yaw
+    ahead = level @ state.orientation[:, 0]
+    return math.atan2(ahead[1], ahead[0])
 
 
 def levelled(state: RobotState) -> FloatArray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Instrument, RobotState
 from flipperctl.core.lidar.messages import Belts, Inertial, SpecificForce
-from flipperctl.sim.lidar.frames import to_world, upwards
+from flipperctl.sim.lidar.frames import heading, to_world, upwards
 
 PERIOD = 0.01
 """Time between two measurements [s]."""
@@ -53,8 +53,8 @@ class InertialUnit(Instrument):
         stays = math.exp(-PERIOD / errors.wander_time)
         self._tilt = stays * self._tilt + errors.tilt_wander * math.sqrt(1 - stays**2) * noise[:2]
         roll, pitch = (self._tilt + errors.tilt_noise * noise[2:4]).tolist()
-        last, self._yaw = self._yaw, state.yaw
-        turned = 0.0 if last is None else math.remainder(state.yaw - last, 2 * math.pi)
+        last, self._yaw = self._yaw, heading(state)
+        turned = 0.0 if last is None else math.remainder(self._yaw - last, 2 * math.pi)
         rate = turned / PERIOD + errors.yaw_rate_bias + errors.yaw_rate_noise * float(noise[4])
         return Inertial(roll=state.roll + roll, pitch=state.pitch + pitch, yaw_rate=rate)
 

@@ -5,13 +5,11 @@ In: the true state. Out: messages of ``flipperctl.core.lidar``.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from flipperctl.api import Instrument, RobotState
 from flipperctl.core.lidar.messages import Joints, Pose
-from flipperctl.sim.lidar.frames import levelled, to_world
+from flipperctl.sim.lidar.frames import heading, levelled
 
 
 class Encoders(Instrument):
@@ -36,6 +34,4 @@ class Tracking(Instrument):
         level = levelled(state)
         x, z = state.position.tolist()
         x, y, z = (level @ [x, state.side, z]).tolist()
-        ahead = level @ to_world(state)[:, 0]
-        yaw = math.atan2(ahead[1], ahead[0])
-        return Pose(x=x, y=y, z=z, roll=state.roll, pitch=state.pitch, yaw=yaw)
+        return Pose(x=x, y=y, z=z, roll=state.roll, pitch=state.pitch, yaw=heading(state))

@@ -287,7 +287,7 @@ def test_a_robot_that_may_stand_on_an_obstacle_assumes_no_ground() -> None:
         assert bool(abs(rear + 0.55) < 0.01) is level  # the slope of the chassis
 
 
-@pytest.mark.parametrize("pitch", [0.35, -0.35])
+@pytest.mark.parametrize("pitch", [0.35, 0.05, -0.05, -0.35])
 def test_a_robot_that_starts_on_a_slope_assumes_the_slope_behind_it(pitch: float) -> None:
     robot = told(estimator(), Pose(0.0, 0.0, 0.3, 0.0, pitch, 0.0), Joints(0.0, 0.0))
     below = 0.1 / math.cos(pitch)
@@ -298,3 +298,29 @@ def test_a_robot_that_starts_on_a_slope_assumes_the_slope_behind_it(pitch: float
             assert height == pytest.approx(math.tan(pitch) * x - below, abs=0.012), x
     turned = told(robot, ahead(0.05))  # it takes no bias of the range from that
     assert turned._errors.distance == turned._errors.pitch == 0.0
+
+
+def test_a_robot_that_its_flippers_turn_stands_on_level_ground() -> None:
+    robot = told(estimator(), Pose(0.0, 0.0, 0.11, 0.0, 0.05, 0.0), Joints(-0.1, 0.0))
+    heights = robot.estimate(0.0)[0].heights
+    assert heights[:7] == pytest.approx(heights[0])
+
+
+@pytest.mark.parametrize("rise", [0.1, -0.1])
+def test_a_first_scan_of_ground_elsewhere_takes_level_ground_and_errors_back(rise: float) -> None:
+    """As on a landing at whose edge the robot starts, or on rough ground."""
+    told_of = LEVEL, Joints(0.0, 0.0), ahead(rise)
+    robot = told(estimator(), *told_of)
+    assert robot._errors.distance == robot._errors.pitch == 0.0
+    heights, known = robot.estimate(0.0)[0].heights, range(11, 15)
+    assert heights[known] == pytest.approx(np.full(4, rise - 0.1), abs=0.005)
+    assumed = LidarEstimator(BODY, UP, MapSettings(bins=15, bin_width=0.15), level=False)
+    assert heights == pytest.approx(told(assumed, *told_of).estimate(0.0)[0].heights)
+
+
+def test_raised_flippers_in_the_first_scan_are_no_ground_elsewhere() -> None:
+    x, z = np.meshgrid(np.linspace(0.3, 0.45, 200), [0.1, 0.12, 0.14])  # of the front flippers
+    own = np.column_stack([x.ravel(), np.full(x.size, 0.3), z.ravel()]) - (0.25, 0.0, 0.4)
+    scan = Scan(np.vstack([ahead().points, own]))
+    ground, _ = told(estimator(), LEVEL, Joints(0.4, 0.0), scan).estimate(0.0)
+    assert ground.heights == pytest.approx(np.full(15, -0.1), abs=0.005)

@@ -11,7 +11,12 @@ from flipperctl.core.lidar.estimator import Mount
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.lidar.frames import levelled, to_world
-from flipperctl.sim.lidar.inertial import Accelerometer, BeltEncoders
+from flipperctl.sim.lidar.inertial import (
+    Accelerometer,
+    BeltEncoders,
+    InertialErrors,
+    InertialUnit,
+)
 from flipperctl.sim.lidar.instruments import Tracking
 from flipperctl.sim.lidar.returns import RangeErrors
 from flipperctl.sim.lidar.scanner import Scanner
@@ -88,6 +93,23 @@ def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
     assert levelled(now) @ to_world(now) == pytest.approx(
         attitude(pose.roll, pose.pitch, pose.yaw), abs=1e-9
     )
+
+
+def test_on_a_sideways_slope_the_unit_turns_with_the_level_heading() -> None:
+    """A robot that pitches turns its heading then, about the vertical and not about world's z."""
+    perfect = InertialErrors(0.0, 1.0, 0.0, 0.0, 0.0)
+    world = Mujoco(lateral_slope=0.3).place(
+        Profile([(0.2, 0.0), (1.2, 0.6)]), Robot(), Start(-0.6), np.random.default_rng(0)
+    )
+    unit = InertialUnit(perfect, np.random.default_rng(0))
+    first, turned = Tracking(None).measure(world.state(), RNG), 0.0
+    for _ in range(400):
+        turned += 0.01 * unit.measure(world.state(), RNG).yaw_rate
+        world.advance(1)
+    last = Tracking(None).measure(world.state(), RNG)
+    assert abs(last.yaw - first.yaw) > 0.05
+    turned += 0.01 * unit.measure(world.state(), RNG).yaw_rate
+    assert turned == pytest.approx(last.yaw - first.yaw, abs=1e-6)
 
 
 def test_on_a_sideways_slope_the_map_is_the_true_ground() -> None:
