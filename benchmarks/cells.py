@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import interval
 from flipperctl.report.result_table import NONE, ends_text
@@ -31,6 +32,8 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     played: dict[tuple[str, str], dict[str, dict[str, dict[str, str]]]] = {}
     with (folder / "episodes.csv").open(newline="", encoding="utf-8") as file:
         for line in csv.DictReader(file):
+            if is_best_known(line["controller"]):  # the best of the methods once more
+                continue
             scene = played.setdefault((line["scene"], line["conditions_hash"]), {})
             scene.setdefault(line["controller"], {})[line["episode"]] = line
     found: dict[tuple[str, str], dict[str, Any]] = {}

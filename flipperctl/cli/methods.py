@@ -131,7 +131,9 @@ class _Composer:
 
     def _of_controller(self, controller: str) -> list[tuple[str, EvalConfig, PolicySource]]:
         """Return the scenes of a controller; those without its own settings are composed once."""
-        own = any(word.startswith("controller.") for part in self._sections for word in part)
+        own = any(
+            key_of(word).startswith("controller.") for part in self._sections for word in part
+        )
         known = next((found for who, found in self._known if who is None), None)
         if own or known is None:
             made = self._scenes(None, controller)

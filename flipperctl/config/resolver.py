@@ -19,6 +19,7 @@ from flipperctl.api import Plugin, Settings
 from flipperctl.api.plugin import mapping, registered_names, selected
 from flipperctl.config.guarded import guard_class
 from flipperctl.config.loggers import by_name
+from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
 from flipperctl.messages import close_match, explain, reinstall_hint
 
@@ -120,8 +121,9 @@ _NAMED_FIRST = ("collector", "logger")
 def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
     """Return ``config`` with overrides applied; their keys may be nested or dotted.
 
-    The names of the loggers and of the collector come first, whatever the order, as groups do on
-    the command line. The collector that ``config`` has keeps its settings if it is named again.
+    What is chosen by its name, such as an engine or a robot, comes first, whatever the order, as
+    groups do on the command line. The collector that ``config`` has keeps its settings if it is
+    named again.
 
     A reward term set to None is dropped; an empty mapping of rewards drops all terms.
 
@@ -129,7 +131,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
     """
     result = to_dict(config)
-    for key, value in sorted(overrides.items(), key=lambda item: item[0] not in _NAMED_FIRST):
+    for key, value in sorted(overrides.items(), key=lambda item: not _is_named(*item)):
         if (
             key == "rewards" and value == {}
         ):  # an empty mapping replaces the terms instead of merging into them
@@ -143,6 +145,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             if not (isinstance(kept, dict) and kept.get("name") == value):
                 result[key] = {"name": value}
             continue
+        if key == "robot" and isinstance(value, str):
+            result[key] = to_dict(named_robot(value))
+            continue
         *parents, leaf = key.split(".")
         node = result
         for parent in parents:
@@ -155,9 +160,17 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
     return parse(type(config), result)
 
 
+def _is_named(key: str, value: object) -> bool:
+    """Return whether an override replaces a section by another one of a name."""
+    named = isinstance(value, (str, Plugin)) or (isinstance(value, Mapping) and "name" in value)
+    return "." not in key and (named or key in _NAMED_FIRST)
+
+
 def _merge(node: dict[str, Any], key: str, value: Any) -> None:
     old = node.get(key)
-    if isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
+    if isinstance(old, dict) and "name" in old and isinstance(value, str):
+        node[key] = {"name": value}
+    elif isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
         for inner, item in value.items():
             _merge(old, inner, item)
     else:  # a copy, since a later override may lie inside it

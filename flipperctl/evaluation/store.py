@@ -124,6 +124,17 @@ class CellFolder(EpisodeStore):
                     yield label, {e.episode: e for _, episodes in cells for e in episodes}
 
 
+def played_policies(folder: Path) -> dict[tuple[str, str], set[str]]:
+    """Return the digests of the policies whose cells lie in a folder, by label and conditions."""
+    found: dict[tuple[str, str], set[str]] = {}
+    for file in sorted(folder.glob(f"*{_CELL}")):
+        if (cell := read_cell(file)) is not None:
+            header, _ = cell
+            key = header["controller"], header["conditions_hash"]
+            found.setdefault(key, set()).add(header["policy"])
+    return found
+
+
 def read_cell(file: Path) -> tuple[dict[str, Any], list[EpisodeResult]] | None:
     """Return the header and the episodes of a cell's file; None if it is damaged."""
     try:

@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from flipperctl.api import FloatArray, Profile, Robot, RobotState, Transition
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, Transition
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
 from flipperctl.report.episode import window
@@ -67,15 +67,18 @@ def save_film(
     path: Path,
     transitions: Sequence[Transition],
     profile: Profile,
-    robot: Robot,
+    robot: RobotGeometry,
     title: str = "",
     report_progress: Callable[[float], None] = lambda fraction: None,
+    *,
+    speed: float,
 ) -> None:
     """Write the film of an episode, completely or not at all.
 
     The points of a sensor that maps the ground are drawn as of the latest decision.
 
-    ``report_progress`` is called with the fraction of frames drawn so far.
+    ``report_progress`` is called with the fraction of frames drawn so far; ``speed``: that of the
+    belts in the film [m/s].
 
     Raises:
         OutputError: ``path`` cannot be the path of a film, see ``check_film``.
@@ -84,7 +87,7 @@ def save_film(
     """
     check_film(path)
     states = list(instants(transitions))
-    picture = _Picture(states, profile, robot, title, _maps(transitions, states))
+    picture = _Picture(states, profile, robot, title, speed, _maps(transitions, states))
     frames: list[Image] = []
     for index, state in enumerate(states):
         colours = frames[0] if frames else None
@@ -145,11 +148,12 @@ class _Picture:
         self,
         states: Sequence[RobotState],
         profile: Profile,
-        robot: Robot,
+        robot: RobotGeometry,
         title: str,
+        speed: float,
         maps: Sequence[FloatArray] = (),
     ) -> None:
-        self._robot, self._maps = robot, maps
+        self._robot, self._speed, self._maps = robot, speed, maps
         self._times = [state.time for state in states]
         reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
@@ -184,7 +188,7 @@ class _Picture:
         """Return the frame of ``state``, with the palette of ``colours`` or else its own."""
         from PIL import Image
 
-        self._artist.show(state, self._robot, self._robot.track_speed * state.time)
+        self._artist.show(state, self._robot, self._speed * state.time)
         if self._maps:
             self._points.set_data(*self._maps[index].T)
         self._clock.set_text(f"{state.time:4.1f} s")

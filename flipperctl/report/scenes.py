@@ -57,7 +57,7 @@ def _draw(path: Path, scene: Scene, progress: Progress) -> None:
         f"episode 1 of {config.eval.episodes}"
     )
     states = [made[0].before, *(t.after for t in made)]
-    save(episode_figure(states, profile, config.robot, title, mapped(made)), path)
+    save(episode_figure(states, profile, made[0].robot, title, mapped(made)), path)
 
 
 def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
@@ -75,4 +75,5 @@ def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> No
     with progress(f"{terrain}, film", 2) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
         title = f"{source.label()} on {terrain}"
-        save_film(path, made, profile, config.robot, title, lambda part: report(1 + part))
+        robot, speed = made[0].robot, config.robot.track_speed
+        save_film(path, made, profile, robot, title, lambda part: report(1 + part), speed=speed)

@@ -21,11 +21,16 @@ from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.result_rows import StoredRow, read_rows
+from flipperctl.evaluation.store import FOLDER, played_policies
+from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.report.card import CardFacts
 from flipperctl.runs.folder import HYDRA, SUMMARY
 
-_SECTIONS = ("agent", "network", "rewards", "teacher", "train", "episode", "perception", "robot")
+_SECTIONS = (
+    *("agent", "network", "rewards", "teacher", "train"),
+    *("episode", "perception", "robot", "sim", "randomise"),
+)
 """Sections whose changed settings the card lists."""
 
 
@@ -64,14 +69,22 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     """Return the stored results of a policy and its baselines; the label becomes its name.
 
     Raises:
-        RequestError: a folder holds no results, or those of another policy.
+        RequestError: a folder holds no results, those of another policy, or those of other weights.
     """
     found = []
     for folder in results:
-        rows = read_rows(folder)
+        rows, played = read_rows(folder), played_policies(folder / FOLDER)
         for row in rows:
-            if row.is_policy and not _is(row.method, file):
+            if not row.is_policy:
+                continue
+            if not _is(row.method, file):
                 raise RequestError(f"{folder}: it holds results of {row.method}, not of {file}")
+            digests = played.get((row.method, row.hash))
+            if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
+                raise RequestError(
+                    f"{folder}: {row.method} had other weights there than {file} has now; evaluate "
+                    "it again"
+                )
         found += rows
     return found
 

@@ -59,7 +59,7 @@ def _write(folder: Path, found: Replay) -> None:
 
     write_json(folder / "replay.json", found.to_dict())
     states = [found.transitions[0].before, *(t.after for t in found.transitions)]
-    robot = found.config.robot
+    robot = found.transitions[0].robot
     save(episode_figure(states, found.profile, robot, title(found)), folder / "replay.png")
 
 
@@ -67,8 +67,8 @@ def _film(path: Path, found: Replay, progress: Progress) -> None:
     from flipperctl.report.film import save_film
 
     with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
-        robot, made = found.config.robot, list(found.transitions)
-        save_film(path, made, found.profile, robot, title(found), report)
+        made, speed = list(found.transitions), found.config.robot.track_speed
+        save_film(path, made, found.profile, made[0].robot, title(found), report, speed=speed)
 
 
 def title(found: Replay) -> str:

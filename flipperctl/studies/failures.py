@@ -132,17 +132,24 @@ def _cause(end: RobotState, outcome: Outcome, config: EvalConfig) -> Cause:
 
 def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
     """Return whether the episode reaches the finish with more friction."""
+    changed = with_friction(config)
+    if changed is None:
+        return False
+    env = FlipperEnv(config=changed)
+    row = play(env, source.build(changed), seed)
+    return Outcome(row["outcome"]) is Outcome.REACHED
+
+
+def with_friction(config: EvalConfig) -> EvalConfig | None:
+    """Return the configuration with twice the friction; None if the engine has no such setting."""
     own = config.sim.shared_setting("friction")
     if own is None:
-        return False
+        return None
     sampled = config.randomise.find("sim", "friction")
     changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
-    if sampled is not None:
-        changed = {sampled.key: [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]}
+    if sampled is not None:  # with randomise.spread, samples lie between the friction and the ends
+        changed[sampled.key] = [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]
     try:
-        config = with_overrides(config, changed)
+        return with_overrides(config, changed)
     except ConfigError:  # beyond the engine's bounds
-        return False
-    env = FlipperEnv(config=config)
-    row = play(env, source.build(config), seed)
-    return Outcome(row["outcome"]) is Outcome.REACHED
+        return None

@@ -25,6 +25,20 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     assert command in text  # without the note that the hash differs
     assert '| `agent.learner` | "policy_gradient" |' in text
 
+    # The folder remembers which weights they were.
+    other = call("eval", "--checkpoint", "generalist_first", *asked[:3], "--baseline", "none",
+                 "terrain=flat", "--output", "other", cwd=tmp_path)  # fmt: skip
+    assert other.code == 0, other.err
+    for name in (
+        "summary.json",
+        *(f"cells/{f.name}" for f in (tmp_path / "other/cells").iterdir()),
+    ):
+        file = tmp_path / "other" / name
+        file.write_text(file.read_text().replace("generalist_first", "generalist"))
+    done = call("card", "generalist", "other", cwd=tmp_path)
+    assert done.code == 2, done.out
+    assert "other: generalist had other weights there than" in done.err
+
     done = call("card", "mpc_value", "found", cwd=tmp_path)
     assert done.code == 2
     assert "found: it holds results of generalist, not of" in done.err

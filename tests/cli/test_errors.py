@@ -160,6 +160,14 @@ def test_an_existing_run_is_never_overwritten(short_run: Path, tmp_path: Path) -
     assert (run / best).read_bytes() == (short_run / best).read_bytes()
 
 
+@pytest.mark.parametrize("words", [["--cfg", "job"], ["--multirun"]])
+def test_resume_neither_prints_nor_sweeps(
+    words: list[str], short_run: Path, tmp_path: Path
+) -> None:
+    error = refused("train", "--resume", str(short_run), *words, cwd=tmp_path)
+    assert f"{words[0]}: no meaning beside --resume" in error
+
+
 def test_resume_keeps_the_configuration(short_run: Path, tmp_path: Path) -> None:
     error = refused("train", "--resume", str(short_run), "agent.gamma=0.9", cwd=tmp_path)
     assert "keeps its configuration" in error

@@ -15,7 +15,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.methods import entrants
+from flipperctl.runs.methods import Entrant, entrants
 from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
@@ -228,6 +228,12 @@ def test_a_later_controller_tells_what_it_leaves_out_too(tmp_path: Path) -> None
     done = call("eval", *words, *short, cwd=tmp_path)
     assert done.code == 0, done.err
     assert "mpc_value was not trained for robot.chassis_length=0.9" in done.err
+
+
+def test_forced_settings_of_controllers_are_those_of_all() -> None:
+    entrants = [Entrant("mpc"), Entrant("value_iteration")]
+    made = method_scenes(["terrain=flat", "++controller.horizon=3"], entrants, [], None)
+    assert [(s.settings or {})["horizon"] for _, s in made.scenes] == [3, 3]
 
 
 def test_a_controller_that_is_named_twice_plays_once(tmp_path: Path) -> None:

@@ -70,6 +70,28 @@ def test_a_collector_may_be_named_alone() -> None:
     assert kept.collector == RayCollector(workers=3, patience=9)
 
 
+@pytest.mark.parametrize(
+    "named",
+    [
+        {"sim": "mujoco"},
+        {"sim": {"name": "mujoco"}},
+        {"robot": "absolem"},
+        {"perception": "lidar"},
+    ],
+)
+def test_fields_of_what_is_named_count_in_any_order(named: dict[str, object]) -> None:
+    fields = {"sim": "friction", "robot": "track_speed", "perception": "delay"}
+    (section,) = named
+    field = f"{section}.{fields[section]}"
+    base = EnvConfig(terrain="stair")
+    found = [
+        with_overrides(base, {**first, **then})
+        for first, then in ((named, {field: 0.31}), ({field: 0.31}, named))
+    ]
+    assert found[0] == found[1] != with_overrides(base, named)
+    assert getattr(getattr(found[0], section), fields[section]) == 0.31
+
+
 def test_an_override_inside_a_value_names_the_value() -> None:
     with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, not a section"):
         with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1})

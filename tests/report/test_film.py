@@ -45,7 +45,7 @@ def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(
     paths = [tmp_path / "one.gif", tmp_path / "two.gif"]
     done: list[float] = []
     for path in paths:
-        save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append)
+        save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append, speed=0.2)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert done[-1] == 1
     with Image.open(paths[0]) as film:
@@ -67,4 +67,4 @@ def test_a_film_that_cannot_be_written_is_refused(name: str, tmp_path: Path) -> 
 
 def test_a_film_needs_a_transition(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="at least one"):
-        save_film(tmp_path / "film.gif", [], STEP, Robot())
+        save_film(tmp_path / "film.gif", [], STEP, Robot(), speed=0.2)

@@ -66,7 +66,7 @@ def test_a_film_draws_the_map_only_if_the_sensor_has_one(
     assert mapped([replace(t, perception=None) for t in made]) == []
     pictures = []
     for name, transitions in (("a", made), ("b", [replace(t, perception=None) for t in made])):
-        save_film(tmp_path / f"{name}.gif", transitions[:1], profile, Robot())
+        save_film(tmp_path / f"{name}.gif", transitions[:1], profile, Robot(), speed=0.2)
         with Image.open(tmp_path / f"{name}.gif") as film:
             pictures.append(np.array(film.convert("RGB")))
     assert (pictures[0] != pictures[1]).any()

@@ -18,7 +18,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 
 from flipperctl.cli.hydra import config_store
-from flipperctl.cli.hydra.compose import compose_train, parse_training
+from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.robots import expand_files
@@ -125,6 +125,8 @@ class _Job:
         config = parse_training(composed)
         preflight.check_device(config)
         if not self.checked:
+            check_training_effect(config, Overrides.parse(list(settings.overrides.task)))
+            preflight.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)
         keep = _keeper(composed, directory)

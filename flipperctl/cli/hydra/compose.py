@@ -43,12 +43,22 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
     found = []
     for combination, plain in _compositions("train", overrides):
         config = _training(plain)
-        # Those of the robot have an effect: policies and evaluations assume the configured one.
-        typed = combination.typed.items()
-        check_effect(config, {key: word for key, word in typed if not key.startswith("robot.")})
+        check_training_effect(config, combination)
         print_notices(config)
         found.append(config)
     return found
+
+
+def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
+    """Refuse an override of a setting that a training samples anew for every episode.
+
+    Those of the robot have an effect: policies and evaluations assume the configured one.
+
+    Raises:
+        ConfigError: an override has no effect.
+    """
+    typed = overrides.typed.items()
+    check_effect(config, {key: word for key, word in typed if not key.startswith("robot.")})
 
 
 def run_directory(overrides: Overrides) -> Path:

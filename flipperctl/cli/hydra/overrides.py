@@ -6,7 +6,7 @@ In: the words as the user typed them. Out: one ``Overrides`` for all later steps
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,8 +54,8 @@ class Overrides:
 
     @property
     def typed(self) -> dict[str, str]:
-        """The word that overrides each key or group."""
-        return {o.key_or_group: str(o.input_line) for o in self.parsed}
+        """The word that overrides each key or group; a mapping overrides all keys in it."""
+        return {key: str(o.input_line) for o in self.parsed for key in _keys(o)}
 
     @property
     def swept(self) -> list[str]:
@@ -188,6 +188,19 @@ class Overrides:
                 probes = [f"{key}={number}" for number in _interval(override).probes()]
                 for probe in Overrides.parse(probes, check=False).parsed:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
+
+
+def _keys(override: Override) -> Iterator[str]:
+    """Yield the key or group of an override, and the keys in a mapping that it gives."""
+    yield override.key_or_group
+    if not override.is_delete() and not override.is_sweep_override():
+        yield from _inner_keys(override.key_or_group, override.value())
+
+
+def _inner_keys(key: str, value: object) -> Iterator[str]:
+    for name, item in value.items() if isinstance(value, Mapping) else ():
+        yield f"{key}.{name}"
+        yield from _inner_keys(f"{key}.{name}", item)
 
 
 def _interval(override: Override) -> Interval:

@@ -86,6 +86,12 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     assert (other.sim.friction, other.perception.noise, other.eval.episodes) == (0.9, 0.02, 7)
 
 
+@pytest.mark.parametrize("word", ["sim={friction:0.7}", "sim={friction:0.7,gravity:9}"])
+def test_a_mapping_of_sampled_settings_has_no_effect(word: str) -> None:
+    with pytest.raises(ConfigError, match=r"^sim=\{friction:0\.7.*: it has no effect"):
+        compose_train(["terrain=flat", "conditions=varied", word])
+
+
 def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
     (config,) = compose_train(["experiment=wide_stair"])
     terrain = config.terrain.model_dump()

@@ -100,6 +100,14 @@ def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path)
         assert text in done.err
 
 
+def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) -> None:
+    (tmp_path / "own").mkdir()
+    words = ["terrain=flat", "conditions=varied", "sim.friction=0.5"]
+    done = call("train", "--config-dir", "own", *words, cwd=tmp_path)
+    assert done.code == 2, done.err
+    assert "sim.friction=0.5: it has no effect, since randomise.friction=" in done.err
+
+
 def test_python_takes_a_name_and_terms() -> None:
     loaded = flipperctl.load("mpc", rewards="smooth")
     assert (loaded.source.settings or {})["rewards"] == preset("smooth")
