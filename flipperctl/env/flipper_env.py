@@ -279,7 +279,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             start=self.profile.start - start.run_up_of(self.profile, self.config.episode),
             finish=self.drive.termination.finish,
             track_speed=self.robot.track_speed,
-            robot=self.perception.robot,
+            robot=self.robot,
             state=self.state,
             perceived=Perceived.of(self.perception),
             action=self._last_move,

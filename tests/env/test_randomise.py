@@ -61,6 +61,7 @@ def test_one_factor_scales_all_lengths_after_their_own_samples() -> None:
     assert found == pytest.approx((0.88, 0.55, 0.11))
     assert env.robot.chassis_mass == 35.0
     assert env.config.robot == Robot()
+    assert env.scene.robot == env.robot  # pictures show the one that drives
     with pytest.raises(ConfigError, match=r"randomise\.robot\.sise: .*did you mean 'size'"):
         config(randomise={"robot": {"sise": 1.1}})
     with pytest.raises(ConfigError, match="chassis_length"):
