@@ -24,26 +24,36 @@ def actions(controller: Controller) -> None:
     """Check that every action is an index into ``ACTIONS``."""
     left = ENOUGH
     for index in range(len(_scenes(controller))):
-        _, times = _play(controller, index, left)
+        _, times = _Player(controller, index).play(left)
         left -= sum(times)
 
 
 def repeats(controller: Controller) -> None:
-    """Check that equal episodes give equal actions, with random numbers from ``p.rng`` only."""
+    """Check that equal episodes give equal actions, with random numbers from ``p.rng`` only.
+
+    That holds for another policy of the controller, and for one that has played before.
+    """
     for index in range(len(_scenes(controller))):
-        (one, _), (other, _) = (_play(controller, index, ENOUGH) for _ in range(2))
-        require(
-            all(a == b for a, b in zip(one, other, strict=False)),  # one may have been slower
-            f"equal episodes on scene {index} get unequal actions; "
-            "they may depend only on what it perceives and on random numbers from p.rng",
-        )
+        one, other = (_Player(controller, index) for _ in range(2))
+        actions, _ = one.play(ENOUGH)
+        for player, text in (
+            (other, "they may depend only on what it perceives and on random numbers from p.rng"),
+            (one, "the second one by the same policy, whose reset must forget the first"),
+        ):
+            again, _ = player.play(ENOUGH)
+            require(
+                all(a == b for a, b in zip(actions, again, strict=False)),  # one may be slower
+                f"equal episodes on scene {index} get unequal actions; {text}",
+            )
+            if looks_ahead(type(controller)):
+                break  # its search is long, and each reset begins it anew
 
 
 def in_time(controller: Controller) -> None:
     """Check that the median decision takes at most one period, without the search before it."""
     period = SCENES[0].environment().robot.decision_period
     count = len(_scenes(controller))
-    times = [t for index in range(count) for t in _play(controller, index, ENOUGH)[1]]
+    times = [t for index in range(count) for t in _Player(controller, index).play(ENOUGH)[1]]
     require(
         median(times) <= period,
         f"its median decision takes {median(times):.2f} s; the next one is due after {period:g} s",
@@ -59,17 +69,25 @@ def _scenes(controller: Controller) -> Sequence[Scene]:
     return (SHORT,) if looks_ahead(type(controller)) else SCENES
 
 
-def _play(controller: Controller, scene: int, enough: float) -> tuple[list[int], list[float]]:
-    """Play a scene; return the actions and the computing time of each [s].
+class _Player:
+    """A policy of a controller on one scene."""
 
-    The episode is left once these times exceed ``enough`` [s].
-    """
-    env = _scenes(controller)[scene].environment()
-    recorder = _ActionRecorder(_ready(controller, env.config), scene)
-    for _ in islice(decisions(env, recorder, scene), DECISIONS):
-        if sum(recorder.times) > enough:  # planners are slow at their outermost settings
-            break
-    return recorder.actions, recorder.times
+    def __init__(self, controller: Controller, scene: int) -> None:
+        self._env = _scenes(controller)[scene].environment()
+        self._recorder = _ActionRecorder(_ready(controller, self._env.config), scene)
+        self._scene = scene
+
+    def play(self, enough: float) -> tuple[list[int], list[float]]:
+        """Play the scene; return the actions and the computing time of each [s].
+
+        The episode is left once these times exceed ``enough`` [s].
+        """
+        recorder = self._recorder
+        recorder.actions, recorder.times = [], []
+        for _ in islice(decisions(self._env, recorder, self._scene), DECISIONS):
+            if sum(recorder.times) > enough:  # planners are slow at their outermost settings
+                break
+        return recorder.actions, recorder.times
 
 
 def _ready(controller: Controller, config: EnvConfig) -> Controller:

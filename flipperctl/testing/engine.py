@@ -21,24 +21,32 @@ SAMPLES = 100
 """Number of samples in a run: one second, in which the robot drives about 0.2 m [-]."""
 LEVEL = Profile([(0.0, 0.0)])
 GROUND = Profile([(0.0, 0.0), (0.0, 0.1), (0.5, 0.1), (0.5, 0.0)])
+_RAMP = Profile([(0.0, 0.0), (2.0, 1.0), (4.0, 1.0)])
+_NUBOT = Robot()
 START = Start(-0.8)
 """The flippers, which reach 0.716 m ahead, are clear of ``GROUND``."""
 _TARGET = 0.3
 """Commanded angle of both flipper pairs [rad]."""
+_LONG = 10 * SAMPLES
+"""Number of samples within which a robot is on the ramp [-]."""
+_AGAIN = 0.05
+"""Difference of what follows a snapshot, which lacks forces in contacts [m or rad]."""
 _BEYOND = 0.05
 """Angle by which a flipper may yield past its limit [rad]."""
 
 
 def drives(engine: Engine) -> None:
     """Check that the robot drives at about track speed on level ground and turns its flippers."""
-    world = _place(engine, LEVEL)
-    begun, poses = world.state(), _run(world)
-    moved = float(poses[-1, 0] - begun.position[0])
-    expected = Robot().track_speed * SAMPLES / 100
-    require(
-        0.5 * expected < moved < 1.5 * expected,
-        f"drives {moved:.3f} m in 1 s; {expected:g} m is expected",
-    )
+    for robot in (Robot(track_speed=2 * Robot().track_speed), Robot()):
+        world = _place(engine, LEVEL, robot=robot)
+        begun, poses = world.state(), _run(world)
+        moved = float(poses[-1, 0] - begun.position[0])
+        expected = robot.track_speed * SAMPLES / 100
+        require(
+            0.6 * expected < moved < 1.5 * expected,
+            f"drives {moved:.3f} m in 1 s; {expected:g} m is expected of a robot with "
+            f"track_speed={robot.track_speed:g}",
+        )
     for name, turned in (("front", poses[-1, 3]), ("rear", poses[-1, 4])):
         require(
             turned > 0.1,
@@ -47,11 +55,17 @@ def drives(engine: Engine) -> None:
 
 
 def end_stops(engine: Engine) -> None:
-    """Check that no command turns the flippers past their limit."""
+    """Check that the flippers begin as the start says, and that no command turns them too far."""
     limit = Robot().angle_limit
     for sign in (1, -1):
         begun = sign * (limit - _TARGET)
         world = _place(engine, LEVEL, Start(START.x, front=begun, rear=begun))
+        placed = world.state()
+        require(
+            abs(placed.front - begun) < _BEYOND and abs(placed.rear - begun) < _BEYOND,
+            f"places flippers at {placed.front:.2f} and {placed.rear:.2f} rad that the start has "
+            f"at {begun:.2f} rad",
+        )
         world.command(sign * (limit + _TARGET), sign * (limit + _TARGET))
         angles = world.advance(2 * SAMPLES)[:, 3:]
         require(
@@ -82,20 +96,32 @@ def repeats(engine: Engine) -> None:
 
 def stops(engine: Engine) -> None:
     """Check that a run ends after the sample at which a limit is reached."""
-    world = _place(engine, LEVEL)
-    poses = world.advance(SAMPLES, Limits(x=START.x + 0.05))
-    require(0 < len(poses) < SAMPLES, f"runs for {len(poses)} samples past a limit 0.05 m ahead")
+    for ground, limits in ((LEVEL, Limits(x=START.x + 0.05)), (_RAMP, Limits(angle=0.1))):
+        poses = _place(engine, ground).advance(_LONG, limits)
+        reached = [limits.reached(*pose[:3]) for pose in poses.tolist()]
+        require(
+            len(reached) > 0 and reached[-1] and not any(reached[:-1]),
+            f"runs for {len(poses)} samples, and not until the first one that reaches {limits}",
+        )
 
 
 def returns(engine: Engine) -> None:
-    """Check that loading a snapshot restores the state."""
+    """Check that loading a snapshot restores the state, the targets and what follows."""
     world = _place(engine, GROUND)
-    _run(world)
+    world.command(2 * _TARGET, 2 * _TARGET)
+    world.advance(SAMPLES // 2)  # the flippers are turning
     saved, state = world.save(), _numbers(world.state())
-    _run(world)
+    later = world.advance(SAMPLES // 2)[-1]
+    world.command(-_TARGET, -_TARGET)
+    world.advance(SAMPLES // 2)
     world.load(saved)
     found = _numbers(world.state())
     require(bool(np.allclose(found, state)), f"load leads to {found}; saved was {state}")
+    again = world.advance(SAMPLES // 2)[-1]
+    require(
+        bool(np.allclose(again, later, atol=_AGAIN)),
+        f"after load, the robot goes on to {again}; it had gone on to {later}",
+    )
 
 
 def rays(engine: Engine) -> None:
@@ -118,9 +144,9 @@ def rays(engine: Engine) -> None:
     )
 
 
-def _place(engine: Engine, ground: Profile, start: Start = START) -> World:
-    """Return a world of the paper's robot with a new generator, seeded equally each time."""
-    return engine.place(ground, Robot(), start, np.random.default_rng(0))
+def _place(engine: Engine, ground: Profile, start: Start = START, robot: Robot = _NUBOT) -> World:
+    """Return a world of a robot with a new generator, seeded equally each time."""
+    return engine.place(ground, robot, start, np.random.default_rng(0))
 
 
 def _run(world: World) -> FloatArray:

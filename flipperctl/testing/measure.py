@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from numbers import Real
+
+import numpy as np
 
 from flipperctl.api import Measure, Transition
 from flipperctl.env.metrics import applies, heading, measures
@@ -45,4 +48,14 @@ def _episodes(measure: Measure) -> list[list[Transition]]:
     recorded = transitions()
     ends = [0, *(at + 1 for at, t in enumerate(recorded) if t.outcome is not None)]
     found = [list(recorded[first:last]) for first, last in pairwise(ends)]
+    if measure.mapped_only:
+        found = [[_mapped(t) for t in episode] for episode in found]
     return [episode for episode in found if applies(measure, episode)]
+
+
+def _mapped(t: Transition) -> Transition:
+    """Return the transition as a sensor perceives it that maps the ground and has odometry."""
+    assert t.perception is not None  # as in every episode
+    seen = np.arange(t.perception.layout.bins) % 3 > 0
+    place = 1.02 * t.before.position
+    return replace(t, perception=replace(t.perception, seen=seen, position=place))

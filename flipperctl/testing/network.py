@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
 _BATCH = 64
 """Batch size at which no working unit stays inactive on the whole batch [-]."""
+_ALONE = 1e-3
+"""Tolerance of Q-values whose sums are in another order, relative and absolute [-]."""
 
 
 @contextmanager
@@ -80,18 +82,27 @@ def gradient(network: Network) -> None:
 
 
 def repeats(network: Network) -> None:
-    """Check that equal seeds build equal networks and that eval mode is deterministic."""
+    """Check that equal seeds build equal networks, and that eval mode is deterministic.
+
+    An observation has the same Q-values alone as in a batch: policies act on one at a time.
+    """
     import torch
 
     observations = _observations(network, LAYOUTS[-1])
     one, other = (_built(network).eval() for _ in range(2))
     with torch.inference_mode():
         first, again, second = one(observations), one(observations), other(observations)
+        alone = torch.cat([one(row[None]) for row in observations])
     require(bool((first == again).all()), "in eval mode, equal observations give unequal Q-values")
     require(
         bool((first == second).all()),
         "two networks built after torch.manual_seed(0) differ; "
         "draw the weights from torch's own generator",
+    )
+    require(
+        torch.allclose(first, alone, rtol=_ALONE, atol=_ALONE),
+        "an observation has other Q-values alone than in a batch; a mean over the batch, such as "
+        ".mean() without dim=1, mixes them",
     )
 
 

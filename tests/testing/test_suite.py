@@ -1,9 +1,12 @@
 """The faults that the conformance suite finds, and the messages that an author reads."""
 
+import math
 import random
+import runpy
 import unittest
 from collections.abc import Callable
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,6 +20,8 @@ from flipperctl.export import onnx as onnx_export
 from flipperctl.testing import Conformance, NotChecked, checks, controller
 from flipperctl.testing.recorded import transitions, transitions_in_arrays
 from flipperctl.testing.variants import variants
+
+KINEMATIC = Path(__file__).parents[2] / "examples" / "kinematic.py"
 
 
 class TestInherited(Conformance):
@@ -189,6 +194,7 @@ def plain(module: torch.nn.Linear, x: torch.Tensor) -> torch.Tensor:
         ("gradient", lambda m, x: plain(m, x) - m.bias, ["'bias'", "0 everywhere"]),
         ("gradient", lambda m, x: plain(m, x * (torch.arange(18) > 1)), ["'", "[0, 1]"]),
         ("repeats", lambda m, x: plain(m, x) + torch.rand(9), ["in eval mode"]),
+        ("repeats", lambda m, x: plain(m, x) - plain(m, x).mean(), ["alone than in a batch"]),
         ("onnx", lambda m, x: plain(m, x) if x.sum() > 0 else x[:, :9], ["cannot export"]),
     ],
 )
@@ -235,6 +241,101 @@ def test_a_controller_that_fails_is_described(
     monkeypatch.setattr(controller, "perf_counter", lambda: float(next(seconds)))
     text = failure(driving(act), check)
     assert [word for word in words if word not in text] == [], text
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_policy_that_does_not_forget_its_episode_is_described() -> None:
+    class Leaky:
+        def __init__(self) -> None:
+            self.made = 0
+
+        def reset(self, simulator: api.Simulator) -> None: ...
+
+        def act(self, p: api.Perception) -> int:
+            self.made += 1
+            return 8 if self.made <= 3 else 4
+
+    class Mine(Controller):
+        """A rule that raises the flippers in the first three decisions."""
+
+        def build(self) -> api.Policy:
+            return Leaky()
+
+    assert "by the same policy, whose reset must forget the first" in failure(Mine, "repeats")
+
+
+def forgetful(base: Any) -> Any:
+    class World(base):
+        def load(self, saved: Any) -> None:
+            targets = self._targets
+            super().load(saved)
+            self._targets = targets
+
+    return World
+
+
+def limitless(base: Any) -> Any:
+    class World(base):
+        def advance(self, samples: int, limits: api.Limits = api.NO_LIMITS) -> api.FloatArray:
+            found: api.FloatArray = super().advance(samples, api.Limits(x=limits.x))
+            return found
+
+    return World
+
+
+def deaf(base: Any) -> Any:
+    class World(base):
+        def __init__(self, profile: Profile, robot: object, start: api.Start, *rest: Any) -> None:
+            super().__init__(profile, api.Robot(), api.Start(start.x), *rest)
+
+    return World
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "words"),
+    [
+        (lambda base: base, "", ""),
+        (forgetful, "returns", "after load, the robot goes on to"),
+        (limitless, "stops", "not until the first one that reaches"),
+        (deaf, "drives", "of a robot with track_speed=0.4"),
+        (deaf, "end stops", "that the start has at"),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_an_engine_that_fails_is_described(
+    change: Callable[[Any], Any], check: str, words: str
+) -> None:
+    world = change(runpy.run_path(str(KINEMATIC))["Sliding"])
+
+    class Mine(api.Engine):
+        """An engine without fields."""
+
+        def place(self, profile: Profile, robot: api.Robot, start: api.Start, rng: Any) -> Any:
+            return world(profile, robot, start, 0.5)
+
+    if check:
+        assert words in failure(Mine, check)
+        return
+    Mine.plugin_name = "mine"
+    api.registry["sim", "mine"] = Mine
+    for one in checks(Mine):
+        if one.name in ("returns", "stops", "drives", "end stops", "repeats"):
+            one()
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_measure_of_maps_is_called() -> None:
+    class Mine(api.Measure):
+        """A measure that fails."""
+
+        unit = "m"
+        digits = 1
+        mapped_only = True
+
+        def __call__(self, episode: Any) -> float:
+            return math.inf
+
+    assert "it must return a finite number" in failure(Mine, "finite")
 
 
 def described(**field: object) -> type[Terrain]:
