@@ -41,7 +41,12 @@ def with_best_known(
     if not isinstance(store, CellFolder):
         return result
     found: list[SceneResult] = []
-    for _, rows in groupby(result.scenes, lambda one: (one.name.scene, one.conditions.hash)):
+
+    def scene(one: SceneResult) -> tuple[object, ...]:
+        planned = None if one.index is None else scenes[one.index][0].eval.episodes
+        return one.name.scene, one.conditions.hash, one.seed, planned
+
+    for _, rows in groupby(result.scenes, scene):
         together = list(rows)
         first = together[0]
         best = None

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from flipperctl.api import Outcome
+from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.scores import Method
@@ -53,6 +54,7 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
     rules: set[str] = set()
     notices: list[str] = []
     seen: set[Path] = set()
+    rulers = registered_names("controller")  # they have no training seeds
     for word in words:
         name, folder = _named(word)
         folders = list(_folders(folder))
@@ -67,11 +69,26 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
                 if index:
                     rules.add(label)
                 known = runs.setdefault((name if index == 0 else None) or label, [])
+                if label in rulers and any(_contradict(episodes, other) for other in known):
+                    raise RequestError(
+                        f"{one}: {label} has other results there than in another folder, as with "
+                        "other settings; METHOD=DIR gives each a name of its own"
+                    )
                 if episodes not in known:
                     known.append(episodes)
                 elif index == 0:
                     notices.append(f"{one} has the episodes of another seed and is left out")
     return _shared(runs, rules, notices)
+
+
+def _contradict(one: Episodes, other: Episodes) -> bool:
+    """Return whether two results of one policy differ on an episode that both played."""
+    return any(
+        other[scene].get(seed, result) != result
+        for scene, played in one.items()
+        if scene in other
+        for seed, result in played.items()
+    )
 
 
 def _named(word: str) -> tuple[str | None, Path]:
@@ -121,7 +138,7 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
                     raise RequestError(
                         f"{path}: {row['controller']} has several results on {scene}, seed "
                         f"{row['seed']}, as with several of its settings; a folder of "
-                        "eval --output for each of them is allowed"
+                        "eval --output for each of them, named as in METHOD=DIR, is allowed"
                     )
     except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
         raise RequestError(f"{path}: cannot be read: {error}") from error

@@ -94,7 +94,7 @@ class CellFolder(EpisodeStore):
         first, last = cell[0].episode, cell[-1].episode
         name = cell_name(series.key, first, last)
         lines = [series.header(first, last)]
-        lines += [{"record": "episode", "cell": name, **e.row()} for e in cell]
+        lines += [_record(name, episode) for episode in cell]
         text = "".join(
             json.dumps(line, separators=(",", ":"), default=_plain) + "\n" for line in lines
         )
@@ -192,13 +192,19 @@ def _viewed(file: Path) -> Iterator[dict[str, Any]]:
         return
     who = {"cell": header["cell"], **{name: header[name] for name in _VIEWED}}
     for row in rows:
-        yield who | {name: value for name, value in row.items() if name != "record"}
+        yield who | {n: value for n, value in row.items() if n not in ("record", "digest")}
+
+
+def _record(cell: str, episode: EpisodeResult) -> dict[str, Any]:
+    """Return the record of an episode in a cell."""
+    own = {} if episode.digest is None else {"digest": episode.digest}
+    return {"record": "episode", "cell": cell, **own, **episode.row()}
 
 
 def _episode(row: dict[str, Any]) -> EpisodeResult:
     """Return the episode of a record, without what describes the record."""
-    rest = {k: v for k, v in row.items() if k not in ("record", "cell", "episode")}
-    return EpisodeResult.of(row["episode"], rest)
+    rest = {k: v for k, v in row.items() if k not in ("record", "cell", "episode", "digest")}
+    return EpisodeResult.of(row["episode"], rest, row.get("digest"))
 
 
 def _plain(value: Any) -> Any:

@@ -164,7 +164,7 @@ def _compare(
     ours, theirs = method.scores(price), other.scores(price)
     score, p = difference_interval(ours, theirs)
     success: Interval | PairedSuccess
-    if method.seeds == other.seeds == 1:
+    if method.seeds == other.seeds == 1 and len(method.reached) == 1:
         success = _paired(method, other)
         p_success = success.p
     else:
@@ -205,9 +205,9 @@ def _success_difference(method: Method, other: Method) -> tuple[Interval, float]
 
 
 def _paired(method: Method, other: Method) -> PairedSuccess:
-    ours = np.concatenate([values[0] for values in method.reached.values()])
-    theirs = np.concatenate([values[0] for values in other.reached.values()])
-    return _pair(ours, theirs)
+    """Return the difference of success of one seed each on one scene."""
+    (ours,), (theirs,) = method.reached.values(), other.reached.values()
+    return _pair(ours[0], theirs[0])
 
 
 def _pair(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> PairedSuccess:

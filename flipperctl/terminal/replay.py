@@ -15,7 +15,9 @@ def print_replay(found: Replay) -> None:
         f"{episode.decisions} decisions, {episode.t_cost:.2f} s, θ̂_R "
         f"{episode.pitch_variation_100hz:.3f} rad, largest pitch {episode.max_pitch:.3f} rad",
     ]
-    if not found.differences:
+    if found.record.digest is None and not found.differences:
+        lines.append("equal to the recorded episode by its measures; it has no digest of the poses")
+    elif not found.differences:
         digest = f", digest {episode.digest:.16}…" if episode.digest else ""
         lines.append(f"bit-identical to the recorded episode{digest}")
     print_lines(console(), lines)

@@ -106,6 +106,18 @@ def test_results_of_several_settings_of_a_policy_in_one_file_are_refused(tmp_pat
     assert "okada has several results on stair abcd, seed 7, as with several of its" in done.err
 
 
+def test_settings_of_a_controller_are_no_training_seeds(tmp_path: Path) -> None:
+    for name, value in (("near", 2.0), ("far", 1.0)):
+        write(tmp_path / name, {"okada": value, "level": 3.0})
+    done = call("inspect", "results", "near", "far", cwd=tmp_path)
+    assert done.code == 2
+    assert "far: okada has other results there than in another folder" in done.err
+    done = call("inspect", "results", "close=near", "far", "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    rows = {row["method"]: row["seeds"] for row in json.loads(done.out)["methods"]}
+    assert rows == {"close": 1, "okada": 1, "level": 1}
+
+
 def test_the_best_known_stands_beside_and_is_no_method(tmp_path: Path) -> None:
     write(tmp_path / "judged", {"random": 3.0, "level": 2.0, "best known (mpc)": 1.0}, count=4)
     file = tmp_path / "judged" / "episodes.csv"

@@ -237,6 +237,16 @@ def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
     assert [str(row["max_pitch"]) for row in rows] == [row["max_pitch"] for row in mine]
 
 
+def test_a_stored_episode_keeps_its_digest(tmp_path: Path) -> None:
+    """A record of its failure is made of it again whenever the results are read."""
+    (first,), (again,) = (
+        [scene.episodes for scene in evaluate([(config(2), OKADA)], store=store).scenes]
+        for store in (CellFolder(tmp_path), CellFolder(tmp_path))
+    )
+    assert [e.digest for e in again] == [e.digest for e in first]
+    assert all(e.digest is not None and len(e.digest) == 64 for e in again)
+
+
 def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
     evaluate([(config(2), OKADA)], store=CellFolder(tmp_path))
     (cell,) = tmp_path.iterdir()

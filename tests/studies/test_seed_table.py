@@ -1,0 +1,31 @@
+"""Differences of success between methods of one training seed each."""
+
+import numpy as np
+import pytest
+
+from flipperctl.evaluation.scores import Method
+from flipperctl.studies.seed_table import rows
+
+
+def method(name: str, *scenes: tuple[int, int]) -> Method:
+    """Return a method that reached the finish in the first episodes of each scene."""
+    reached = {f"{n}": (np.arange(of) < many)[None] for n, (many, of) in enumerate(scenes)}
+    return Method(name, {scene: np.ones(found.shape) for scene, found in reached.items()}, reached)
+
+
+def test_scenes_weigh_the_same_in_a_difference_of_success_as_in_the_success() -> None:
+    """By episodes, the second scene would decide: 20 of 110 lost, and 8 won."""
+    ours, other = method("ours", (10, 10), (60, 100)), method("other", (2, 10), (80, 100))
+    first, second = rows([other, ours], 6.28, other)
+    assert (first.success.mean, second.success.mean) == pytest.approx((0.5, 0.8))
+    assert second.comparison is not None
+    assert second.comparison.success.mean == pytest.approx(0.3)
+    assert second.comparison.p_success < 0.05
+
+
+def test_one_scene_is_compared_pair_by_pair() -> None:
+    ours, other = method("ours", (10, 10)), method("other", (2, 10))
+    _, row = rows([other, ours], 6.28, other)
+    assert row.comparison is not None
+    assert row.comparison.success.mean == pytest.approx(0.8)
+    assert row.comparison.p_success == pytest.approx(2 * 0.5**8)  # McNemar's exact test
