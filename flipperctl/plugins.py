@@ -28,6 +28,8 @@ _MODULE = "flipperctl_user_"
 """Prefix of the names of modules that were loaded from a path."""
 
 _loaded: set[str] = set()
+_contents: dict[str, str] = {}
+"""SHA-256 of the files that were loaded, by the names of their modules."""
 _files: dict[type[Plugin], str] = {}
 """Class → name of the file from which it was loaded, for plugins that are not installed."""
 
@@ -96,7 +98,12 @@ def _load_file(file: Path) -> None:
     file = file.resolve()
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
     name = f"{_MODULE}{file.stem}_{digest}"
+    content = _content(file)
     if name in _loaded:
+        if content != _contents[name]:  # processes that begin from now on would run other code
+            raise PluginError(
+                f"plugins: {file} has changed since it was loaded here; start Python again"
+            )
         return
 
     def run() -> ModuleType:
@@ -112,6 +119,15 @@ def _load_file(file: Path) -> None:
     _import(name, str(file), file, run)
     fresh = (cls for key, cls in registry.items() if before.get(key) is not cls)
     _files.update(dict.fromkeys(fresh, file.name))
+    _contents[name] = content
+
+
+def _content(file: Path) -> str:
+    """Return the SHA-256 of a file; of one that cannot be read, which does not import, nothing."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def _import(name: str, label: str, file: Path | None, run: Callable[[], object]) -> None:

@@ -50,6 +50,15 @@ def test_a_file_is_loaded_once(tmp_path: Path) -> None:
     assert resolver.create("terrain", "ridge", "terrain").generate(None).end == 0.6
 
 
+def test_a_file_that_was_changed_needs_a_new_process(tmp_path: Path) -> None:
+    """Workers, which begin later, would run the new code beside the old one here."""
+    file = write(tmp_path / "mine.py")
+    plugins.load([file])
+    file.write_text(file.read_text() + "# changed\n")
+    with pytest.raises(PluginError, match=r"mine\.py has changed since it was loaded here; start"):
+        plugins.load([file])
+
+
 def test_a_folder_gives_all_its_files_but_private_ones(tmp_path: Path) -> None:
     write(tmp_path / "one.py", "one")
     write(tmp_path / "two.py", "two")
