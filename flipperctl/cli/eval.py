@@ -159,6 +159,8 @@ def run(
         return
     (policy,) = policies
     found = scenes(arguments, policy.run, None if policy.run else policy.method)
+    if record is not None and any(config.eval.ray is not None for config, _ in found):
+        raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
     against = controllers(baseline, "--baseline", found[0][1].baselines())
     references = controllers(passable, "--passable")
     groups = parse(by, "--by", [config for config, _ in found])

@@ -56,6 +56,8 @@ def map_scenes(
     if len(scenes) != 1:
         raise RequestError(f"--map shows one scene; {len(scenes)} are evaluated")
     ((config, source),) = scenes
+    if config.eval.ray is not None:
+        raise RequestError("eval.ray: no meaning beside --map, which plays here; leave it out")
     axes = parse_axes(text, config)
     with ExitStack() as stack:
         folder: ResultFolder | None = None

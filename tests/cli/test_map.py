@@ -58,6 +58,7 @@ def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
         (["terrain.hight,sim.friction"], "did you mean 'terrain.height_low'"),
         (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
         ([AXES, "--by", "height"], "--by: no meaning beside --map"),
+        ([AXES, "eval.ray=auto"], "eval.ray: no meaning beside --map"),
         ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),
         (
             [AXES, "--checkpoint", "generalist"],
