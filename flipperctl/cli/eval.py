@@ -115,6 +115,7 @@ def run(
     from flipperctl.cli.eval_replay import run_replay
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_flags
+    from flipperctl.errors import RequestError
     from flipperctl.evaluation.groups import grouped, parse
     from flipperctl.evaluation.scenes import evaluate
     from flipperctl.runs.evaluation import EvaluationFiles
