@@ -200,7 +200,7 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
         (["--controller", "okada,level", "--baseline", ",x"], "--baseline: names between commas"),
         (["--controller", "okada,level", "--record", "e.safetensors"], "--record takes one policy"),
         (
-            ["--controller", "level", "terrain=flat", "--record", "e.safetensors", "eval.ray=auto"],
+            ["--controller", "level", "--record", "e.safetensors", "eval.ray=auto"],
             "eval.ray: no meaning beside --record",
         ),
         (["--controller", "okada,level", "--film", "e.gif"], "--film takes one policy"),
