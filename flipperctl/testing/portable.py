@@ -32,7 +32,7 @@ def _foreign(value: object, home: str, seen: set[int]) -> Iterator[str]:
     elif isinstance(value, FunctionType):
         for name in _globals(value.__code__):
             if name in value.__globals__:
-                yield from _foreign(value.__globals__[name], home, seen)
+                yield from _foreign(_function(value.__globals__[name]), home, seen)
         for name in _imports(value.__code__):
             yield from _foreign(ModuleType(name), home, seen)
 
@@ -50,10 +50,11 @@ def _imports(code: CodeType) -> set[str]:
 
 
 def _function(part: object) -> object:
-    """Return the function of a property, static or class method; other parts unchanged."""
-    if isinstance(part, property):
-        return part.fget
-    return getattr(part, "__func__", part)
+    """Return the function that a property, method, cache or partial wraps; others unchanged."""
+    if isinstance(part, FunctionType | ModuleType | type):
+        return part
+    inner = (getattr(part, name, None) for name in ("fget", "__func__", "__wrapped__", "func"))
+    return next((_function(one) for one in inner if callable(one)), part)
 
 
 def _module(value: object) -> str:

@@ -1,5 +1,6 @@
 """Faults of sensors with instruments, which the conformance suite describes."""
 
+import functools
 import json
 from dataclasses import dataclass
 
@@ -8,6 +9,7 @@ import pytest
 
 from flipperctl import api
 from flipperctl.core.sensing import SensedAngles, SensedGround
+from flipperctl.testing.portable import foreign_names
 from tests.testing.test_suite import failure
 
 
@@ -95,3 +97,29 @@ def test_a_sensor_that_fails_is_described(
 ) -> None:
     text = failure(sensing(instrument, estimator), check)
     assert [word for word in words if word not in text] == [], text
+
+
+@functools.cache
+def cached_layout() -> object:
+    return api.ObservationLayout()
+
+
+class Caching:
+    """Parts that wrap their functions, each of which needs more than numpy."""
+
+    @functools.cached_property
+    def held(self) -> object:
+        return api.ObservationLayout()
+
+    part = functools.partialmethod(lambda self: api.ObservationLayout())
+
+
+class Calling:
+    def act(self) -> object:
+        return cached_layout()
+
+
+@pytest.mark.parametrize("wrapped", [Caching.held, vars(Caching)["part"], Calling.act])
+def test_what_a_cache_or_a_partial_wraps_is_looked_into(wrapped: object) -> None:
+    cls = type("Estimator", (), {"held": wrapped, "__module__": __name__})
+    assert "flipperctl.api" in foreign_names(cls)
