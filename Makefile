@@ -27,8 +27,7 @@ train: setup
 	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
 		--episodes 50 --baseline okada
 
-# The static checks stand back behind the tests, which run beside them. Three workers keep two cores
-# busy while tests wait for processes that start.
+# The static checks stand back behind the tests, which run beside them.
 check: setup
 	$(MAKE) --jobs 2 static quick-tests
 
@@ -43,7 +42,7 @@ static:
 
 tests:
 	$(BIN)/python -m tests.machine_code
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 quick-tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick

@@ -10,7 +10,6 @@ import typer
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
 from flipperctl.runs import follow_up
-from flipperctl.runs.named_policies import refuse_beside
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
@@ -62,6 +61,8 @@ def run(
     """See HELP."""
     arguments = list(overrides or [])
     if resume is not None:
+        from flipperctl.runs.named_policies import refuse_beside
+
         refuse_beside("--resume", {"cfg": cfg, "multirun": multirun})
         _resume(resume, arguments)
         return

@@ -58,7 +58,7 @@ def test_an_episode_s_own_policy_proposes_what_it_did(folder):
     config = EvalConfig(
         terrain="step",
         perception={"name": "lidar", "pose": "belts", "azimuths": 60},
-        episode={"run_up": 0.8, "run_out": 0.2},
+        episode={"run_up": 1.0, "run_out": 0.2},
     )
     export_bag(config, PolicySource(Path(file)), folder / "own")
     done = call("shadow", file, "own", "--output", "own.jsonl", cwd=folder)
