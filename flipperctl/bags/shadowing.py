@@ -14,7 +14,7 @@ from typing import Any
 from flipperctl.api import Sensor
 from flipperctl.bags.devices import Recording, read_recording
 from flipperctl.bags.topics import Names
-from flipperctl.core.lidar.estimator import Mount
+from flipperctl.core.lidar.mount import Mount
 from flipperctl.errors import RequestError
 from flipperctl.files import write_bytes
 from flipperctl.runtime.robot_setup import RobotSetup

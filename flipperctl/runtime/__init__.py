@@ -7,7 +7,7 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flipperctl.core.lidar.estimator import Mount
+    from flipperctl.core.lidar.mount import Mount
     from flipperctl.core.targets import TargetRule
     from flipperctl.runtime.answer import Answer
     from flipperctl.runtime.controller import FlipperController
@@ -51,7 +51,7 @@ _MODULES = {
     "Signs": "flipperctl.runtime.signs",
     "OURS": "flipperctl.runtime.signs",
     "REP_103": "flipperctl.runtime.signs",
-    "Mount": "flipperctl.core.lidar.estimator",
+    "Mount": "flipperctl.core.lidar.mount",
     "Interface": "flipperctl.runtime.interface",
     "OnnxPolicy": "flipperctl.runtime.policy",
     "Quantity": "flipperctl.runtime.interface",

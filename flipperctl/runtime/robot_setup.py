@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from flipperctl.core.lidar.estimator import Mount
+from flipperctl.core.lidar.mount import Mount
 from flipperctl.runtime.signs import OURS, Signs
 
 

@@ -10,7 +10,7 @@ import pytest
 from flipperctl import api
 from flipperctl.core.sensing import SensedAngles, SensedGround
 from flipperctl.testing.portable import foreign_names
-from tests.testing.test_suite import failure
+from tests.testing.failing import failure
 
 
 class Counter(api.Instrument):

@@ -2,45 +2,30 @@
 
 import math
 import random
-import runpy
 import unittest
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-import torch
 from pydantic import Field
 
 from flipperctl import api
-from flipperctl.api import Controller, Network, Outcome, Profile, RewardTerm, Terrain
-from flipperctl.errors import ConformanceError, MissingExtraError
+from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
+from flipperctl.errors import MissingExtraError
 from flipperctl.export import onnx as onnx_export
-from flipperctl.testing import Conformance, NotChecked, checks, controller
+from flipperctl.testing import Conformance, NotChecked, checks
 from flipperctl.testing.recorded import transitions, transitions_in_arrays
 from flipperctl.testing.variants import variants
+from tests.testing.failing import failure
 
-KINEMATIC = Path(__file__).parents[2] / "examples" / "kinematic.py"
+Draw = Callable[[float, np.random.Generator], object]
 
 
 class TestInherited(Conformance):
     """The test class of the tutorial."""
 
     plugin = api.registry["terrain", "flat"]
-
-
-def failure(cls: type[api.Plugin], name: str) -> str:
-    """Return the error of the named check of a plugin that is registered for this test only."""
-    cls.plugin_name = "mine"
-    api.registry[cls.kind, "mine"] = cls
-    (one,) = [c for c in checks(cls) if c.name == name]
-    with pytest.raises(ConformanceError) as error:
-        one()
-    return str(error.value)
-
-
-Draw = Callable[[float, np.random.Generator], object]
 
 
 def terrain(draw: Draw) -> type[Terrain]:
@@ -160,167 +145,6 @@ def test_an_array_form_that_differs_is_described(
 
 def test_every_outcome_is_recorded() -> None:
     assert {t.outcome for t in transitions()} == {None, *Outcome}
-
-
-class Linear(torch.nn.Linear):
-    """A linear layer from 18 observations to 9 Q-values."""
-
-    def __init__(self, change: Callable[["Linear", torch.Tensor], torch.Tensor]) -> None:
-        super().__init__(18, 9)
-        self.change = change
-
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        return self.change(self, observation)
-
-
-def network(change: Callable[[Linear, torch.Tensor], torch.Tensor]) -> type[Network]:
-    class Mine(Network):
-        """A network without fields."""
-
-        def build(self, layout: api.ObservationLayout, n_actions: int) -> torch.nn.Module:
-            return Linear(change)
-
-    return Mine
-
-
-def plain(module: torch.nn.Linear, x: torch.Tensor) -> torch.Tensor:
-    return torch.nn.functional.linear(x, module.weight, module.bias)
-
-
-@pytest.mark.parametrize(
-    ("check", "change", "words"),
-    [
-        ("shape", plain, ["bins=3", "(2, 6)"]),
-        ("gradient", lambda m, x: plain(m, x) - m.bias, ["'bias'", "0 everywhere"]),
-        ("gradient", lambda m, x: plain(m, x * (torch.arange(18) > 1)), ["'", "[0, 1]"]),
-        ("repeats", lambda m, x: plain(m, x) + torch.rand(9), ["in eval mode"]),
-        ("repeats", lambda m, x: plain(m, x) - plain(m, x).mean(), ["alone than in a batch"]),
-        ("onnx", lambda m, x: plain(m, x) if x.sum() > 0 else x[:, :9], ["cannot export"]),
-    ],
-)
-@pytest.mark.usefixtures("registry")
-def test_a_network_that_fails_is_described(
-    check: str, change: Callable[[Linear, torch.Tensor], torch.Tensor], words: list[str]
-) -> None:
-    text = failure(network(change), check)
-    assert [word for word in words if word not in text] == [], text
-
-
-def driving(act: Callable[[api.Perception], object]) -> type[Controller]:
-    class Mine(Controller):
-        """A rule without fields."""
-
-        def act(self, p: api.Perception) -> int:
-            return act(p)
-
-    return Mine
-
-
-@pytest.mark.parametrize(
-    ("check", "act", "words"),
-    [
-        ("actions", lambda p: 9 if p.pitch > 0.2 else 4, ["returned 9", "0 to 8"]),
-        ("actions", lambda p: np.float64(4), ["4.0"]),
-        (
-            "repeats",
-            lambda p: int(np.random.default_rng().integers(9)),
-            ["random numbers from p.rng"],
-        ),
-        ("in time", lambda p: 4, ["1.00 s", "after 0.6 s"]),
-    ],
-)
-@pytest.mark.usefixtures("registry")
-def test_a_controller_that_fails_is_described(
-    check: str,
-    act: Callable[[api.Perception], object],
-    words: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    seconds = iter(range(10_000))
-    monkeypatch.setattr(controller, "ENOUGH", 1e9)
-    monkeypatch.setattr(controller, "perf_counter", lambda: float(next(seconds)))
-    text = failure(driving(act), check)
-    assert [word for word in words if word not in text] == [], text
-
-
-@pytest.mark.usefixtures("registry")
-def test_a_policy_that_does_not_forget_its_episode_is_described() -> None:
-    class Leaky:
-        def __init__(self) -> None:
-            self.made = 0
-
-        def reset(self, simulator: api.Simulator) -> None: ...
-
-        def act(self, p: api.Perception) -> int:
-            self.made += 1
-            return 8 if self.made <= 3 else 4
-
-    class Mine(Controller):
-        """A rule that raises the flippers in the first three decisions."""
-
-        def build(self) -> api.Policy:
-            return Leaky()
-
-    assert "by the same policy, whose reset must forget the first" in failure(Mine, "repeats")
-
-
-def forgetful(base: Any) -> Any:
-    class World(base):
-        def load(self, saved: Any) -> None:
-            targets = self._targets
-            super().load(saved)
-            self._targets = targets
-
-    return World
-
-
-def limitless(base: Any) -> Any:
-    class World(base):
-        def advance(self, samples: int, limits: api.Limits = api.NO_LIMITS) -> api.FloatArray:
-            found: api.FloatArray = super().advance(samples, api.Limits(x=limits.x))
-            return found
-
-    return World
-
-
-def deaf(base: Any) -> Any:
-    class World(base):
-        def __init__(self, profile: Profile, robot: object, start: api.Start, *rest: Any) -> None:
-            super().__init__(profile, api.Robot(), api.Start(start.x), *rest)
-
-    return World
-
-
-@pytest.mark.parametrize(
-    ("change", "check", "words"),
-    [
-        (lambda base: base, "", ""),
-        (forgetful, "returns", "after load, the robot goes on to"),
-        (limitless, "stops", "not until the first one that reaches"),
-        (deaf, "drives", "of a robot with track_speed=0.4"),
-        (deaf, "end stops", "that the start has at"),
-    ],
-)
-@pytest.mark.usefixtures("registry")
-def test_an_engine_that_fails_is_described(
-    change: Callable[[Any], Any], check: str, words: str
-) -> None:
-    world = change(runpy.run_path(str(KINEMATIC))["Sliding"])
-
-    class Mine(api.Engine):
-        """An engine without fields."""
-
-        def place(self, profile: Profile, robot: api.Robot, start: api.Start, rng: Any) -> Any:
-            return world(profile, robot, start, 0.5)
-
-    if check:
-        assert words in failure(Mine, check)
-        return
-    Mine.plugin_name = "mine"
-    api.registry["sim", "mine"] = Mine
-    for one in checks(Mine):
-        if one.name in ("returns", "stops", "drives", "end stops", "repeats"):
-            one()
 
 
 @pytest.mark.usefixtures("registry")

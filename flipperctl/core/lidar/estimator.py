@@ -6,7 +6,7 @@ In: messages of the devices with their times. Out: the sensed ground and posture
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,9 @@ from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
 from flipperctl.core.lidar.mixed import without_mixed
+from flipperctl.core.lidar.mount import Mount
 from flipperctl.core.lidar.odometry import advanced, moved_to
-from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.lidar.rotations import attitude
 from flipperctl.core.lidar.trail import Trail
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
@@ -45,22 +46,6 @@ _LOWERED = 0.01
 """Angle by which a flipper is lowered [rad]."""
 _FADING = 30.0
 """Time in which an inertial unit's error of the pitch changes [s]."""
-
-
-@dataclass(frozen=True)
-class Mount:
-    """Where the LiDAR is on the robot, and which of its points count."""
-
-    x: float
-    """Position ahead of the chassis centre, along the chassis [m]."""
-    z: float
-    """Height above the chassis centre [m]."""
-    axis: float
-    """Elevation of the axis of its rings [rad]."""
-    near: float
-    """Points closer than this to the LiDAR are dropped [m]."""
-    margin: float
-    """Points closer than this to the robot's own shape are dropped [m]."""
 
 
 class LidarEstimator:
@@ -82,8 +67,6 @@ class LidarEstimator:
         robot stands on level ground at first; else no ground and no constant errors are assumed.
         """
         self._body, self._mount = body, mount
-        self._position_of_lidar = np.array([mount.x, 0.0, mount.z])
-        self._turn = mounting(mount.axis)
         self._settings = settings
         self._ground = GroundSeen(settings)
         self._matcher, self._deskew = matcher, deskew
@@ -135,17 +118,17 @@ class LidarEstimator:
         the ground ahead elsewhere.
         """
         turn = attitude(pose.roll, pose.pitch, 0.0)
-        lidar, below = turn @ self._position_of_lidar, self._below()
+        lidar, below = turn @ self._mount.position, self._below()
         if self._stands_level(pose):
             finite = np.asarray(np.isfinite(scan.points).all(axis=1))
-            if is_elsewhere(self._of_ground(scan.points, finite) @ turn.T, lidar, below):
+            if is_elsewhere(self._ground_points(scan, finite) @ turn.T, lidar, below):
                 self._started, self._calibrated = True, 0.0
                 return
         self._start(pose)
         if self._calibrated is not None:
             return
         self._calibrated = time
-        points = lidar + scan.points @ (turn @ self._turn).T
+        points = lidar + scan.points @ (turn @ self._mount.turn).T
         self._errors = start_errors(points, lidar, below, self._tilt())
 
     def _tilt(self) -> float:
@@ -261,9 +244,13 @@ class LidarEstimator:
             points[:, 2] -= error
         self._pose = self._trail.correct(time, before, pose)
         origin = np.array([pose.x, pose.y, pose.z])
-        origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._position_of_lidar
+        origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._mount.position
         self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y)
+
+    def _ground_points(self, scan: Scan, kept: NDArray[np.bool_]) -> FloatArray:
+        """Return what ``Mount.ground_points`` keeps of a scan, with the flippers where they are."""
+        return self._mount.ground_points(scan.points, kept, self._body, self._joints)
 
     def _levelled(self, scan: Scan, time: float, pose: Pose) -> FloatArray:
         """Return the ground's points from the robot in the directions of frame M, (P, 3) [m].
@@ -274,25 +261,10 @@ class LidarEstimator:
         kept = np.asarray(np.isfinite(scan.points).all(axis=1))
         if ages is not None:
             kept &= np.isfinite(ages)
-        points = self._of_ground(scan.points, kept)
+        points = self._ground_points(scan, kept)
         if ages is None or not self._deskew:
             return points @ attitude(pose.roll, pose.pitch, pose.yaw).T
         return self._trail.levelled(points, ages[kept], time, pose)
-
-    def _of_ground(self, points: FloatArray, kept: NDArray[np.bool_]) -> FloatArray:
-        """Return those of the ``kept`` points that are not the robot's own, (P, 3) in frame R [m].
-
-        ``kept`` (P,) is changed to which of ``points`` these are.
-        """
-        points = points.compress(kept, axis=0)
-        x, y, z = points.T
-        far = x * x + y * y + z * z >= self._mount.near**2
-        kept[kept] = far
-        points = self._position_of_lidar + points.compress(far, axis=0) @ self._turn.T
-        joints, margin = self._joints, self._mount.margin
-        others = ~self._body.contains(points, joints.front, joints.rear, margin)
-        kept[kept] = others
-        return points.compress(others, axis=0)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""

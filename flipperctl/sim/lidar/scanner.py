@@ -14,8 +14,8 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Instrument, RayWorld, RobotState
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.estimator import Mount
 from flipperctl.core.lidar.messages import Scan
+from flipperctl.core.lidar.mount import Mount
 from flipperctl.core.lidar.rotations import mounting
 from flipperctl.sim.lidar.frames import to_world
 from flipperctl.sim.lidar.own import OwnHits

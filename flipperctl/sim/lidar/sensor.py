@@ -19,9 +19,10 @@ from flipperctl.api import (
 )
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
-from flipperctl.core.lidar.estimator import LidarEstimator, Mount
+from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.map_quality import MapQuality
 from flipperctl.core.lidar.matching import ScanMatcher
+from flipperctl.core.lidar.mount import Mount
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar.inertial import (
     Accelerometer,

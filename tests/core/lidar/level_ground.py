@@ -1,0 +1,32 @@
+"""A robot on level ground that sees some of it ahead."""
+
+import math
+
+import numpy as np
+
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.ground import MapSettings
+from flipperctl.core.lidar.messages import Pose, Scan
+from flipperctl.core.lidar.mount import Mount
+from flipperctl.core.sensing import Measured
+
+BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
+UP = Mount(x=0.25, z=0.4, axis=math.pi / 2, near=0.1, margin=0.02)  # frame S is level
+LEVEL = Pose(0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+
+
+def estimator() -> LidarEstimator:
+    return LidarEstimator(BODY, UP, MapSettings(bins=15, bin_width=0.15))
+
+
+def told(robot: LidarEstimator, *values: object) -> LidarEstimator:
+    for value in values:
+        robot.update(Measured("device", 0.0, value))
+    return robot
+
+
+def ahead(error: float = 0.0) -> Scan:
+    """Return points in frame S of level ground 0.5 m below it, from 0.2 to 1 m ahead."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.2, 1.0, 0.005), np.arange(-0.3, 0.31, 0.1)))
+    return Scan(np.column_stack([x, y, np.full(len(x), -0.5 + error)]))
