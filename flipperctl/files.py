@@ -9,7 +9,9 @@ import io
 import json
 import os
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +36,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
     """Replace the content of ``path`` by the chunks in turn, atomically; see ``write_bytes``."""
-    part = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_PART}")
+    part = _part(path)
     try:
         with part.open("xb") as file:
             file.writelines(chunks)
@@ -44,6 +46,31 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
     except OSError as error:
         part.unlink(missing_ok=True) if path.parent.is_dir() else None
         raise failure(path, error, keeps_old=path.exists()) from error
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_PART}")
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Let the body write a folder of the name of ``path``, which stands there once it is whole.
+
+    Nothing is left of one whose body fails or is interrupted.
+
+    Raises:
+        OutputError: the folder cannot be written.
+        WriteError: writing failed half way.
+    """
+    part = _part(path)
+    try:
+        part.mkdir()
+        yield part / path.name
+        (part / path.name).replace(path)
+    except OSError as error:
+        raise failure(path, error) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def remove_partial(path: Path) -> None:

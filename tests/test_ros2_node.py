@@ -249,3 +249,13 @@ def test_escapes_can_be_switched_off(node: Any, tmp_path: Path) -> None:
     node.policy = str(file)
     node.begin(type(node).begin.__globals__["MOUNT"])
     assert (node.controller.policy._escape is not None) is node.escape
+
+
+def test_the_padding_of_the_rows_of_a_cloud_is_no_points(node: Any) -> None:
+    rows = np.zeros((2, 16), "<f4")  # of three points each, and 16 bytes behind them
+    rows[:, :12] = np.arange(24).reshape(2, 12)
+    field = {name: Message(name=name, datatype=7, offset=4 * i) for i, name in enumerate("xyz")}
+    cloud = Message(fields=[*field.values()], is_bigendian=False, point_step=16, row_step=64)
+    cloud.width, cloud.height, cloud.data = 3, 2, rows.tobytes()
+    columns = type(node).step.__globals__["columns"]
+    assert columns(cloud, "xyz").tolist() == np.arange(24.0).reshape(6, 4)[:, :3].tolist()

@@ -65,7 +65,8 @@ def columns(message, names):
             "itemsize": message.point_step,
         }
     )
-    found = np.frombuffer(bytes(message.data), layout)
+    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.row_step)
+    found = np.frombuffer(rows[:, : message.width * message.point_step].tobytes(), layout)
     return np.column_stack([found[name].astype(float) for name in names])
 
 

@@ -29,7 +29,7 @@ from flipperctl.core.lidar.messages import Belts, Inertial, Scan
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.observer import Observer
 from flipperctl.errors import OutputError, RequestError
-from flipperctl.files import failure
+from flipperctl.files import new_folder
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -148,19 +148,19 @@ def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
     ros = require_rosbags("a bag")
     types = typestore()
     bag = ros.rosbag2
-    try:
-        with bag.Writer(folder, version=8, storage_plugin=bag.StoragePlugin.MCAP) as writer:
-            topics = {
-                topic: writer.add_connection(
-                    topic, TYPES[topic], typestore=types, offered_qos_profiles=_qos(topic)
-                )
-                for topic in dict.fromkeys(found.topic for found in messages)
-            }
-            for found in sorted(messages, key=lambda one: one.time):
-                data = types.serialize_cdr(found.message, TYPES[found.topic])
-                writer.write(topics[found.topic], nanoseconds(found.time), data)
-    except OSError as error:
-        raise failure(folder, error) from error
+    with (
+        new_folder(folder) as inside,
+        bag.Writer(inside, version=8, storage_plugin=bag.StoragePlugin.MCAP) as writer,
+    ):
+        topics = {
+            topic: writer.add_connection(
+                topic, TYPES[topic], typestore=types, offered_qos_profiles=_qos(topic)
+            )
+            for topic in dict.fromkeys(found.topic for found in messages)
+        }
+        for found in sorted(messages, key=lambda one: one.time):
+            data = types.serialize_cdr(found.message, TYPES[found.topic])
+            writer.write(topics[found.topic], nanoseconds(found.time), data)
 
 
 def typestore() -> Any:

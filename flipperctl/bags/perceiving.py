@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -98,7 +98,9 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
     found = _pose(recording, pose)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
-    run = _Run(sensor.model_copy(update={**place, "pose": found}), robot, recording.setup)
+    run = _Run(
+        sensor.model_copy(update={**place, "pose": found}), robot, recording.setup, recording.topics
+    )
     for step in recording.steps():
         cloud = step.messages.get("cloud")
         run.take(step, None if cloud is None else recording.pose(cloud.time))
@@ -131,7 +133,10 @@ def _of_folder(folder: Path) -> Iterator[tuple[Step, FramePose]]:
 class _Run:
     """Feeds an estimator and asks it once in each period, as a controller does."""
 
-    def __init__(self, sensor: LidarSensor, robot: Robot, setup: RobotSetup) -> None:
+    def __init__(
+        self, sensor: LidarSensor, robot: Robot, setup: RobotSetup, topics: Collection[str] = ()
+    ) -> None:
+        """``topics``: the devices that were recorded; a cloud waits for the posture by them."""
         estimator = sensor.estimator(robot)
         assert isinstance(estimator, LidarEstimator)
         self._estimator, self._sensor = estimator, sensor
@@ -139,7 +144,8 @@ class _Run:
         self._mount = np.array([sensor.mount_x, 0.0, sensor.mount_z])
         self._turn = mounting(sensor.mount_axis)
         self._limits, self._period = Limits(), robot.decision_period
-        self._intake = Intake(setup, self._limits)
+        needs = () if self._tracked else {"joints", "attitude"} & set(topics)
+        self._intake = Intake(setup, self._limits, needs)
         self._result = Replay(sensor.bin_width, sensor.half_width)
         self._refused: Counter[str] = Counter()
         self._reasons: dict[str, str] = {}

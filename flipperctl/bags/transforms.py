@@ -16,7 +16,7 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 
 FARTHEST = 0.25
-"""Longest time to the nearest transform before the first or past the last one [s]."""
+"""Longest time to the nearest transform [s]."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,11 @@ class _Track:
         after = bisect_left(self.times, time)
         if after < len(self.times) and self.times[after] == time:
             return self.poses[time]
-        if 0 < after < len(self.times):
-            return self._between(self.times[after - 1], self.times[after], time)
-        nearest = self.times[0] if after == 0 else self.times[-1]
-        return self.poses[nearest] if abs(nearest - time) <= FARTHEST else None
+        around = self.times[max(0, after - 1) : after + 1]
+        nearest = min(around, key=lambda one: abs(one - time))
+        if abs(nearest - time) > FARTHEST:
+            return None
+        return self._between(*around, time) if len(around) == 2 else self.poses[nearest]
 
     def _between(self, before: float, after: float, time: float) -> Pose:
         part = (time - before) / (after - before)

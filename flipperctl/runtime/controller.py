@@ -115,6 +115,7 @@ class FlipperController:
             return self._say(now, jump, None)
         elapsed, self._last = now - (now if self._last is None else self._last), now
         self._begun = now if self._begun is None else self._begun
+        self._advance(elapsed)  # towards the targets of the steps before
         messages = {"odometry": odometry, "attitude": attitude, "joints": joints, "cloud": cloud}
         # The scan comes last: it enters the map at the pose that the others tell.
         action = None
@@ -132,7 +133,6 @@ class FlipperController:
             fault = self._undecided = Fault(
                 "inference", " ".join(str(error).split()) or type(error).__name__
             )
-        self._advance(elapsed)
         return self._say(now, fault or self._undecided, action)
 
     def _clock_fault(self, now: object) -> Fault | None:

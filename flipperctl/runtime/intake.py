@@ -47,8 +47,14 @@ class _RefusedError(Exception):
 class Intake:
     """The newest accepted message of each device, and the newest refusal."""
 
-    def __init__(self, setup: RobotSetup, limits: Limits) -> None:
-        self._setup, self._limits = setup, limits
+    def __init__(
+        self,
+        setup: RobotSetup,
+        limits: Limits,
+        cloud_needs: Collection[str] = ("joints", "attitude"),
+    ) -> None:
+        """``cloud_needs``: devices that tell the posture with which a cloud enters the map."""
+        self._setup, self._limits, self._cloud_needs = setup, limits, cloud_needs
         self.forget()
 
     def forget(self) -> None:
@@ -134,6 +140,7 @@ class Intake:
         if time <= self._times.get(device, -math.inf):
             return None
         if isinstance(message, Cloud):
+            self._check_posture(time)
             return time, self._scan(message)
         if isinstance(message, Attitude):
             return time, self._attitude(message)
@@ -143,6 +150,16 @@ class Intake:
             rear = _number(device, "rear", message.rear, math.pi)
             return time, Joints(signs.front * front, signs.rear * rear)
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
+
+    def _check_posture(self, time: float) -> None:
+        """Refuse a cloud whose points would enter the map with another posture than the robot's."""
+        for device in self._cloud_needs:
+            limit, known = getattr(self._limits.ages, device), self._times.get(device)
+            if known is None:
+                raise _refusal("cloud", "posture", f"came before any {device}", "one before it")
+            if time - known > limit:
+                found = f"is {time - known:.2f} s newer than {device}"
+                raise _refusal("cloud", "posture", found, f"at most {limit:g} s")
 
     def _scan(self, cloud: Cloud) -> Scan:
         _check_frame("cloud", cloud.frame, self._setup.cloud_frame)

@@ -1,8 +1,10 @@
 """Episodes as bags of ROS 2, read again by rosbags and by mcap."""
 
+import errno
 import math
 import sys
 from collections import defaultdict
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from flipperctl.core.lidar.messages import Belts, Inertial, Scan
 from flipperctl.core.lidar.rotations import mounting
 from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import MissingExtraError, OutputError
+from flipperctl.errors import MissingExtraError, OutputError, WriteError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -153,3 +155,19 @@ def test_the_command_refuses_what_it_cannot_write(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):
         write_bag(tmp_path / "bag", [])
+
+
+def test_nothing_is_left_of_a_bag_that_is_written_half_way(tmp_path, monkeypatch):
+    make, full = Messages(typestore()), OSError(errno.ENOSPC, "full")
+    messages = [Stamped(0.1 * i, episode.BELTS, make.number(0.2)) for i in range(9)]
+    monkeypatch.setattr(episode, "nanoseconds", Mock(side_effect=[1, 2, KeyboardInterrupt]))
+    with pytest.raises(KeyboardInterrupt):
+        write_bag(tmp_path / "bag", messages)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr(episode, "nanoseconds", Mock(side_effect=full))
+    with pytest.raises(WriteError, match=r"bag: writing failed half way \(No space left on device"):
+        write_bag(tmp_path / "bag", messages)
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    write_bag(tmp_path / "bag", messages)
+    assert {one.name for one in (tmp_path / "bag").iterdir()} == {"bag.mcap", "metadata.yaml"}

@@ -184,10 +184,10 @@ def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
 def test_transforms_are_interpolated_and_inverted():
     quarter = np.array([0, 0, math.sqrt(0.5), math.sqrt(0.5)])  # about z
     tree = Transforms()
-    tree.add("odom", "base", 1.0, Pose.none())
+    tree.add("odom", "base", 1.6, Pose.none())
     tree.add("odom", "base", 2.0, Pose(np.array([1.0, 0, 0]), -quarter))
     tree.add("base", "sensor", None, Pose(np.array([0.0, 0, 1.0]), quarter))
-    middle = tree.pose("odom", "base", 1.5)
+    middle = tree.pose("odom", "base", 1.8)
     assert middle.place.tolist() == [0.5, 0, 0]
     assert 2 * math.acos(middle.turn[3]) == pytest.approx(math.pi / 4)
     sensor = tree.pose("odom", "sensor", 2.0)
@@ -195,6 +195,21 @@ def test_transforms_are_interpolated_and_inverted():
     assert tree.pose("sensor", "odom", 2.0).apply(np.zeros((1, 3)))[0] == pytest.approx([1, 0, -1])
     assert tree.pose("odom", "base", 2.2).place[0] == 1
     assert tree.pose("odom", "base", 2.3) is None
+
+
+def test_a_gap_between_transforms_is_not_bridged() -> None:
+    tree = Transforms()
+    for time in (0.0, 10.0):
+        tree.add("odom", "base_link", time, Pose(np.array([time, 0, 0]), Pose.none().turn))
+    found = [tree.pose("odom", "base_link", time) for time in (0.2, 0.3, 5.0, 9.8, 10.2, 10.3)]
+    assert [None if one is None else one.place[0].item() for one in found] == [
+        pytest.approx(0.2),
+        None,
+        None,
+        pytest.approx(9.8),
+        pytest.approx(10.0),
+        None,
+    ]
 
 
 def test_a_cube_keeps_the_mean_of_its_points():

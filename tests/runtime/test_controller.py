@@ -251,6 +251,16 @@ def test_setpoints_move_at_the_speed_of_the_training(controller: FlipperControll
     assert steps.max() > 0
 
 
+def test_setpoints_of_a_decision_begin_when_it_is_made(controller: FlipperController) -> None:
+    """However late it is made: the time before went to the targets before."""
+    controller.step(0.0, **good(0.0))
+    before = controller.step(0.55, **good(0.55))
+    after = controller.step(1.4, **good(1.4))
+    assert after.action is not None
+    assert after.targets != before.targets
+    assert after.setpoints == before.targets
+
+
 def test_each_decision_and_each_change_of_state_is_logged(file: Path) -> None:
     lines: list[str] = []
     controller = FlipperController(file, IN_CHASSIS, RELAXED, lines.append)

@@ -20,6 +20,8 @@ _STEP = 1e-3
 """Ages are rounded to multiples of this, so that few attitudes are computed [s]."""
 _LONGEST = 0.5
 """Older points are taken for as old as this [s]."""
+_UNKNOWN = -math.inf
+"""Time of the pose before any is recorded [s]."""
 _MOST = 256
 """Poses that are remembered [-]."""
 
@@ -28,13 +30,13 @@ class Trail:
     """The latest poses of the robot."""
 
     def __init__(self, pose: Pose) -> None:
-        """``pose``: the first one, before any is recorded."""
-        self._times: tuple[float, ...] = (0.0,)
+        """``pose``: the one at all times, until the first is recorded."""
+        self._times: tuple[float, ...] = (_UNKNOWN,)
         self._poses: tuple[tuple[float, ...], ...] = (_numbers(pose),)
 
     def record(self, time: float, pose: Pose) -> None:
         """Remember the ``pose`` at a ``time`` [s]; poses that are not older are forgotten."""
-        while self._times and self._times[-1] >= time:
+        while self._times and (self._times[-1] >= time or self._times[-1] == _UNKNOWN):
             self._times, self._poses = self._times[:-1], self._poses[:-1]
         self._times = (*self._times, time)[-_MOST:]
         self._poses = (*self._poses, _numbers(pose))[-_MOST:]

@@ -74,3 +74,13 @@ def test_a_correction_of_an_earlier_pose_moves_the_later_ones_with_it() -> None:
     assert astuple(trail.pose_at(1.0, found)) == pytest.approx(
         astuple(corrected)
     )  # nothing older is kept
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.05, 1000.0])
+def test_where_the_clock_begins_changes_nothing(begin: float) -> None:
+    """The pose before the first that is recorded is none at a time of its own."""
+    trail = Trail(START)
+    trail.record(begin, pitched := Pose(0.0, 0.0, 0.0, 0.0, 0.3, 0.0))
+    found = trail.levelled(np.array([[1.0, 0.0, 0.0]]), np.array([0.1]), begin, pitched)
+    assert found == pytest.approx(np.array([[math.cos(0.3), 0.0, math.sin(0.3)]]))
+    assert trail.pose_at(begin - 0.1, pitched) == pitched
