@@ -15,10 +15,11 @@ from flipperctl.api import (
     RobotState,
     Transition,
     Transitions,
+    registry,
     reward,
 )
 from flipperctl.config import resolver
-from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
+from flipperctl.errors import ConfigError, NonFiniteError, PluginError, PluginFailedError
 from flipperctl.reward_sum import RewardSum
 
 
@@ -147,3 +148,10 @@ def test_a_term_says_what_a_prediction_lacks() -> None:
     Remaining.not_predicted = 3
     with pytest.raises(PluginError, match=r"rewards.far: reward 'remaining': not_predicted is 3"):
         _ = RewardSum(terms).not_predicted
+
+
+def test_a_window_longer_than_searches_remember_is_not_predicted() -> None:
+    by_window = {n: registry["reward", "pitch"](window=n) for n in (8, 9)}
+    assert RewardSum({"pitch": by_window[8]}).not_predicted == {}
+    with pytest.raises(ConfigError, match=r"rewards\.pitch: a search .* a window of 9 pitches; 8"):
+        RewardSum({"pitch": by_window[9]}).require_predictable("rewards")

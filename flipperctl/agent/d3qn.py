@@ -86,11 +86,10 @@ class D3qn(Learner):
         self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
-            only_imitates = self._teacher is not None and not self._teacher.td_weight
             targets = (
-                reward
-                if only_imitates
-                else self._head.targets(reward, batch, self.online, self.target)
+                self._head.targets(reward, batch, self.online, self.target)
+                if self._uses_targets()
+                else reward
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
@@ -108,6 +107,11 @@ class D3qn(Learner):
                     f"is {float(batch.reward.abs().max()):g}"
                 )
         return value
+
+    def _uses_targets(self) -> bool:
+        """Return whether the loss has a temporal difference, if only with a weight of 0."""
+        s = self._teacher
+        return s is None or bool(s.td_weight) or s.loss == "values"
 
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
         """Return the loss of the temporal difference."""

@@ -29,8 +29,11 @@ def descend(
     norm: float,
     rate: float,
 ) -> None:
-    """Take one step of the optimiser against the gradient of the loss, clipped to ``norm``."""
-    gradients = torch.autograd.grad(loss, parameters)
+    """Take one step of the optimiser against the gradient of the loss, clipped to ``norm``.
+
+    Parameters without a part in the loss, such as those of noise that is off, have a gradient of 0.
+    """
+    gradients = torch.autograd.grad(loss, parameters, allow_unused=True, materialize_grads=True)
     with torch.no_grad():
         gradient = torch.cat([g.reshape(-1) for g in gradients])
         length = float(torch.linalg.vector_norm(gradient))

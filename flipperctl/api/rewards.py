@@ -33,7 +33,8 @@ class RewardTerm(Plugin, ABC):
     bounds: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
     """Smallest and largest unweighted value; a term at its smallest value counts as saturated."""
     not_predicted: ClassVar[str] = ""
-    """What the term needs and a prediction lacks, as in "the last edge"; empty: nothing.
+    """What the term needs and a prediction lacks, as in "the last edge"; empty: nothing. A property
+    where it depends on the term's settings.
 
     A search predicts decisions on the ground that is perceived. It knows states, poses, actions and
     the outcome there, but neither the ground beyond, hence not the last edge (``profile.end``) or

@@ -84,7 +84,9 @@ class _Track:
         nearest = min(around, key=lambda one: abs(one - time))
         if abs(nearest - time) > FARTHEST:
             return None
-        return self._between(*around, time) if len(around) == 2 else self.poses[nearest]
+        return (
+            self.poses[nearest] if len(around) == 1 else self._between(around[0], around[1], time)
+        )
 
     def _between(self, before: float, after: float, time: float) -> Pose:
         part = (time - before) / (after - before)

@@ -178,6 +178,7 @@ _BEST_PARTS = ("policy", "risk")
 _RUN_PARTS = (
     *("online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"),
     *("anchor", "values", "value_optimiser", "counts"),  # of a policy gradient
+    "start",  # of a training that learns its labels anew at the end
 )
 
 

@@ -28,8 +28,10 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
     each action and the duration of a decision. So must the rewards, if the training uses them.
 
     Raises:
-        ConfigError: they differ; the message has each differing setting with both values.
+        ConfigError: they differ; the message has each differing setting with both values. Or
+            nothing could be learnt from them.
     """
+    _check_labels(config, found)
     for environment in found.document.environments:
         _check_layout(config, found.path, environment)
         _check_robot(config.robot, found.path, environment)
@@ -91,6 +93,18 @@ def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironme
             f"teacher.episodes: {path} holds observations of {theirs.bins} bins of "
             f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for {ours.bins} "
             f"of {ours.bin_width:g} m"
+        )
+
+
+def _check_labels(config: TrainConfig, found: Recording) -> None:
+    teacher = config.teacher
+    if teacher.td_weight or teacher.controller is not None:
+        return
+    if not any(episode.labels.any() for episode in found.episodes):
+        raise ConfigError(
+            f"teacher.episodes: {found.path} holds no labels, so that nothing is learnt with "
+            "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
+            "to learn from its rewards"
         )
 
 

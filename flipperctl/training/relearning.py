@@ -1,6 +1,6 @@
-"""The last part of a training by labels (``teacher.final_updates``): it learns them all anew.
+"""The last part of a training by labels (``teacher.final_updates``): it learns them anew.
 
-In: a replay with the labels of the whole training. Out: the weights of a network that began with
+In: a replay with the labels of the training. Out: the weights of a network that began with
 those of the training's start. One that learns while the labels come meets the first ones most often
 and the last ones, which its own best driving leads to, least.
 """
@@ -11,20 +11,27 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import torch
 
+from flipperctl.agent.building import build_network
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.checkpoint.layout import require_equal_layout
 from flipperctl.config import TrainConfig
-from flipperctl.training.starting import give, read_start
+from flipperctl.errors import CheckpointError
+from flipperctl.training.starting import Start, give, read_start
 
+_PART = "start"
+"""Part of a checkpoint that holds the weights to begin with."""
 _REPORTS = 4
 """Number of messages about the progress."""
 
 
 class Relearning:
-    """Gives an agent the weights of a network that learns all labels of the replay anew."""
+    """Gives an agent the weights of a network that learns the labels of the replay anew."""
 
     def __init__(
         self,
@@ -40,8 +47,45 @@ class Relearning:
         """
         self._config, self._layout, self._replay = config, layout, replay
         self._seeds, self._report = seeds, report
-        relearns = config.teacher.final_updates and config.teacher.teaches
-        self._start = read_start(config) if relearns else None  # the file may change until then
+        self._relearns = bool(config.teacher.final_updates and config.teacher.teaches)
+        self._start: Start | None = None
+
+    def begin(self) -> None:
+        """Remember the weights that a new training starts with; their file may change later.
+
+        Raises:
+            CheckpointError: the file is missing, damaged or an exported one, or takes other
+                observations than the training.
+            ConfigError: it has another network than the training.
+        """
+        self._start = read_start(self._config) if self._relearns else None
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the weights to begin with, for the checkpoint of the run."""
+        weights = {} if self._start is None else self._start[0].state_dict()
+        return {f"{_PART}.{name}": tensor for name, tensor in weights.items()}
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the weights to begin with; those of a run of an earlier version are read again.
+
+        Raises:
+            CheckpointError: they are not those of this network; see ``begin``, too.
+            ConfigError: see ``begin``.
+        """
+        if not (self._relearns and self._config.agent.start_from):
+            return
+        if not (weights := saved.part(_PART)):
+            self.begin()
+            return
+        module = build_network(self._config.network, self._layout, len(ACTIONS))
+        try:
+            require_equal_layout(weights, module.state_dict())
+        except ValueError as error:
+            raise CheckpointError(
+                f"{saved.path}: its part {_PART} is not valid: {error}"
+            ) from error
+        module.load_state_dict(weights)
+        self._start = module, None
 
     def run(self, agent: Learner, stop: Callable[[], bool]) -> bool:
         """Do all updates and give the agent the weights; do nothing if none are configured.
@@ -54,14 +98,17 @@ class Relearning:
             PluginFailedError: the network's code failed.
         """
         count = self._config.teacher.final_updates
-        if not (count and self._config.teacher.teaches):
+        if not self._relearns:
             return True
         rows = self._replay.labelled()
+        if not len(rows):
+            self._report("keeps what it has learnt: there are no labels to learn anew")
+            return True
         self._report(f"learns the {len(rows):,} labels anew in {count:,} updates")
         learner = self._learner()
         together, size = learner.settings.updates_together, learner.settings.batch_size
         rng, begun, told = np.random.default_rng(self._seeds[1]), time.monotonic(), 1
-        for done in range(0, count if len(rows) else 0, together):
+        for done in range(0, count, together):
             if stop():
                 return False
             if done * _REPORTS >= told * count:

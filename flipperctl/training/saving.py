@@ -21,6 +21,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.progress import Progress
+from flipperctl.training.relearning import Relearning
 from flipperctl.training.tensors import arrays, run_arrays
 from flipperctl.training.validation import Validator
 
@@ -37,6 +38,7 @@ class RunSaver:
         agent: Learner,
         replay: Replay,
         groups: GroupMemory,
+        relearning: Relearning,
         progress: Progress,
         generators: Mapping[str, np.random.Generator],
         validator: Validator,
@@ -44,12 +46,12 @@ class RunSaver:
         """``generators``: keyed by explore, sample and noise."""
         self._config, self._directory = config, directory
         self._agent, self._replay, self._progress = agent, replay, progress
-        self._groups = groups
+        self._groups, self._relearning = groups, relearning
         self._generators, self._validator = generators, validator
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``; a resumed run resends the ``outstanding`` requests."""
-        tensors = self._agent.tensors()
+        tensors = self._agent.tensors() | self._relearning.tensors()
         for name, array in self._replay.filled().items():
             tensors[f"replay.{name}"] = torch.from_numpy(array)
         for name, array in self._groups.filled().items():
@@ -93,6 +95,7 @@ class RunSaver:
             self._groups.restore(arrays(saved, "groups"), state.groups_added, size)
         except ValueError as error:
             raise CheckpointError(f"{saved.path}: its part groups is not valid: {error}") from error
+        self._relearning.restore(saved)
         for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
         for name in _COUNTERS:

@@ -17,7 +17,7 @@ from flipperctl.agent.policy_gradient import PolicyGradient, build_values
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import LAST, find, read
 from flipperctl.checkpoint.layout import require_equal_layout
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.exported import is_exported
@@ -68,17 +68,25 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
 
     Raises:
         CheckpointError: the run is missing or damaged.
-        ConfigError: it has no values, or values of other states than those of the training.
+        ConfigError: it has no values, or values of other states or other returns than those of the
+            training.
     """
     name = config.agent.start_from
     if not (config.agent.draws and config.agent.policy_gradient.start_values and name):
         return None
     with naming(_SETTING):
-        found = read(find(Path(name), prefer=LAST)).part("values")
+        checkpoint = read(find(Path(name), prefer=LAST))
+        found, theirs = checkpoint.part("values"), checkpoint.config()
     if not found:
         raise ConfigError(
             f"{_VALUES}: {name} has no values; name in {_SETTING} the run of a training with "
             "agent.learner=policy_gradient, or leave it at false"
+        )
+    before, now = _returns(theirs), _returns(config)
+    if differing := [key for key in before | now if before.get(key) != now.get(key)]:
+        raise ConfigError(
+            f"{_VALUES}: the values of {name} are of other returns, by {', '.join(differing)}; "
+            "train with the settings of that run, or leave it at false"
         )
     built = build_values(config.network, config.perception.layout, SIZE)
     try:
@@ -86,6 +94,13 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
     except ValueError as error:
         raise ConfigError(f"{_VALUES}: the values of {name} do not fit: {error}") from error
     return found
+
+
+def _returns(config: TrainConfig) -> dict[str, object]:
+    """Return the settings that make up the returns which values predict, by their keys."""
+    terms = {f"rewards.{name}": to_dict(term) for name, term in config.rewards.items()}
+    agent = config.agent
+    return {"agent.gamma": agent.gamma, "agent.reward_scale": agent.reward_scale, **terms}
 
 
 def start(config: TrainConfig, agent: Learner) -> None:

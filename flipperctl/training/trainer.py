@@ -103,7 +103,7 @@ class Trainer:
             config, self.agent, self.progress, generators["explore"], self._report
         )
         self.validator = Validator(config, self.agent, env)
-        state = (self.agent, self.replay, self.valued.memory, self.progress)
+        state = (self.agent, self.replay, self.valued.memory, self._relearning, self.progress)
         self._saver = RunSaver(config, directory, *state, generators, self.validator)
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
@@ -127,6 +127,7 @@ class Trainer:
             if not self.progress.decision:
                 self._recorder.restore(0)
                 start(self.config, self.agent)
+                self._relearning.begin()
                 self._add_recorded()
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)

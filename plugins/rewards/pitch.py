@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, reward
+from flipperctl.api import LAST_PITCHES, FloatArray, RewardTerm, Transition, Transitions, reward
 
 
 @reward("pitch")
@@ -22,6 +22,13 @@ class Pitch(RewardTerm):
     window: int = Field(
         3, ge=2, le=100, description="k, number of last pitches; not given in the paper [-]"
     )
+
+    @property
+    def not_predicted(self) -> str:  # type: ignore[override]  # by the window
+        """What a search lacks: pitches of longer ago than it carries."""
+        if self.window <= LAST_PITCHES:
+            return ""
+        return f"a window of {self.window} pitches; {LAST_PITCHES} are known"
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0].

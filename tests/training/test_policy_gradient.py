@@ -126,3 +126,16 @@ def test_its_values_are_not_taken_for_returns(run: Path) -> None:
     text = r"controller\.value=.*: it learnt by a policy gradient"
     with pytest.raises(CheckpointError, match=text):
         learned_value(str(run), "controller.value")
+
+
+def test_a_network_whose_noise_is_off_learns_without_it(tmp_path: Path) -> None:
+    """The parameters of its noise have no part in the loss."""
+    new = trainer(config(network={"name": "noisy"}, **{"train.decisions": 400}), tmp_path)
+    new.run()
+    last = checkpoint.read(tmp_path / checkpoint.LAST)
+    anchor, online = last.part("anchor"), last.part("online")
+    same = {name for name in online if torch.equal(anchor[name], online[name])}
+    assert (
+        {name for name in online if "sigma" in name} == {n for n in same if "sigma" in n} != set()
+    )
+    assert len(same) < len(online)

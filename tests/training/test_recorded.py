@@ -259,6 +259,16 @@ def test_nothing_is_stated_where_there_is_no_sum_to_cut(
     assert list(notes(short_config(**settings), recording.read(file))) == []
 
 
+def test_episodes_without_labels_teach_nothing_by_labels_alone(tmp_path: Path) -> None:
+    trainer(short_config(**{"train.record": True}), tmp_path).run()
+    settings = {"teacher.episodes": str(tmp_path / EPISODES), "teacher.td_weight": 0.0}
+    with pytest.raises(
+        ConfigError, match=r"holds no labels, so that nothing is learnt with teacher"
+    ):
+        read_teacher(short_config(**settings))
+    assert read_teacher(short_config(**settings, **{"teacher.controller": {"name": "okada"}}))
+
+
 def test_labels_alone_may_come_from_other_rewards(file: Path) -> None:
     changes = {"rewards.pitch.lambda_2": 3.0, "teacher.td_weight": 0.0}
     assert read_teacher(short_config(**{"teacher.episodes": str(file), **changes})) is not None

@@ -119,6 +119,32 @@ def test_it_begins_with_the_weights_that_the_training_began_with(
     assert all(torch.equal(found[name], expected[name]) for name in expected)
 
 
+def test_a_resumed_run_begins_with_them_too(short_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "start.safetensors"
+    shutil.copy(short_run / checkpoint.BEST, copy)
+    settings = config(3, **{"agent.start_from": str(copy)})
+    trained(tmp_path / "whole", settings)
+    first = trainer(settings, tmp_path / "parts")
+    first.run(stop=lambda: first.progress.decision >= 200)
+    copy.unlink()
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.restore(stopped)
+    assert second.run()["finished"]
+    for name in (checkpoint.BEST, checkpoint.LAST):
+        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
+        assert parts.read_bytes() == at_once.read_bytes(), name
+
+
+def test_without_labels_it_keeps_what_was_learnt(tmp_path: Path) -> None:
+    new = trainer(config(3, **{"train.decisions": 100}), tmp_path)
+    new.listeners.append(notes := _Notes())
+    before = {name: tensor.clone() for name, tensor in new.agent.online.state_dict().items()}
+    assert new._relearning.run(new.agent, lambda: False)
+    assert notes.notes == ["keeps what it has learnt: there are no labels to learn anew"]
+    assert all(torch.equal(t, before[n]) for n, t in new.agent.online.state_dict().items())
+
+
 @pytest.mark.parametrize("more", [{}, {"td_weight": 0, "loss": "values"}])
 def test_it_is_refused_where_there_is_more_than_labels(more: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"teacher\.final_updates: 5 updates learn from labels"):

@@ -68,6 +68,15 @@ def test_the_experiment_resumes_bit_for_bit_with_its_groups(tmp_path: Path) -> N
     assert float(kept["values"].std()) > 0.1
 
 
+def test_any_network_learns_from_groups_alone(tmp_path: Path) -> None:
+    """The temporal difference has a weight of 0, and the shape of the network's targets."""
+    config_store.register_defaults()
+    more = ["network=quantile", "teacher.td_weight=0", "train.decisions=24"]
+    words = [word for word in TINY if not word.startswith("network.")]
+    (config,) = compose.compose_train(Overrides.parse([*words, *more]))
+    trainer(config, tmp_path).run()
+
+
 def test_workers_carry_the_groups(tmp_path: Path) -> None:
     run = trainer(tiny(12, "fast"), tmp_path)
     run.run()

@@ -42,6 +42,11 @@ def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> N
     assert all(torch.equal(kept[name], first[name]) for name in first)
     fresh = begun(tmp_path / "fresh", **later).values.state_dict()
     assert not all(torch.equal(fresh[name], first[name]) for name in first)
+    other = {"agent.gamma": 0.9, "rewards.end.weight": 2.0}
+    with pytest.raises(
+        ConfigError, match=r"of other returns, by agent\.gamma, rewards\.end; train"
+    ):
+        begun(tmp_path / "other", **later, **{VALUES: True}, **other)
 
 
 def test_a_run_without_values_is_refused_before_the_training_begins(short_run: Path) -> None:
