@@ -169,8 +169,9 @@ class _SceneEpisodes:
     def crossed_by(self, references: Sequence[PolicySource]) -> dict[int, str] | None:
         """Return the first reference that crosses each episode, by index; empty if none does.
 
-        Return None if the references were stopped, since untried episodes are then unknown.
+        Return None if one was stopped or failed, since untried episodes are then unknown.
         """
+        failed = len(self._failures)
         found = dict.fromkeys(range(self.config.eval.episodes), "")
         for reference in references:
             name = reference.label()
@@ -180,7 +181,8 @@ class _SceneEpisodes:
                 label = f"{self.terrain}, {name} on episodes not crossed yet"
                 played = self.play(reference, label, left)
             found |= {e.episode: name for e in played if e.reached and not found[e.episode]}
-        return None if self._judge.workers.interrupted else found
+        whole = not self._judge.workers.interrupted and len(self._failures) == failed
+        return found if whole else None
 
 
 def _evaluate_scene(

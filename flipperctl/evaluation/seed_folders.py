@@ -7,7 +7,7 @@ methods with the episodes that all of them played.
 from __future__ import annotations
 
 import csv
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.scores import Method
+from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
 
 FILE = "episodes.csv"
@@ -25,6 +26,27 @@ _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
 
 Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
 """Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """The episodes of one policy of a folder."""
+
+    episodes: Episodes
+    digests: frozenset[str]
+    """Digests of its weights or settings, by its cells; empty without these."""
+
+    def is_of(self, other: _Run) -> bool:
+        """Return whether another run is of the same policy; without cells, by its episodes."""
+        if self.digests and other.digests:
+            return not self.digests.isdisjoint(other.digests)
+        return self.episodes == other.episodes
+
+    def joined(self, other: _Run) -> _Run:
+        """Return the episodes of both runs of the same policy."""
+        scenes = dict.fromkeys([*self.episodes, *other.episodes])
+        episodes = {s: {**self.episodes.get(s, {}), **other.episodes.get(s, {})} for s in scenes}
+        return _Run(episodes, self.digests | other.digests)
 
 
 @dataclass(frozen=True)
@@ -43,14 +65,14 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
 
     A folder with ``episodes.csv`` is one training seed of a method, which has the name of its
     policy unless ``METHOD`` is given; a folder whose subfolders have such a file is one method with
-    a training seed in each. Baselines are methods by their own name. A rule that was evaluated
-    several times with equal results counts once.
+    a training seed in each. Baselines are methods by their own name. A policy that was evaluated
+    several times counts once, with the episodes of all its folders.
 
     Raises:
         RequestError: a folder has no results, a file is damaged or lacks the measure, or no episode
             was played by all.
     """
-    runs: dict[str, list[Episodes]] = {}
+    runs: dict[str, list[_Run]] = {}
     rules: set[str] = set()
     notices: list[str] = []
     seen: set[Path] = set()
@@ -65,20 +87,42 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
                 notices.append(f"{one} is named twice and counts once")
                 continue
             seen.add(place)
+            played = _played(one)
             for index, (label, episodes) in enumerate(_policies(one / FILE, measure).items()):
-                if index:
-                    rules.add(label)
+                run = _Run(episodes, frozenset(p.digest for p in played.get(label, ())))
                 known = runs.setdefault((name if index == 0 else None) or label, [])
-                if label in rulers and any(_contradict(episodes, other) for other in known):
+                same = [at for at, other in enumerate(known) if run.is_of(other)]
+                is_rule = label in rulers or _untrained(label, played.get(label, ()))
+                if index or is_rule:
+                    rules.add(label)
+                against = known if is_rule else [known[at] for at in same]
+                if any(_contradict(episodes, other.episodes) for other in against):
                     raise RequestError(
                         f"{one}: {label} has other results there than in another folder, as with "
                         "other settings; METHOD=DIR gives each a name of its own"
                     )
-                if episodes not in known:
-                    known.append(episodes)
-                elif index == 0:
-                    notices.append(f"{one} has the episodes of another seed and is left out")
-    return _shared(runs, rules, notices)
+                if not same:
+                    known.append(run)
+                    continue
+                known[same[0]] = known[same[0]].joined(run)
+                if index == 0:
+                    notices.append(f"{one} has a policy of another folder, which counts once")
+    return _shared(
+        {method: [run.episodes for run in known] for method, known in runs.items()}, rules, notices
+    )
+
+
+def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
+    """Return the policies whose cells lie beside the episodes of a folder, by label."""
+    found: dict[str, set[PlayedPolicy]] = {}
+    for (label, _), policies in played_policies(folder / FOLDER).items():
+        found.setdefault(label, set()).update(policies)
+    return found
+
+
+def _untrained(label: str, played: Collection[PlayedPolicy]) -> bool:
+    """Return whether cells are of a rule, perhaps one of a plugin; files have no seed either."""
+    return bool(played) and not Path(label).suffix and all(p.training_seed is None for p in played)
 
 
 def _contradict(one: Episodes, other: Episodes) -> bool:

@@ -72,7 +72,7 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
 
     Ties count one half. Averaged over all pairs of seeds, episodes and scenes, with its interval.
     Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
-    the variation of others.
+    the variation of others. Nor have episodes that all say the same.
     """
     wins = {k: _wins(ours[k], theirs[k]) for k in ours}  # (S, S', E)
     found = float(np.mean([w.mean() for w in wins.values()]))
@@ -82,7 +82,7 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     interval, _ = _tested(found, seeds, episodes, mine[2] + other[2])
     few = any(part.freedom + 1 < FEWEST_SEEDS for part in seeds)
-    if few or interval.low is None or interval.high is None:
+    if few or interval.low is None or interval.high is None or interval.low == interval.high:
         return Interval(found, None, None)
     return Interval(found, max(0.0, interval.low), min(1.0, interval.high))
 

@@ -11,7 +11,7 @@ import io
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -124,14 +124,28 @@ class CellFolder(EpisodeStore):
                     yield label, {e.episode: e for _, episodes in cells for e in episodes}
 
 
-def played_policies(folder: Path) -> dict[tuple[str, str], set[str]]:
-    """Return the digests of the policies whose cells lie in a folder, by label and conditions."""
-    found: dict[tuple[str, str], set[str]] = {}
+@dataclass(frozen=True)
+class PlayedPolicy:
+    """Whose cells lie in a folder, under a label."""
+
+    digest: str
+    """SHA-256 of its weights or settings."""
+    training_seed: int | None
+    """Seed of its training; None for a rule."""
+
+
+def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
+    """Return the policies whose cells lie in a folder, by label and hash of the conditions."""
+    found: dict[tuple[str, str], set[PlayedPolicy]] = {}
     for file in sorted(folder.glob(f"*{_CELL}")):
-        if (cell := read_cell(file)) is not None:
-            header, _ = cell
+        try:
+            with file.open() as lines:
+                header = json.loads(lines.readline())
             key = header["controller"], header["conditions_hash"]
-            found.setdefault(key, set()).add(header["policy"])
+            policy = PlayedPolicy(header["policy"], header["training_seed"])
+        except (OSError, ValueError, LookupError, TypeError):
+            continue  # it is damaged; an evaluation says so
+        found.setdefault(key, set()).add(policy)
     return found
 
 

@@ -23,7 +23,17 @@ _METRICS = {
     "pitch_variation": "pitch variation at decisions where reached [rad]",
     "t_cost": "time to the finish [s]",
 }
-_COLUMNS = ("terrain", "method", "n", "reached", "success", "swing+", "decisions+", "time+")
+_COLUMNS = (
+    "terrain",
+    "conditions",
+    "method",
+    "n",
+    "reached",
+    "success",
+    "swing+",
+    "decisions+",
+    "time+",
+)
 
 
 @dataclass(frozen=True)

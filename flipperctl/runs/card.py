@@ -79,7 +79,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
                 continue
             if not _is(row.method, file):
                 raise RequestError(f"{folder}: it holds results of {row.method}, not of {file}")
-            digests = played.get((row.method, row.hash))
+            digests = {one.digest for one in played.get((row.method, row.hash), ())}
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
                 raise RequestError(
                     f"{folder}: {row.method} had other weights there than {file} has now; evaluate "

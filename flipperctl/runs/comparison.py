@@ -15,6 +15,7 @@ from typing import Any
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.files import write_csv
 from flipperctl.runs.folder import SUMMARY, holds_run
+from flipperctl.runs.summary import of_reached
 
 FILE = "sweep.csv"
 
@@ -42,7 +43,7 @@ class SweepRun:
 
     def row(self) -> dict[str, Any]:
         """Return the row of ``sweep.csv``; the measures are those of the best validation."""
-        best = self.summary.get("best") or {}
+        best = of_reached(self.summary.get("best") or {})
         measures = ("success_rate", "pitch_variation_100hz", "pitch_variation", "t_cost")
         return {
             "job": self.job,

@@ -13,6 +13,8 @@ from flipperctl.runs import lock
 from flipperctl.runs.folder import METRICS, SUMMARY
 from flipperctl.training.events import read_rows
 
+_REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+"""Measures of a validation that are means over the episodes that reached the finish."""
 _SHOWN = (
     "decision",
     "success_rate",
@@ -20,6 +22,7 @@ _SHOWN = (
     "pitch_variation",
     "t_cost",
     "return",
+    "mean_return",
 )
 
 
@@ -56,8 +59,20 @@ def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
         "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
         "running": lock.is_held(run),
         "episodes": len(rows.episodes),
-        "validations": [{key: _number(row, key) for key in _SHOWN} for row in rows.validations],
+        "validations": [
+            of_reached({key: _number(row, key) for key in _SHOWN}) for row in rows.validations
+        ],
     }
+
+
+def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the measures of a validation; None for those of the way to a finish never reached.
+
+    The files have the means over all episodes there, by which validations are ranked.
+    """
+    if validation.get("success_rate"):
+        return dict(validation)
+    return {name: None if name in _REACHED else v for name, v in validation.items()}
 
 
 def _number(row: Mapping[str, str], key: str) -> float | None:

@@ -189,13 +189,18 @@ def _compare(
 def _success_difference(method: Method, other: Method) -> tuple[Interval, float]:
     """Return the difference of success over seeds and episodes, and its p-value.
 
-    Where each scene has one outcome for all seeds and episodes of a method, they are those of one
-    seed, whose episodes all have: the score intervals of the scenes and McNemar's exact test.
+    Where no episode and no seed makes a difference that another does not, they are those of one
+    seed: the score intervals of the scenes and McNemar's exact test; none if the seeds' episodes
+    differ all the same.
     """
     found, p = difference_interval(method.successes(), other.successes())
-    every = [*method.reached.values(), *other.reached.values()]
-    if found.low is None or not all(values.min() == values.max() for values in every):
+    if found.low is None or found.high is None:
         return found, p
+    if found.low < found.high:
+        return Interval(found.mean, max(-1.0, found.low), min(1.0, found.high)), p
+    every = [*method.reached.values(), *other.reached.values()]
+    if not all((values == values[0]).all() for values in every):
+        return Interval(found.mean, None, None), 1.0
     pairs = [
         _pair(values[0], theirs[0])
         for values, theirs in zip(method.reached.values(), other.reached.values(), strict=True)

@@ -125,9 +125,14 @@ def _comparison(baseline: str, compared: list[tuple[str, BaselineResult]]) -> Ta
     for name, other in compared:
         found.add(*_difference_cells(name, other.summary, other.difference, further))
         for label, part in other.difference.parts.items():
-            cells = _difference_cells(f"  {label}", other.summary.parts[label], part, further)
+            cells = _difference_cells(f"  {label}", _part(other.summary, label), part, further)
             found.add(*cells, dim=True)
     return found
+
+
+def _part(summary: Summary, label: str) -> Summary:
+    """Return the summary of a kind of a mix; that of one kind, as after a stop, has no parts."""
+    return summary.parts.get(label, summary)
 
 
 def _whose(result: EvaluationResult, name: str, scene: SceneResult) -> str:

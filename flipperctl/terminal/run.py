@@ -24,18 +24,21 @@ def print_run(found: dict[str, Any], picture: Path | None) -> None:
     headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
     table = Table(headings, f"{found['run']}: {state}", right=headings)
     for row in found["validations"]:
-        variation = row["pitch_variation_100hz"]
         table.add(
             f"{row['decision']:.0f}",
             f"{row['success_rate']:.1%}",
-            "–" if variation is None else f"{variation:.3f}",
-            f"{row['pitch_variation']:.3f}",
-            f"{row['t_cost']:.1f}",
-            f"{row['return']:.2f}",
+            _number(row["pitch_variation_100hz"], 3),
+            _number(row["pitch_variation"], 3),
+            _number(row["t_cost"], 1),
+            _number(row["return"] if row["mean_return"] is None else row["mean_return"], 2),
         )
     table.print(console())
     if picture is not None:
         print(f"picture: {picture}")
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def _resume_command(run: Path) -> str:

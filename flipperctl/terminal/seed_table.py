@@ -100,6 +100,7 @@ def _warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
     few = [row.method for row in rows if 1 < row.seeds < 5]
     if few:
         yield (
-            f"fewer than five training seeds: {', '.join(few)}; their intervals may be too narrow "
-            "(docs/evaluating.md)"
+            f"fewer than five training seeds: {', '.join(few)}; their intervals are wide, and too "
+            "narrow all the same if a seed may be far worse than the others "
+            "(docs/training_seeds.md)"
         )

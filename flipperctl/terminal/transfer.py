@@ -80,7 +80,7 @@ def _failures(
     named: list[tuple[str, TransferResult]], policy: list[str], overrides: Sequence[str]
 ) -> Iterator[str]:
     """Yield a line for each failure, and the command that replays it."""
-    others = [o for o in overrides if not o.startswith("terrain=")]
+    others = [o for o in overrides if not o.startswith(("terrain=", "eval.seed="))]
     for name, one in named:
         for f in one.failures:
             yield (

@@ -24,6 +24,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     )
     assert command in text  # without the note that the hash differs
     assert '| `agent.learner` | "policy_gradient" |' in text
+    assert "| terrain | conditions | policy |" in text  # of which one table may have several
 
     # The folder remembers which weights they were.
     other = call("eval", "--checkpoint", "generalist_first", *asked[:3], "--baseline", "none",

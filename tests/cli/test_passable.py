@@ -50,3 +50,29 @@ def test_an_unknown_one_is_named(tmp_path: Path) -> None:
     assert done.code == 2
     assert "--passable" in done.err
     assert "'okada'" in done.err
+
+
+FAILS = """
+from flipperctl.api import Controller, Perception, controller
+
+@controller("fails")
+class Fails(Controller):
+    \"\"\"A rule that fails.\"\"\"
+
+    def act(self, p: Perception) -> int:
+        raise ValueError("boom")
+"""
+
+
+def test_a_reference_that_fails_leaves_it_unknown(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text(FAILS)
+    settings = ("--plugins", "fails.py", "--passable", "fails,okada", "--episodes", "1")
+    done = call(
+        *("eval", "--controller", "level", "--baseline", "none", *settings, "terrain=flat"),
+        *("--json", "--output", "evaluated"),
+        cwd=tmp_path,
+    )
+    assert "fails failed" in done.err
+    (scene,) = json.loads(done.out)["scenes"]
+    assert "passable" not in scene
+    assert "crossed_by" not in (tmp_path / "evaluated" / "episodes.csv").read_text()

@@ -167,3 +167,39 @@ def test_outcomes_that_never_vary_prove_no_more_than_those_of_one_seed(tmp_path:
     level = rows["level"]["success"]
     assert level["mean"] == 0.5
     assert 0.2 < level["low"] < 0.5 < level["high"] < 0.8
+
+
+def remember(folder: Path, label: str, digest: str, seed: int | None) -> None:
+    """Write the header of a cell of a policy, beside its episodes."""
+    (folder / "cells").mkdir(exist_ok=True)
+    header = {"controller": label, "policy": digest, "training_seed": seed}
+    text = json.dumps({**header, "conditions_hash": "abcd"})
+    (folder / "cells" / f"{digest}.jsonl").write_text(text + "\n")
+
+
+def seeds_of(*arguments: str, cwd: Path) -> dict[str, int]:
+    done = call("inspect", "results", *arguments, "--json", cwd=cwd)
+    assert done.code == 0, done.err
+    return {row["method"]: row["seeds"] for row in json.loads(done.out)["methods"]}
+
+
+def test_a_policy_is_known_by_its_digest(tmp_path: Path) -> None:
+    """Not by its episodes: trainings may fail alike, and one policy may be evaluated twice."""
+    for name, digest, count in (("a", "d1", 8), ("b", "d1", 6), ("c", "d2", 8)):
+        write(tmp_path / name, {"best": 1.0}, count=count)
+        remember(tmp_path / name, "best", digest, 3)
+    assert seeds_of("a", "b", cwd=tmp_path) == {"best": 1}
+    assert seeds_of("a", "c", cwd=tmp_path) == {"best": 2}
+    write(tmp_path / "e", {"best": 1.5})
+    remember(tmp_path / "e", "best", "d1", 3)
+    done = call("inspect", "results", "a", "e", cwd=tmp_path)
+    assert "best has other results there than in another folder" in done.err
+
+
+def test_settings_of_a_plugins_controller_are_no_seeds_without_the_plugin(tmp_path: Path) -> None:
+    for name, value in (("a", 1.0), ("b", 2.0)):
+        write(tmp_path / name, {"mine": value})
+        remember(tmp_path / name, "mine", name, None)
+    done = call("inspect", "results", "a", "b", cwd=tmp_path)
+    assert done.code == 2
+    assert "mine has other results there" in done.err

@@ -74,6 +74,8 @@ def test_a_failure_has_the_command_that_shows_it_again(tmp_path: Path) -> None:
     assert again is not None
     repeated = call(*shlex.split(again.group(1)), cwd=tmp_path)
     assert first.group() in repeated.out
+    done = call(*OKADA, *settings[:-2], "eval.seed=5", cwd=tmp_path)
+    assert again.group() in done.out  # and eval.seed no second time
 
 
 def test_the_default_engine_is_not_compared_with_itself(tmp_path: Path) -> None:

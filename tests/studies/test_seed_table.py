@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.scores import Method
 from flipperctl.studies.seed_table import rows
 
@@ -29,3 +30,26 @@ def test_one_scene_is_compared_pair_by_pair() -> None:
     assert row.comparison is not None
     assert row.comparison.success.mean == pytest.approx(0.8)
     assert row.comparison.p_success == pytest.approx(2 * 0.5**8)  # McNemar's exact test
+
+
+def test_few_outcomes_that_leave_no_variation_prove_no_more_than_their_number() -> None:
+    """One scene is mixed alike for both, and the other one all against none."""
+    ours, other = method("ours", (3, 5), (5, 5)), method("other", (3, 5), (0, 5))
+    found = rows([other, ours], 6.28, other)[1].comparison
+    assert found is not None
+    assert found.success.mean == pytest.approx(0.5)
+    assert found.success.low < 0.35 < 0.6 < found.success.high
+    assert found.p_success == pytest.approx(2 * 0.5**5)
+    assert found.better == Interval(found.better.mean, None, None)
+
+
+def test_a_difference_of_success_ends_at_1() -> None:
+    rng = np.random.default_rng(0)
+    ours = np.ones((2, 6), bool)
+    theirs = np.stack([rng.random(6) < 0.4, np.zeros(6, bool)])
+    methods = [
+        Method(n, {"a": np.ones(r.shape)}, {"a": r}) for n, r in (("o", ours), ("t", theirs))
+    ]
+    found = rows(methods, 6.28, methods[1])[0].comparison
+    assert found is not None
+    assert found.success.high == 1.0

@@ -41,3 +41,13 @@ def test_each_policy_s_row_beside_published_results_is_its_own() -> None:
     table = published_table(EvaluationResult(rows), "generalist, level")
     assert table is not None
     assert [cells[1] for cells, _ in table._rows] == ["generalist", "paper", "level", "paper"]
+
+
+def test_a_baseline_that_was_stopped_in_the_first_kind_of_a_mix_has_a_row_for_it() -> None:
+    ours = [sample(0, "reached", 1.0, "step"), sample(1, "reached", 1.0, "ramp")]
+    stopped = compare("mix", ours, "level", [sample(0, "reached", 2.0, "step")])
+    ((config, _),) = scenes(["terrain=all_kinds"], None, "okada")
+    kept = Conditions.of(config), (stopped,), tuple(ours), SceneName("", "")
+    result = EvaluationResult((SceneResult("okada", summarise("mix", ours), 0, *kept),))
+    (table,) = comparisons(result)
+    assert [str(cells[0]).strip() for cells, _ in table._rows] == ["mix", "step"]
