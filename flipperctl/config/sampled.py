@@ -57,6 +57,8 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
 def _configured(settings: Settings, field: str, low: float, high: float) -> float:
     """Return the configured value of a setting, or the end of its range that is nearest to it.
 
+    A single number in place of a range is no such end: an engine may sample up to it.
+
     A factor is 1, a switch 0 or 1, and null what ``null_values`` say, else the range's centre.
     """
     cls = type(settings)
@@ -65,7 +67,7 @@ def _configured(settings: Settings, field: str, low: float, high: float) -> floa
     value = 1.0 if field in cls.factors else getattr(settings, field)
     if value is None:
         value = cls.null_values.get(field, 0.5 * (low + high))
-    return min(high, max(low, float(value)))
+    return float(value) if low == high else min(high, max(low, float(value)))
 
 
 def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[str, Any]:

@@ -61,7 +61,10 @@ class Drive:
         """
         engine, self.robot, perception = sections
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
-        self.termination = Termination(profile, self.robot, episode, start.x, period)
+        samples = math.ceil(period / SAMPLE_PERIOD - 1e-9)  # in a decision
+        longer = samples - period / SAMPLE_PERIOD > 1e-9
+        lasting = samples * SAMPLE_PERIOD if longer else period
+        self.termination = Termination(profile, self.robot, episode, start.x, lasting)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived one, which is ``perception.delay`` older."""
         self.poses = self._pose()
@@ -73,7 +76,6 @@ class Drive:
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
-        samples = math.ceil(period / SAMPLE_PERIOD - 1e-9)  # in a decision
         turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
         perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
         self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
@@ -160,13 +162,15 @@ class Drive:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
-        moving = self.state, self.delayed_state, self.targets
+        last = self.poses, self.flipper_work
+        moving = self.state, self.delayed_state, self.targets, last
         return self.world.save(), self.termination.save(), moving, (self._samples, self._samplings)
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
         world, termination, moving, sampling = saved
-        self.state, self.delayed_state, self.targets = moving
+        self.state, self.delayed_state, self.targets, last = moving
+        self.poses, self.flipper_work = last
         self._samples, self._samplings = sampling
         self.world.load(world)
         self.termination.load(termination)

@@ -70,3 +70,10 @@ def test_without_it_the_samples_are_those_of_the_whole_ranges() -> None:
 def test_other_shares_are_refused(wrong: tuple[float, float]) -> None:
     with pytest.raises((ConfigError, ValueError), match=r"0 to 1 is allowed|low ≤ high"):
         Randomise(spread=wrong)
+
+
+def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
+    ranges = Randomise(sim={"yaw": 0.1, "offset": 0.05}, spread=(0.5, 0.5), friction=None)
+    config = EnvConfig(terrain="flat", sim="mujoco", randomise=ranges)
+    found = config.sample(np.random.default_rng(0))
+    assert (found["sim.yaw"], found["sim.offset"]) == pytest.approx((0.05, 0.025))

@@ -38,3 +38,16 @@ def test_a_robot_that_stands_is_stuck(
     termination = Termination(Profile([(1.0, 0.0)]), Robot(), Episode(**settings), 0.0, period)
     found = [termination.after_decision(0.0) for _ in range(decisions)]
     assert found == [None] * (decisions - 1) + [Outcome.STUCK]
+
+
+def test_limits_count_the_decisions_as_long_as_they_last() -> None:
+    """A period that is no multiple of the sample period is rounded up to one."""
+    env = FlipperEnv("flat", robot={"control_period": 0.011}, episode={"stuck_time": 3.0})
+    env.reset(seed=0)
+    env.step(action_index(0, 0))
+    assert env.state.time == pytest.approx(0.02)
+    whole = FlipperEnv("flat", robot={"control_period": 0.02}, episode={"stuck_time": 3.0})
+    whole.reset(seed=0)
+    limits, exact = (e.drive.termination for e in (env, whole))
+    assert limits.t_max == exact.t_max
+    assert limits._trail.maxlen == exact._trail.maxlen

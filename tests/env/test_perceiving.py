@@ -150,9 +150,11 @@ def test_the_simulator_perceives_like_the_episode_and_returns_to_snapshots(name:
         perceived.append(simulator.perceive())
     saved = simulator.save()
     again = [simulator.perceive() for _ in range(2)]
+    poses = simulator.poses
     simulator.step(UP)
     simulator.perceive()
     simulator.load(saved)
+    assert simulator.poses is poses  # of the last decision before the snapshot
     assert [p.observation.tolist() for p in again] == [
         simulator.perceive().observation.tolist() for _ in range(2)
     ]

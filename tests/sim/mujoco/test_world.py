@@ -14,6 +14,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, NonFiniteError
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
+from flipperctl.sim.resting import OVERLAP
 from tests.cli.call import call
 
 FLAT = Profile([(0.0, 0.0)])
@@ -203,6 +204,30 @@ def test_equal_inputs_give_bit_identical_trajectories_and_snapshots_continue_the
     assert np.array_equal(first, trajectory(interrupted=False))
     assert np.array_equal(first, trajectory(interrupted=True))
     assert first[-1, 0] > 0.0  # it got as far as the stairs
+
+
+def test_the_work_of_the_flippers_is_that_of_their_mean_torque() -> None:
+    """At its limit, a servo turns its torque from substep to substep."""
+    found = []
+    for substep in (0.005, 0.001):
+        world = place(FLAT, Robot(), -1.0, 0.0, 0.0, substep=substep)
+        run(world, 0.5)
+        for front in (0.8, -0.1, 0.8, 0.0):
+            world.command(front, 0.0)
+            run(world, 2.5)
+        found.append(world.flipper_work())
+    assert found[0] == pytest.approx(found[1], rel=0.15)
+
+
+def test_a_large_robot_starts_beside_rough_ground() -> None:
+    """Shifted ahead, the tips of its flippers would stand on a patch before the first edge."""
+    robot = Robot(flipper_length=0.59, chassis_length=0.83)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        ground = Profile([(0.0, 0.0), (0.0, 0.1), (1.0, 0.1)])
+        world = Mujoco(roughness=0.015, yaw=0.05).place(ground, robot, Start(-0.9), rng)
+        assert world.penetration() <= OVERLAP
+        assert float(world.position[0]) > -1.25
 
 
 def test_half_the_substep_changes_the_pitch_variation_little() -> None:
