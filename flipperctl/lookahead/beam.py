@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Robot
-from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
+from flipperctl.lookahead.model import FLIPPERS, Model
 from flipperctl.lookahead.mpc_settings import STEEP, STEEP_FROM
-from flipperctl.lookahead.search import HOLD, moves
+from flipperctl.lookahead.search import HOLD, moves, target_cell
 
 _ROUNDS = 8
 """Largest number of decisions of a node in one distance bin."""
@@ -177,7 +177,7 @@ class Beam:
             [
                 nodes.places / self.cell,
                 nodes.states[:, 2] / self.cell,
-                nodes.states[:, FLIPPERS:] / 0.1,
+                nodes.states[:, FLIPPERS:] / target_cell(self.robot),
             ]
         )
         _, first = np.unique(np.round(keys).astype(np.int64), axis=0, return_index=True)
@@ -187,7 +187,7 @@ class Beam:
 
     def _children(self, nodes: _Nodes, first: int, action: int | None = None) -> _Nodes:
         """Return the nodes one decision later that have not overturned."""
-        parent, taken, targets = moves(nodes.states[:, TARGETS:], self.robot)
+        parent, taken, targets = moves(nodes.states, self.robot)
         if action is not None:
             chosen = taken == action
             if not chosen.any():  # turning a flipper against its stop

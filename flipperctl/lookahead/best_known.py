@@ -13,6 +13,7 @@ from dataclasses import replace
 from flipperctl.api import Perception, Policy, Simulator
 from flipperctl.config import resolver
 from flipperctl.lookahead.beam import Beam, Goal
+from flipperctl.lookahead.contacts import MOST_EXACT
 from flipperctl.lookahead.goal import highest_at_finish
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.planner_settings import PlannerSettings
@@ -76,7 +77,9 @@ class _Search:
         profile = simulator.profile
         known = simulator.perceive_exactly().friction
         friction = 1.0 if known is None else known
-        self._model = Model(profile.points, self._robot, friction=friction, iterations=8)
+        self._model = Model(
+            profile.points, self._robot, friction=friction, iterations=8, contacts=MOST_EXACT
+        )
         top = highest_at_finish(profile, self._robot, simulator.finish)
         self._goal = Goal(simulator.finish, top=top, smoothness=settings.smoothness)
         self._spent = 0

@@ -12,7 +12,10 @@ from flipperctl.lookahead.layout import FAST, FORCE, FRICTION, ITERATIONS, SPEED
 from flipperctl.sim.jit import cached
 
 MOST = 24
-"""Largest number of simultaneous contacts."""
+"""Largest number of simultaneous contacts with ground that was perceived, which is smoothed; those
+of the chassis come first."""
+MOST_EXACT = 240
+"""The same with ground that is known as it is: recorded ground has a point each 1 or 2 cm."""
 MARGIN = 0.02
 """Gap below which a contact is solved [m]."""
 _SLOP = 0.0005
@@ -32,7 +35,7 @@ def _add(
     gap: float,
     part: int,
 ) -> int:
-    if count < MOST:
+    if count < len(contacts):
         row = contacts[count]
         row[0], row[1], row[2], row[3], row[4], row[5] = x, z, nx, nz, gap, part
         return count + 1
@@ -122,7 +125,8 @@ def solve(
     """Solve all contacts by sequential impulses, which change the motion (vx, vz, turn) in place.
 
     ``extra`` (3, 5): additional motion of each part as the flippers turn: velocity x, z of its
-    hinge, turn rate, and position x, z of the hinge. ``rows`` is working memory, (``MOST``, 10).
+    hinge, turn rate, and position x, z of the hinge. ``rows`` is working memory, (C, 10), of as
+    many rows as ``contacts``.
     """
     dt, light, slow = k[STEP], 1 / mass, 1 / inertia
     for c in range(count):

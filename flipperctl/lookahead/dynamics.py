@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
-from flipperctl.lookahead.contacts import MARGIN, MOST, solve, touches
+from flipperctl.lookahead.contacts import MARGIN, solve, touches
 from flipperctl.lookahead.layout import (
     AXLE,
     CHASSIS,
+    CONTACTS,
     FAST,
     FINISH,
     FLIPPER,
@@ -175,7 +176,8 @@ def expand(
 
     ``poses`` is (M, S + 1, 5), or (M, 0, 5) to compute none; see ``advance``.
     """
-    contacts, rows = np.empty((MOST, 6)), np.empty((MOST, 10))
+    most = int(k[CONTACTS])
+    contacts, rows = np.empty((most, 6)), np.empty((most, 10))
     extra, motion, pair = np.zeros((3, 5)), np.empty(3), np.empty((2, 5))
     for row in range(len(states)):
         found[row] = states[row]

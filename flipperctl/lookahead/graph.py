@@ -10,6 +10,7 @@ value of each action in each state, also in those that no good policy would visi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -33,7 +34,8 @@ _PITCH, _HEIGHT = 0.08, 0.1
 _MOST = 60_000
 """Number of represented states from which no further ones are explored [-]."""
 _DROP, _SETTLE = 0.45, 1.5
-"""Height of the robots above the ground at the start [m], and time to come to rest [s]."""
+"""Height of the robots above the ground at the start [m], and time to come to rest [s]; of longer
+flippers, more of both."""
 _BEYOND = 1.5
 """Distance before the start and past the finish at which the exploration ends [m]."""
 _SLOW = 0.1
@@ -138,10 +140,13 @@ class Graph:
         course, robot = self._course, self._robot
         most = int(robot.angle_limit / robot.angle_step + 1e-9)
         angles = np.arange(-most, most + 1) * robot.angle_step
-        x = course.start - _SETTLE * robot.track_speed
-        z = course.profile.height(course.start) + robot.track_radius + _DROP
+        lowered = robot.flipper_axle * math.sin(min(robot.angle_limit, math.pi / 2))
+        drop = max(_DROP, lowered)  # so that no flipper begins below the ground
+        settle = _SETTLE * math.sqrt(drop / _DROP)
+        x = course.start - settle * robot.track_speed
+        z = course.profile.height(course.start) + robot.track_radius + drop
         states = np.array([self._model.state((x, z, 0.0), (f, r)) for f in angles for r in angles])
-        found = self._model.expand(states, states[:, TARGETS:], _SETTLE)
+        found = self._model.expand(states, states[:, TARGETS:], settle)
         standing = found.take(np.flatnonzero(found.outcome == RUNNING))
         return Nodes.at_rest(standing.states, standing.places)
 
@@ -175,7 +180,7 @@ class Graph:
         pay for the difference.
         """
         course, robot, period = self._course, self._robot, self._robot.decision_period
-        parent, action, targets = moves(nodes.states[:, TARGETS:], robot)
+        parent, action, targets = moves(nodes.states, robot)
         before = nodes.take(parent)
         branch = self._model.expand(before.states, targets, period, poses=True)
         after = before.after(branch, action, period)

@@ -16,8 +16,8 @@ STATE = 10
 # Indices into the array of the model's numbers, see ``Model``.
 HINGE, AXLE, RADIUS, CHASSIS, FLIPPER, TURN_CHASSIS, TURN_FLIPPER, SPEED, RATE = range(9)
 GRAVITY, FRICTION, STEP, ITERATIONS, OVERTURN, FINISH, TOP, SAMPLE = range(9, 17)
-LOAD_X, LOAD_Z, FORCE = range(17, 20)
-NUMBERS = 20
+LOAD_X, LOAD_Z, FORCE, CONTACTS = range(17, 21)
+NUMBERS = 21
 
 RUNNING, OVERTURNED, REACHED = range(3)
 """How a predicted decision ends."""

@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.lookahead import dynamics, layout
+from flipperctl.lookahead.contacts import MOST
 from flipperctl.lookahead.layout import STATE
+from flipperctl.sim.thinning import kept_points
 
 FLIPPERS, TARGETS = 6, 8
 """Index in a state of the flippers' angles, and of their targets."""
+_STRAIGHT = 1e-6
+"""Distance from a straight edge within which points are left out [m]."""
 _LEVEL_GROUND = 20.0  # length of the level ground on both sides of the known ground [m]
 
 
@@ -60,11 +64,13 @@ class Model:
         gravity: float = 9.81,
         finish: float = math.inf,
         top: float = math.inf,
+        contacts: int = MOST,
     ) -> None:
         """Extend ``line``, (V, 2) [m] with x never decreasing, by level ground on both sides.
 
         A robot has reached the ``finish``, x of the chassis centre [m], when both ends of its
-        chassis are below ``top`` [m]. An unknown finish is infinitely far away.
+        chassis are below ``top`` [m]. An unknown finish is infinitely far away. ``contacts``: the
+        largest number of them.
         """
         self.overturn = overturn
         self._ground = _edges(line)
@@ -83,7 +89,7 @@ class Model:
         k[layout.GRAVITY], k[layout.FRICTION] = gravity, friction
         k[layout.STEP], k[layout.ITERATIONS] = step, iterations
         k[layout.OVERTURN], k[layout.SAMPLE] = overturn, SAMPLE_PERIOD
-        k[layout.FINISH], k[layout.TOP] = finish, top
+        k[layout.FINISH], k[layout.TOP], k[layout.CONTACTS] = finish, top, contacts
         self._numbers = k
         self._step = step
 
@@ -122,12 +128,17 @@ class Model:
         found, place = np.empty((count, STATE)), np.empty((count, 2))
         variation, steepest = np.empty(count), np.empty(count)
         outcome = np.empty(count, np.int64)
-        steps = math.ceil(duration / self._step - 1e-9)
-        samples = round(steps * self._step / SAMPLE_PERIOD) + 1 if poses else 0
+        lasting = math.ceil(duration / SAMPLE_PERIOD - 1e-9) * SAMPLE_PERIOD  # as in the engine
+        steps = math.ceil(lasting / self._step - 1e-9)
+        numbers = self._numbers
+        if abs(steps * self._step - lasting) > 1e-9:
+            numbers = numbers.copy()
+            numbers[layout.STEP] = lasting / steps
+        samples = round(lasting / SAMPLE_PERIOD) + 1 if poses else 0
         path = np.empty((count, samples, 5))
         dynamics.expand(
             *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
-            *(self._ground, self._numbers, found, place, variation, steepest, outcome, path),
+            *(self._ground, numbers, found, place, variation, steepest, outcome, path),
         )
         return Branch(found, place, variation, steepest, outcome, path)
 
@@ -151,6 +162,8 @@ def _edges(line: FloatArray) -> FloatArray:
     points = np.vstack([line[0] - (_LEVEL_GROUND, 0.0), line, line[-1] + (_LEVEL_GROUND, 0.0)])
     distinct = np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])
     points = points[distinct]
+    # Points inside of straight edges would be contacts of their own, which push the robot ahead.
+    points = points[kept_points(points, np.zeros(len(points), np.bool_), _STRAIGHT, 0.0)]
     step = np.diff(points, axis=0)
     length = np.hypot(*step.T)
     normals = np.column_stack([-step[:, 1], step[:, 0]]) / length[:, None]

@@ -13,6 +13,7 @@ import numpy as np
 from flipperctl.api import ACTIONS, FloatArray, Perception, RewardTerm, Simulator, StateGroups
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
+from flipperctl.lookahead.contacts import MOST_EXACT
 from flipperctl.lookahead.goal import highest_at_finish
 from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.groups import sample_groups, with_stops
@@ -60,6 +61,7 @@ class OraclePolicy:
             overturn=_EPISODE.overturn,
             finish=simulator.finish,
             top=top,
+            contacts=MOST_EXACT,
         )
         self._patience = _EPISODE.stuck_decisions(robot.decision_period)
         course = Course(

@@ -27,8 +27,9 @@ from flipperctl.sim.thinning import kept_points
 
 NO_PLAN = 1000.0
 """Cost of an action that begins no plan of the search [s]."""
-STANDS = 0.03
-"""Distance in one decision below which the robot counts as standing still [m]."""
+STANDS = 0.25
+"""Share of the way of a decision at full speed below which the robot counts as standing still
+[-]."""
 _PATIENCE = 3
 """Number of decisions without progress after which the search widens again [-]."""
 _MOST_HURRY = 4
@@ -186,7 +187,11 @@ class MpcPolicy:
 
     def _stood(self, motion: tuple[float, float]) -> bool:
         """Return whether the robot stood still in its last decision, from its ``motion`` [m]."""
-        return math.hypot(*motion) < STANDS
+        return math.hypot(*motion) < self._least()
+
+    def _least(self) -> float:
+        """Return the way of a decision below which the robot stands [m]."""
+        return STANDS * self._robot.track_speed * self._robot.decision_period
 
 
 def _rule(robot: RobotGeometry) -> TargetRule:

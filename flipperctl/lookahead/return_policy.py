@@ -27,7 +27,7 @@ from flipperctl.lookahead.history import History
 from flipperctl.lookahead.learned import LearnedValue
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc_settings import MpcSettings
-from flipperctl.lookahead.policy import STANDS, MpcPolicy
+from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.reward_sum import RewardSum
@@ -85,7 +85,7 @@ class ReturnPolicy(MpcPolicy):
     def _stood(self, motion: tuple[float, float]) -> bool:
         """Return whether the robot got no farther than before; one that rocks in place stands."""
         self._way += motion[0]
-        if self._way < self._farthest + STANDS:
+        if self._way < self._farthest + self._least():
             return True
         self._farthest = self._way
         return False

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import ACTIONS, FloatArray, Robot, action_index
-from flipperctl.lookahead.model import TARGETS, Branch, Model
+from flipperctl.lookahead.model import FLIPPERS, TARGETS, Branch, Model
 
 HOLD = action_index(0, 0)
 _TURNS = np.array(ACTIONS, dtype=np.float64)
-_CELL = np.array([0.03, 0.03, 0.03, 0.1, 0.1])
-"""Nodes whose x, z [m], pitch and flipper targets [rad] fall into one cell are merged."""
+_CELL = np.array([0.03, 0.03, 0.03])
+"""Nodes whose x, z [m] and pitch [rad] fall into one cell, and their targets, are merged."""
 
 _EQUAL = 1e-6
 """Difference of costs up to which plans that end the episode count as equal."""
@@ -145,7 +145,7 @@ class Search:
         simulated = 0
         for step in range(self.depth):
             here = levels[-1]
-            parent, action, targets = moves(here.states[:, TARGETS:], robot)
+            parent, action, targets = moves(here.states, robot)
             found = model.expand(here.states[parent], targets, robot.decision_period, poses=poses)
             simulated += len(parent)
             first = action if step == 0 else here.first[parent]
@@ -212,7 +212,7 @@ class Search:
         cost, hurried = costs
         rows = np.flatnonzero(alive)
         rows = rows[np.argsort(cost[rows], kind="stable")]
-        rows = rows[_distinct(found, rows)]
+        rows = rows[_distinct(found, rows, self.robot)]
         quick = rows[np.argsort(hurried[rows], kind="stable")][: self.width // 3]
         calm = rows[~np.isin(rows, quick)][: self.width - len(quick)]
         kept = np.concatenate([calm, quick, follows])
@@ -224,19 +224,30 @@ class Search:
 
 
 def moves(
-    targets: FloatArray, robot: Robot
+    states: FloatArray, robot: Robot
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Return node, action and new targets of every move that stays within the flippers' stops."""
+    """Return node, action and new targets of every move that stays within the flippers' stops.
+
+    ``states`` (M, ``STATE``). Targets begin at most one angle step from the flippers, as the
+    robot's do (``core.targets``).
+    """
+    angles, targets = states[:, FLIPPERS:TARGETS], states[:, TARGETS:]
+    targets = np.clip(targets, angles - robot.angle_step, angles + robot.angle_step)
     turned = targets[:, None, :] + _TURNS * robot.angle_step  # (M, 9, 2)
     beyond = np.abs(turned) > robot.angle_limit + 0.5 * robot.angle_step
     node, action = np.nonzero(~(beyond & (_TURNS != 0)).any(axis=2))
     return node, action, np.clip(turned[node, action], -robot.angle_limit, robot.angle_limit)
 
 
-def _distinct(found: Branch, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def target_cell(robot: Robot) -> float:
+    """Return the difference below which flipper targets of plans count as equal [rad]."""
+    return min(0.1, 0.5 * robot.angle_step)
+
+
+def _distinct(found: Branch, rows: NDArray[np.int64], robot: Robot) -> NDArray[np.int64]:
     """Return the position of the first of ``rows`` in each cell, in ascending order."""
-    states = found.states[rows]
-    keys = np.column_stack([found.places[rows], states[:, 2], states[:, TARGETS:]]) / _CELL
+    states, cell = found.states[rows], [*_CELL, *2 * [target_cell(robot)]]
+    keys = np.column_stack([found.places[rows], states[:, 2], states[:, TARGETS:]]) / cell
     _, index = np.unique(np.round(keys).astype(np.int64), axis=0, return_index=True)
     return np.sort(index)
 

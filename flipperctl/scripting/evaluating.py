@@ -65,7 +65,7 @@ def evaluate(
     path, controller, own = _named(policy)
     numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
     given = {key: number for key, number in numbers.items() if number is not None}
-    found = scenes(words(own | settings | given, overrides), path, controller)
+    found = scenes([*words(own), *words(settings | given, overrides)], path, controller)
     for config, _ in found:
         check_evaluation(config, config.eval.jobs, controller)
     against = controllers(_names(baselines), "baselines", found[0][1].baselines())

@@ -1,6 +1,8 @@
 """A terrain-following rule after Okada et al. 2011."""
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from flipperctl.api import Controller, Perception, action_index, candidate_angle, controller
 
@@ -32,6 +34,12 @@ class Okada(Controller):
         description="rear flipper angle as a fraction of the terrain angle behind the robot; "
         "below 1 the rear flippers press the tail up while the chassis climbs [-]",
     )
+
+    @model_validator(mode="after")
+    def _near_is_below_far(self) -> Self:
+        if self.near >= self.far:
+            raise ValueError(f"near={self.near:g} must be below far={self.far:g}")
+        return self
 
     def act(self, p: Perception) -> int:
         """Turn each pair one step towards its target; hold it within half an angle step of it."""

@@ -21,7 +21,11 @@ class Noisy(Combinator):
         description="the terrain: a name, or a mapping with a name and fields [-]",
     )
     deviation: float = Field(
-        0.01, ge=0, le=0.1, description="standard deviation of the surface's heights [m]"
+        0.01,
+        ge=0,
+        le=0.1,
+        description="standard deviation of the heights at the knots, and 1.22 times that of the "
+        "surface between them [m]",
     )
     correlation: float = Field(
         0.1, ge=0.02, le=5, description="distance between independent heights of the surface [m]"

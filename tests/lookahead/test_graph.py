@@ -5,11 +5,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from flipperctl.api import FloatArray, Outcome, RewardTerm, Transition
+from flipperctl.api import FloatArray, Outcome, RewardTerm, Robot, Transition
 from flipperctl.config import resolver
 from flipperctl.lookahead import graph as graphs
-from flipperctl.lookahead.graph import Graph
-from flipperctl.lookahead.model import TARGETS
+from flipperctl.lookahead.graph import Course, Graph
+from flipperctl.lookahead.model import TARGETS, Model
 from flipperctl.lookahead.nodes import TURNS, Nodes, transitions
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import (
@@ -176,3 +176,13 @@ def test_ground_with_more_states_than_are_explored_says_so(
     assert step.unexplored == 0.0
     monkeypatch.setattr(graphs, "_MOST", 200)
     assert 0.0 < graph_of(STEP, terms(swing=4.0)).unexplored < 1.0
+
+
+def test_long_flippers_begin_above_the_ground() -> None:
+    robot = Robot(flipper_length=1.2)
+    found = Graph.__new__(Graph)
+    found._course, found._robot = Course(FLAT, start=-1.0, finish=1.0, patience=9), robot
+    found._model = Model(FLAT.points, robot)
+    roots = found._roots()
+    lowest = roots.places[:, 1].max()  # with both pairs down by their limit
+    assert lowest == pytest.approx(0.1 + robot.flipper_axle * np.sin(robot.angle_limit), abs=0.02)

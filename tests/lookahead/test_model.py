@@ -7,6 +7,7 @@ import pytest
 
 from flipperctl.api import ACTIONS, Profile, Robot
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead.contacts import MOST_EXACT
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
 
 ROBOT = Robot()
@@ -129,3 +130,27 @@ def test_equal_states_give_equal_futures_in_any_company() -> None:
     alone = [model.expand(state[None], t[None], 0.6).states[0] for t in targets]
     together = model.expand(np.repeat(state[None], 9, axis=0), targets, 0.6).states
     assert np.array_equal(together, alone)
+
+
+@pytest.mark.parametrize("spacing", [0.5, 0.02, 0.01])
+def test_ground_with_many_points_is_the_ground_with_few(spacing: float) -> None:
+    """Both what lies inside of straight edges and bumps with more points than contacts before."""
+    x = np.arange(-3, 6, spacing)
+    bumps = 1e-5 * (np.arange(len(x)) % 2)
+    for line in (np.column_stack([x, 0 * x]), np.column_stack([x, bumps])):
+        model = Model(line, Robot(), contacts=MOST_EXACT)
+        states = model.state((0.0, 0.1, 0.0), (0.0, 0.0))[None]
+        for _ in range(5):
+            states = model.expand(states, np.array([[-math.pi / 3, 0.0]]), 0.6).states
+        assert model.chassis(states[0])[1] == pytest.approx(0.262, abs=0.005)
+        assert math.degrees(states[0, 2]) == pytest.approx(15.3, abs=0.5)
+
+
+@pytest.mark.parametrize(("period", "step"), [(0.11, 0.02), (0.05, 0.02), (0.6, 0.035)])
+def test_a_decision_lasts_as_long_as_in_the_engine(period: float, step: float) -> None:
+    model = Model(np.zeros((1, 2)), Robot(), step=step)
+    state = model.state((0.0, 0.1, 0.0), (0.0, 0.0), (0.2, 0.0, 0.0))
+    after = model.expand(state[None], np.zeros((1, 2)), period)
+    assert after.places[0, 0] == pytest.approx(0.2 * period, rel=0.02)
+    poses = model.expand(state[None], np.zeros((1, 2)), period, poses=True).poses
+    assert poses.shape[1] == round(100 * period) + 1

@@ -10,6 +10,7 @@ from flipperctl.api import Controller, Outcome
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.policy import MpcPolicy
 from flipperctl.rollout.episode import decisions, play
 from tests.cli.call import call
@@ -90,3 +91,13 @@ def test_the_longer_it_stands_the_wider_it_searches() -> None:
     ((config, _),) = scenes(["terrain=gap", "conditions=varied"], None, "mpc")
     env = FlipperEnv(config=config.environment())
     assert played(env, "mpc", 2923855607)["outcome"] == Outcome.REACHED
+
+
+def test_a_robot_at_full_speed_does_not_stand_however_short_its_decisions() -> None:
+    env = FlipperEnv("flat", robot={"control_period": 0.12})
+    env.reset(seed=0)
+    policy = Mpc(value="").build()
+    policy.reset(env.simulator())
+    for _ in range(8):
+        env.step(policy.act(env.perception))
+    assert policy._standing == 0

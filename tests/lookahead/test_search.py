@@ -3,11 +3,12 @@
 import time
 
 import numpy as np
+import pytest
 
 from flipperctl.api import ACTIONS, Robot, action_index
-from flipperctl.lookahead.model import Model
+from flipperctl.lookahead.model import TARGETS, Model
 from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.search import Search
+from flipperctl.lookahead.search import Search, moves
 
 ROBOT = Robot()
 STEP = np.array([[0.0, 0.0], [0.0, 0.3], [3.0, 0.3]])
@@ -84,3 +85,21 @@ def test_where_every_action_overturns_it_takes_the_least_dangerous() -> None:
     root = model.state((0.0, 0.6, 0.49), (0.0, 0.0), (0.0, 0.0, 3.0))
     plan = Search(ROBOT, Mpc().cost_weights(ROBOT), 4, 3).run(model, root)
     assert len(plan.actions) == 1
+
+
+def test_small_turns_are_plans_of_their_own() -> None:
+    robot = Robot(angle_step=0.03)
+    model = Model(STEP, robot)
+    root = model.state((-0.75, 0.1, 0.0), (0.0, 0.0), (0.2, 0.0, 0.0))
+    costs = Search(robot, Mpc().cost_weights(robot), 8, 4, 3).run(model, root).costs
+    assert np.isfinite(costs).all()
+
+
+def test_targets_begin_at_most_a_turn_from_the_flippers() -> None:
+    """As the robot's do; with a short period they would run ahead of the flippers."""
+    state = Model(STEP, ROBOT).state((-0.75, 0.1, 0.0), (0.1, 0.0))
+    state[TARGETS] = 0.9
+    _, action, targets = moves(state[None], ROBOT)
+    step = ROBOT.angle_step
+    raised, held = (targets[action == action_index(turn, 0)][0, 0] for turn in (1, 0))
+    assert (held, raised) == pytest.approx((0.1 + step, 0.1 + 2 * step))
