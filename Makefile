@@ -15,7 +15,7 @@ setup: $(VENV)/ready
 $(VENV)/ready: pyproject.toml requirements.txt
 	@echo "1 of 3: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@echo "2 of 3: the packages of requirements.txt, about 2.3 GB when installed"
+	@echo "2 of 3: the packages of requirements.txt, about 2.6 GB when installed"
 	$(BIN)/python -m pip install -r requirements.txt
 	@echo "3 of 3: flipperctl itself"
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
@@ -26,6 +26,7 @@ train: setup
 		hydra.run.dir=runs/stair/make_$$(date +%Y-%m-%d_%H-%M-%S)
 	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
 		--episodes 50 --baseline okada
+	@echo "To type flipperctl in this shell: . $(VENV)/bin/activate"
 
 # The static checks stand back behind the tests, which run beside them.
 check: setup

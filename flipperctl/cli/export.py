@@ -109,7 +109,9 @@ def _policy(
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is already exported; give its run or checkpoint")
     saved = checkpoints.read(file)
-    target = output or Path(f"{saved.config().terrain.plugin_name}.{kind.value}")
+    shipped = file in checkpoints.shipped_policies().values()
+    name = file.stem if shipped else saved.config().terrain.plugin_name
+    target = output or Path(f"{name}.{kind.value}")
     check_writable(target)
     robot = robot_fields(Overrides.parse(words).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)

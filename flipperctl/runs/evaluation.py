@@ -20,6 +20,7 @@ from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, EpisodeStore, write_view
 from flipperctl.files import check_writable
+from flipperctl.runs.follow_up import command
 from flipperctl.runs.results import result_folder
 
 
@@ -92,7 +93,7 @@ class EvaluationFiles:
             write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
             if failures:
-                replay = f"flipperctl eval --replay {self._folder.path}/failure_….json"
+                replay = command("eval", "--replay", self._folder.path / "failure_….json")
                 self._tell(f"recorded {failures} failures; to play one again: {replay}")
             for version, cells in self.store.other_versions.items():
                 self._tell(

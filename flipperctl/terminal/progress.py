@@ -112,9 +112,16 @@ class Rate:
 def validation_text(row: Mapping[str, Any]) -> str:
     """Return a validation in one line."""
     return (
-        f"validation at {row['decision']}: success {row['success_rate']:.0%}, "
-        f"{pitch_variation_text(row, 2)}, {row['t_cost']:.1f} s, return {row['mean_return']:.2f}"
+        f"validation at {row['decision']}: success {row['success_rate']:.0%}, {way_text(row)}, "
+        f"return {row['mean_return']:.2f}"
     )
+
+
+def way_text(validation: Mapping[str, Any]) -> str:
+    """Return the means of the episodes of a validation that reached the finish."""
+    if not validation["success_rate"]:
+        return "no finish reached"
+    return f"{pitch_variation_text(validation, 2)}, {validation['t_cost']:.1f} s"
 
 
 def state_text(row: Mapping[str, Any], rate: float) -> str:

@@ -14,8 +14,7 @@ from flipperctl.runs.follow_up import command
 from flipperctl.runs.preflight import check_device
 from flipperctl.runs.training import Finished, Reports
 from flipperctl.terminal.notices import print_notices
-from flipperctl.terminal.pitch_variation import pitch_variation_text
-from flipperctl.terminal.progress import progress
+from flipperctl.terminal.progress import progress, way_text
 from flipperctl.terminal.regret import regret_line
 from flipperctl.terminal.streams import print_note
 
@@ -42,7 +41,7 @@ def print_best(run: Finished) -> None:
     best = run.summary["best"]
     print_note(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{_way_text(best)}{_return_text(best)}. "
+        f"{way_text(best)}{_return_text(best)}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"{_risk_line(best)}{regret_line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
@@ -55,13 +54,6 @@ def _risk_line(validation: Mapping[str, Any]) -> str:
     start = "risk_"
     found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
     return f"Its risk, there: {risk_text(found)}.\n" if "threshold" in found else ""
-
-
-def _way_text(validation: Mapping[str, Any]) -> str:
-    """Return the means of the episodes that reached the finish."""
-    if not validation["success_rate"]:
-        return "no finish reached"
-    return f"{pitch_variation_text(validation, 2)}, {validation['t_cost']:.1f} s"
 
 
 def _return_text(validation: Mapping[str, Any]) -> str:
