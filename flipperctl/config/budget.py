@@ -19,8 +19,8 @@ def notes_on_budget(config: TrainConfig) -> Iterator[str]:
         if decisions < first:
             yield (
                 f"train.decisions={decisions} leaves the policy as it begins: it learns from "
-                f"{first} decisions on, agent.policy_gradient.decisions={settings.decisions} in each "
-                f"of {settings.warm_up} rounds for the values alone and one for both"
+                f"{first} decisions on; {settings.warm_up} rounds of "
+                f"agent.policy_gradient.decisions={settings.decisions} are for the values alone"
             )
     elif decisions < agent.learning_starts and not (teacher.episodes or teacher.final_updates):
         yield (
