@@ -93,7 +93,7 @@ class EvaluationFiles:
             write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
             if failures:
-                replay = command("eval", "--replay", self._folder.path / "failure_….json")
+                replay = f"{command('eval', '--replay', self._folder.path)}/failure_….json"
                 self._tell(f"recorded {failures} failures; to play one again: {replay}")
             for version, cells in self.store.other_versions.items():
                 self._tell(

@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 from flipperctl import guard
 from flipperctl.api import Plugin
-from flipperctl.config import EnvConfig, TrainConfig, resolver
-from flipperctl.config.budget import notes_on_budget
+from flipperctl.config import EnvConfig, resolver
 from flipperctl.config.robots import notes_on_body, notes_on_samples
 
 _printed: set[str] = set()
@@ -33,8 +32,7 @@ def print_notices(config: EnvConfig) -> None:
             _print(f"{guard.plugin_label(plugin)}: {notice}")
     robot, randomise = config.robot, config.randomise
     bodies = notes_on_body(robot, config.perception, randomise)
-    budget = notes_on_budget(config) if isinstance(config, TrainConfig) else ()
-    for note in (*notes_on_samples(robot, randomise), *bodies, *budget):
+    for note in (*notes_on_samples(robot, randomise), *bodies):
         _print(note)
 
 

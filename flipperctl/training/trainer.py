@@ -25,6 +25,7 @@ from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig
+from flipperctl.config.budget import notes_on_budget
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
@@ -132,6 +133,9 @@ class Trainer:
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
             opened.append(collector)
+            if not self.progress.decision:
+                for text in notes_on_budget(self.config):
+                    self._report(text)
             finished = self._train(collector, stop)
             self._save_all(collector.outstanding())
             self._recorder.finish()
