@@ -5,6 +5,7 @@ In: a file of recorded episodes. Out: transitions in the replay.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
-from flipperctl.training.recorded_fit import check_fit
+from flipperctl.training.recorded_fit import check_fit, notes
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:
@@ -38,6 +39,22 @@ def read_teacher(config: TrainConfig) -> Recording | None:
             f"the {found.decisions:,} recorded ones of teacher.episodes={name}; raise it"
         )
     return found
+
+
+def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], None]) -> None:
+    """Put the recorded episodes of the teacher, if there are any, into the replay of a new run.
+
+    ``report`` receives notes on the conditions in which they differ from the training, and on the
+    settings that have no effect on them.
+
+    Raises:
+        CheckpointError: their file is missing or damaged.
+        ConfigError: they do not fit the training.
+    """
+    if not replay.added and (found := read_teacher(config)) is not None:
+        for text in notes(config, found):
+            report(text)
+        fill(replay, found, config)
 
 
 def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:

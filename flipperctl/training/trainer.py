@@ -37,8 +37,7 @@ from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.progress import Progress
-from flipperctl.training.recorded import fill, read_teacher
-from flipperctl.training.recorded_fit import notes
+from flipperctl.training.recorded import add_recorded
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.relearning import Relearning
 from flipperctl.training.saving import RunSaver
@@ -129,7 +128,7 @@ class Trainer:
                 self._recorder.restore(0)
                 start(self.config, self.agent)
                 self._relearning.begin()
-                self._add_recorded()
+                add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
             opened.append(collector)
@@ -176,21 +175,6 @@ class Trainer:
         if decision >= settings.decisions:
             return last is None or validated_at != decision
         return decision // settings.validate_every > validated_at // settings.validate_every
-
-    def _add_recorded(self) -> None:
-        """Put the recorded episodes of the teacher into the replay of a new run.
-
-        Notes to the listeners name the conditions in which they differ from the training, and the
-        settings that have no effect on them.
-
-        Raises:
-            CheckpointError: their file is missing or damaged.
-            ConfigError: they do not fit the training.
-        """
-        if not self.replay.added and (found := read_teacher(self.config)) is not None:
-            for text in notes(self.config, found):
-                self._report(text)
-            fill(self.replay, found, self.config)
 
     def _train_episode(self, collector: Collector) -> None:
         """Collect, store and learn until the episode or the budget ends.

@@ -56,7 +56,7 @@ def test_all_listeners_are_closed_though_one_fails(method: str, trainer: Trainer
     assert [listener.closed for listener in listeners] == [1, 1, 1]
 
 
-@pytest.mark.parametrize("step", ["save", "_add_recorded"])
+@pytest.mark.parametrize("step", ["Trainer.save", "add_recorded"])
 def test_listeners_are_closed_when_a_run_does_not_start(
     step: str, trainer: Trainer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -65,7 +65,7 @@ def test_listeners_are_closed_when_a_run_does_not_start(
 
     listener = Faulty("close")
     trainer.listeners.append(listener)
-    monkeypatch.setattr(trainer, step, fail)
+    monkeypatch.setattr(f"flipperctl.training.trainer.{step}", fail)
     with pytest.raises(WriteError, match="no space"):  # not that of the closing
         trainer.run()
     assert listener.closed == 1

@@ -135,10 +135,7 @@ class MujocoWorld:
         return poses
 
     def _step(self) -> FloatArray:
-        """Simulate a sample; return the mean torques of the flippers over its substeps [N m].
-
-        A servo at its limit turns its torque from substep to substep.
-        """
+        """Simulate a sample; return the flippers' mean torques, since they chatter [N m]."""
         total = np.zeros(len(self._targets))
         for _ in range(self._substeps):
             mujoco.mj_step(self.model, self.data)
@@ -241,10 +238,9 @@ class MujocoWorld:
         )
 
     def flipper_work(self) -> float:
-        """Return the work of the servos since the start [J].
+        """Return the work of the servos since the start, where braking counts as driving does [J].
 
-        It is the sum over samples and flippers of the absolute torque of the last substep times the
-        angle by which the flipper turned, so that braking counts as driving does.
+        It is the sum over samples and flippers of |mean torque times the flipper's turn|.
         """
         return self._work
 
