@@ -32,10 +32,10 @@ def test_what_is_refused_before_its_first_decision_keeps_only_what_others_wrote(
 ) -> None:
     """As by a teacher's file that is removed between the check of the request and the run."""
 
-    def vanished(self: Trainer) -> None:
+    def vanished(*given: object) -> None:
         raise ConfigError("teacher.episodes: gone")
 
-    monkeypatch.setattr(Trainer, "_add_recorded", vanished)
+    monkeypatch.setattr("flipperctl.training.trainer.add_recorded", vanished)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")
     assert call(*RUN, cwd=tmp_path).code == 2
