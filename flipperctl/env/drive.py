@@ -6,7 +6,6 @@ observations nor rewards.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -30,6 +29,7 @@ from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
 from flipperctl.env.termination import Termination
 from flipperctl.env.world import place
+from flipperctl.sim.sampling import samples_in, simulated
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
@@ -61,9 +61,7 @@ class Drive:
         """
         engine, self.robot, perception = sections
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
-        samples = math.ceil(period / SAMPLE_PERIOD - 1e-9)  # in a decision
-        longer = samples - period / SAMPLE_PERIOD > 1e-9
-        lasting = samples * SAMPLE_PERIOD if longer else period
+        lasting = simulated(period)
         self.termination = Termination(profile, self.robot, episode, start.x, lasting)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived one, which is ``perception.delay`` older."""
@@ -76,6 +74,7 @@ class Drive:
         self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
+        samples = samples_in(period)
         turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
         perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
         self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])

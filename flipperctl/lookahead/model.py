@@ -17,6 +17,7 @@ from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.lookahead import dynamics, layout
 from flipperctl.lookahead.contacts import MOST
 from flipperctl.lookahead.layout import STATE
+from flipperctl.sim.sampling import samples_in, simulated
 from flipperctl.sim.thinning import kept_points
 
 FLIPPERS, TARGETS = 6, 8
@@ -128,13 +129,13 @@ class Model:
         found, place = np.empty((count, STATE)), np.empty((count, 2))
         variation, steepest = np.empty(count), np.empty(count)
         outcome = np.empty(count, np.int64)
-        lasting = math.ceil(duration / SAMPLE_PERIOD - 1e-9) * SAMPLE_PERIOD  # as in the engine
+        lasting = simulated(duration)
         steps = math.ceil(lasting / self._step - 1e-9)
         numbers = self._numbers
         if abs(steps * self._step - lasting) > 1e-9:
             numbers = numbers.copy()
             numbers[layout.STEP] = lasting / steps
-        samples = round(lasting / SAMPLE_PERIOD) + 1 if poses else 0
+        samples = samples_in(duration) + 1 if poses else 0
         path = np.empty((count, samples, 5))
         dynamics.expand(
             *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
