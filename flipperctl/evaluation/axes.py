@@ -101,8 +101,13 @@ def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting], option: s
     whole = all("float" not in s.field.type for s in found)
     values = _typed_values(ends, text, option) if ends else _default_values(found, option)
     # Six digits, so that a cell can be typed as an override.
-    rounded = (round(v) if whole else float(f"{v:.6g}") for v in values)
-    return Axis(name, keys, found[0].field.unit, tuple(dict.fromkeys(rounded)))
+    rounded = [round(v) if whole else float(f"{v:.6g}") for v in values]
+    if len(different := tuple(dict.fromkeys(rounded))) < 2:
+        raise RequestError(
+            f"{option} {text}: two different values are needed, "
+            f"{'in whole numbers' if whole else 'in six digits'}; got {different[0]:g} alone"
+        )
+    return Axis(name, keys, found[0].field.unit, different)
 
 
 def _keys(

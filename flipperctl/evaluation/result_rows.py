@@ -84,7 +84,7 @@ def read_rows(folder_or_file: Path) -> list[StoredRow]:
     """Return the rows of a folder of ``eval --output``, or of its ``summary.json``.
 
     Raises:
-        RequestError: there is no such file, or it holds no results of ``eval``.
+        RequestError: there is no such file, it holds no results of ``eval``, or not all of them.
     """
     path = summary_file(folder_or_file)
     try:
@@ -93,6 +93,15 @@ def read_rows(folder_or_file: Path) -> list[StoredRow]:
         raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise RequestError(f"{path}: it is no JSON document: {error}") from error
+    if isinstance(document, dict) and document.get("interrupted"):
+        raise RequestError(
+            f"{path}: its evaluation was interrupted; eval with the same words and --output goes on"
+        )
+    if isinstance(document, dict) and (failed := document.get("failed")):
+        raise RequestError(
+            f"{path}: results are missing, since {failed[0]['controller']} failed on "
+            f"{failed[0]['terrain']}"
+        )
     try:
         return list(rows_of(document))
     except (KeyError, TypeError, AttributeError) as error:

@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from flipperctl.api import FloatArray
 from flipperctl.evaluation.axes import Axis
@@ -23,6 +25,8 @@ BOUNDARY = 0.5
 """Success at the boundary [-]."""
 _EMPTY = "#E4E4E8"
 """Colour of cells without a value."""
+_LINE = "crimson"
+"""Colour of the boundary."""
 
 
 def capability_figure(found: CapabilityMap) -> Figure:
@@ -41,18 +45,16 @@ def capability_figure(found: CapabilityMap) -> Figure:
     finite = swing[np.isfinite(swing)]
     limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     _panel(figure, right, found, swing, "θ̂_R where reached [rad]", "magma_r", limits)
+    lines = boundary(found.axes, success)
     for axes in (left, right):
-        _draw_boundary(axes, found.axes, success)
-    dots = f"{found.episodes} episodes played"
-    figure.legend(
-        handles=[
-            Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots),
-            Line2D([], [], color="crimson", linewidth=2, label=f"success {BOUNDARY:g}"),
-        ],
-        loc="outside lower center", ncols=2, fontsize=8, frameon=False,
-    )  # fmt: skip
+        for line in lines:
+            axes.plot(line[:, 0], line[:, 1], color=_LINE, linewidth=2)
+    columns, rows = found.size
+    _explain(figure, found, bool(lines), missing=int(np.isnan(swing).sum()))
     title = f"{found.controller} on {found.terrain}, conditions {found.conditions.label}"
-    figure.suptitle(title, fontsize=11, color=INK)
+    if found.interrupted:
+        title += f", interrupted: {len(found.cells)} of {columns * rows} cells"
+    figure.suptitle(title, fontsize=11, color=INK, wrap=True)
     return figure
 
 
@@ -69,9 +71,22 @@ def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
     return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
 
 
-def _draw_boundary(panel: Axes, axes: tuple[Axis, Axis], success: FloatArray) -> None:
-    for line in boundary(axes, success):
-        panel.plot(line[:, 0], line[:, 1], color="crimson", linewidth=2)
+def _explain(figure: Figure, found: CapabilityMap, bounded: bool, missing: int) -> None:
+    """Add a legend of what the panels show; ``missing``: number of cells without a θ̂_R."""
+    dots = f"{found.episodes} episodes played"
+    handles: list[Artist] = [
+        Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots)
+    ]
+    if bounded:
+        handles.append(Line2D([], [], color=_LINE, linewidth=2, label=f"success {BOUNDARY:g}"))
+    if missing:
+        columns, rows = found.size
+        unplayed = len(found.cells) < columns * rows
+        label = "none reached, or not played" if unplayed else "none reached"
+        handles.append(Patch(color=_EMPTY, label=label))
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
+    )
 
 
 def _grid(found: CapabilityMap, value: Callable[[Cell], float | None]) -> FloatArray:

@@ -39,6 +39,7 @@ def episode_figure(
     robot: RobotGeometry,
     title: str = "",
     perceived: Sequence[Perception] = (),
+    samples: Sequence[RobotState] = (),
 ) -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
@@ -47,7 +48,8 @@ def episode_figure(
     longer. The heights of very long ground are scaled up, as the axis label states.
 
     ``perceived``: what a sensor that maps the ground perceived in each state but the last. Then the
-    map's points are drawn as of each pose, and the heights H over time below.
+    map's points are drawn as of each pose, and the heights H over time below. ``samples``: states
+    between those of the trace, for the angles.
 
     Raises:
         ValueError: the trace is empty.
@@ -84,7 +86,7 @@ def episode_figure(
     frame(above, low, high, scale)
     style_axes(above, title, "x [m]", z_label(scale))
     legend_above(above, lines)
-    _draw_angles(below, trace, shown, robot)
+    _draw_angles(below, samples or trace, shown, robot)
     for axes in lowest:
         draw_heights(figure, axes, perceived, [state.time for state in trace])
         axes.set_xlim(below.get_xlim())
@@ -111,6 +113,11 @@ def window(
     return np.array([left, min(ground) - 0.2]), np.array([right, top + 0.25])
 
 
+def angle_range(states: Sequence[RobotState], robot: RobotGeometry) -> float:
+    """Return the largest angle that a picture of these states shows [°]."""
+    return math.degrees(max(robot.angle_limit, *(abs(state.pitch) for state in states)))
+
+
 def _draw_angles(
     axes: Axes, trace: Sequence[RobotState], shown: Sequence[RobotState], robot: RobotGeometry
 ) -> None:
@@ -126,7 +133,7 @@ def _draw_angles(
         angles = [math.degrees(getattr(state, name)) for state in trace]
         label = name if name == "pitch" else f"{name} flippers"
         lines += axes.plot(time, angles, style, color=colour, linewidth=1.6, label=label)
-    limit = math.degrees(robot.angle_limit)
+    limit = angle_range(trace, robot)
     axes.set_ylim(-1.1 * limit, 1.1 * limit)
     axes.margins(x=0.02)
     axes.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,6 +29,10 @@ WIDTH = 9.6
 """Width of every figure [in]."""
 
 
+_TITLE = 88
+"""Largest number of characters of a line of a title [-]."""
+_LEGEND = 18.0
+"""Height of a legend of one line, with its margins [pt]."""
 _LEVEL = 60.0
 """Length of the level ground before and past a profile, and depth of the ground [m]."""
 _LEAST = 0.9
@@ -64,7 +69,7 @@ def z_label(scale: int) -> str:
 
 def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
     """Set title and labels, draw a light grid and remove the upper and the right spine."""
-    axes.set_title(title, loc="left", fontsize=11, color=INK)
+    _set_title(axes, textwrap.fill(title, _TITLE))
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
     axes.tick_params(labelsize=8, colors=INK)
@@ -74,11 +79,21 @@ def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
 
 
 def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
-    """Place the legend above the right end of the axes, where it covers no curve."""
+    """Place the legend above the right end of the axes, below their title.
+
+    It covers no curve; the title has its final text.
+    """
+    if title := axes.get_title("left"):
+        _set_title(axes, title, _LEGEND)
     axes.legend(
         handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
         fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
     )  # fmt: skip
+
+
+def _set_title(axes: Axes, title: str, pad: float = 6.0) -> None:
+    """Set a title ``pad`` [pt] above the axes."""
+    axes.set_title(title, loc="left", fontsize=11, color=INK, pad=pad)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,7 @@ from matplotlib.figure import Figure
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, Transition
 from flipperctl.errors import OutputError
 from flipperctl.files import check_writable, write_bytes
-from flipperctl.report.episode import window
+from flipperctl.report.episode import angle_range, window
 from flipperctl.report.figure import (
     WIDTH,
     draw_ground,
@@ -31,6 +30,7 @@ from flipperctl.report.figure import (
     z_label,
     z_scale,
 )
+from flipperctl.report.instants import instants
 from flipperctl.report.mapped import map_points, mapped
 from flipperctl.report.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
@@ -86,7 +86,7 @@ def save_film(
         WriteError: writing failed half way.
     """
     check_film(path)
-    states = list(instants(transitions))
+    states = list(instants(transitions, _PERIOD))
     picture = _Picture(states, profile, robot, title, speed, _maps(transitions, states))
     frames: list[Image] = []
     for index, state in enumerate(states):
@@ -104,29 +104,6 @@ def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) ->
         buffer, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0
     )
     write_bytes(path, buffer.getvalue())
-
-
-def instants(transitions: Sequence[Transition], period: float = _PERIOD) -> Iterator[RobotState]:
-    """Yield the robot's state at the start, every ``period`` [s], and at the end.
-
-    Velocities are those at the start of the decision, since poses have none.
-
-    Raises:
-        ValueError: there are no transitions.
-    """
-    if not transitions:
-        raise ValueError("a film needs at least one transition")
-    due = transitions[0].before.time
-    for t in transitions:
-        for index, (x, z, pitch) in enumerate(t.path[:-1].tolist()):
-            time = t.before.time + index * t.sample_period
-            if time < due - t.sample_period / 2:
-                continue
-            front, rear = t.flippers[index].tolist()
-            due += period
-            place = np.array([x, z])
-            yield replace(t.before, position=place, pitch=pitch, front=front, rear=rear, time=time)
-    yield transitions[-1].after
 
 
 def _maps(transitions: Sequence[Transition], states: Sequence[RobotState]) -> list[FloatArray]:
@@ -172,9 +149,9 @@ class _Picture:
         frame(above, low, high, scale)
         rate = round(_PERIOD / _SHOWN)
         style_axes(above, f"{title}, {rate} × real time".lstrip(", "), "x [m]", z_label(scale))
-        self._clock = above.text(
-            1.0, 1.03, "", transform=above.transAxes, ha="right", fontsize=11, color=INK,
-            family="DejaVu Sans Mono",
+        self._clock = above.annotate(
+            _clock(0.0), (1.0, 1.0), xycoords="axes fraction", xytext=(0, 5), ha="right",
+            textcoords="offset points", fontsize=11, color=INK, family="DejaVu Sans Mono",
         )  # fmt: skip
         self._build_angles(below, states)
         self._moving = [self._points, *self._artist.artists, self._clock, self._now]
@@ -191,7 +168,7 @@ class _Picture:
         self._artist.show(state, self._robot, self._speed * state.time)
         if self._maps:
             self._points.set_data(*self._maps[index].T)
-        self._clock.set_text(f"{state.time:4.1f} s")
+        self._clock.set_text(_clock(state.time))
         self._now.set_xdata([state.time, state.time])
         for line, angles in self._lines:
             line.set_data(self._times[: index + 1], angles[: index + 1])
@@ -220,9 +197,13 @@ class _Picture:
             (line,) = axes.plot([], [], style, color=colour, linewidth=1.6, label=label)
             self._lines.append((line, angles))
         self._now = axes.axvline(0.0, color=FAINT, linewidth=0.8)
-        limit = math.degrees(self._robot.angle_limit)
+        limit = angle_range(states, self._robot)
         axes.set_xlim(self._times[0], self._times[-1])
         axes.set_ylim(-1.1 * limit, 1.1 * limit)
         axes.set_yticks([-round(limit), 0, round(limit)])
         legend_above(axes, [line for line, _ in self._lines])
         style_axes(axes, "", "time [s]", "angle [°]")
+
+
+def _clock(time: float) -> str:
+    return f"{time:4.1f} s"

@@ -32,7 +32,8 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     validation rows have decision, success_rate, pitch_variation_100hz and pitch_variation. An empty
     or missing cell is a gap, and so is the loss before the first update. Curves are means over the
     last 100 episodes, drawn thin where there are fewer; a dot is one episode. The panel of θ̂_R
-    shows it at 100 Hz and, for validations, also at decisions, as in the paper.
+    shows it at 100 Hz and, for validations, also at decisions, as in the paper; its curves ignore
+    episodes that did not reach the finish, and validations none of whose episodes did.
 
     Raises:
         ValueError: a cell is neither empty nor a number; the text names the cell.
@@ -40,20 +41,26 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     figure = Figure(figsize=(WIDTH, 9.0), layout="constrained")
     success, pitch, returns, loss = figure.subplots(4, 1, sharex=True)
     at, checked = column(rows_episode, "decision"), column(rows_validation, "decision")
-    reached = [float(row.get("outcome") == Outcome.REACHED) for row in rows_episode]
-    _curve(success, at, 100 * np.array(reached), CHASSIS)
-    _validation(success, checked, 100 * column(rows_validation, "success_rate"))
+    reached = np.array([float(row.get("outcome") == Outcome.REACHED) for row in rows_episode])
+    rate = column(rows_validation, "success_rate")
+    _curve(success, at, 100 * reached, CHASSIS)
+    _validation(success, checked, 100 * rate)
     success.set_ylim(-4, 104)
-    _curve(pitch, at, column(rows_episode, "pitch_variation_100hz"), CHASSIS, dots=True)
-    _validation(pitch, checked, column(rows_validation, "pitch_variation_100hz"))
+    swing = np.where(reached > 0, column(rows_episode, "pitch_variation_100hz"), math.nan)
+    _curve(pitch, at, swing, CHASSIS, dots=True)
+    at_100hz, at_decisions = (
+        np.where(rate == 0, math.nan, column(rows_validation, f"pitch_variation{end}"))
+        for end in ("_100hz", "")
+    )
+    _validation(pitch, checked, at_100hz)
     pitch.plot(
-        checked, column(rows_validation, "pitch_variation"), ":", color=FRONT, linewidth=1.2,
+        checked, at_decisions, ":", color=FRONT, linewidth=1.2,
         marker="o", markersize=2, label="validation, at decisions",
     )  # fmt: skip
     _curve(returns, at, column(rows_episode, "return"), CHASSIS, dots=True)
     _losses(loss, at, rows_episode)
     style_axes(success, title, "", "success [%]")
-    style_axes(pitch, "", "", r"pitch variation $\hat\theta_R$ [rad]")
+    style_axes(pitch, "", "", "$\\hat\\theta_R$ where reached [rad]")
     style_axes(returns, "", "", "return [-]")
     style_axes(loss, "", "decisions", "loss [-]")
     for axes in (success, pitch, returns):

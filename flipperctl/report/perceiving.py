@@ -78,7 +78,7 @@ def draw(
         WriteError: writing failed half way.
     """
     check_output(path, at)
-    picture = _Picture(replay, robot)
+    picture = _Picture(replay, robot, f", {_SPEED:g} × real time" if at is None else "")
     if at is not None:
         picture.show(min(replay.instants, key=lambda one: abs(one.time - at)))
         save(picture.figure, path)
@@ -110,7 +110,7 @@ def faces(points: FloatArray, filled: NDArray[np.bool_]) -> list[FloatArray]:
 class _Picture:
     """One figure; each instant changes what is drawn in it."""
 
-    def __init__(self, replay: Replay, robot: RobotGeometry) -> None:
+    def __init__(self, replay: Replay, robot: RobotGeometry, rate: str) -> None:
         self._robot, self._width, self._strip = robot, replay.bin_width, replay.half_width
         count = len(replay.instants[0].ground.heights)
         self._edges = (np.arange(count) - count / 2) * replay.bin_width
@@ -131,7 +131,7 @@ class _Picture:
 
         bars = place(0.5, 0.7)
         ground, scan = place(1.6, tall), place(2.4 + tall, tall)
-        self._scan(scan)
+        self._scan(scan, rate)
         self._ground(ground)
         self._bars(bars)
         for axes in (scan, ground):
@@ -142,10 +142,10 @@ class _Picture:
         )
         self._canvas: Any = FigureCanvasAgg(self.figure)
 
-    def _scan(self, axes: Axes) -> None:
+    def _scan(self, axes: Axes, rate: str) -> None:
         (self._beside,) = axes.plot([], [], ".", color="#BBBBBB", markersize=1.5)
         (self._cloud,) = axes.plot([], [], ".", color=INK, markersize=2)
-        style_axes(axes, "scan; grey: beside the robot's strip", "", "z [m]")
+        style_axes(axes, f"scan{rate}; grey: beside the robot's strip", "", "z [m]")
 
     def _ground(self, axes: Axes) -> None:
         self._bins = [
@@ -177,7 +177,9 @@ class _Picture:
             self._edges, 0.0, self._width * 0.9, align="edge", color=HEIGHTS, linewidth=0
         )
         axes.set_ylim(0, _WORST)
-        style_axes(axes, "", "ahead of the chassis centre [m]", "σ [mm]")
+        style_axes(
+            axes, "", f"ahead of the chassis centre [m]; red: σ above {_WORST:g} mm", "σ [mm]"
+        )
 
     def show(self, instant: Instant) -> None:
         """Draw an instant."""
@@ -212,6 +214,7 @@ class _Picture:
             self._bins[i].set(y=float(heights[i]) - 2 * sigma, height=4 * sigma)
             self._unseen[i].set_visible(not known[i])
             self._sigmas[i].set_height(min(_WORST, 1000 * sigma))
+            self._sigmas[i].set_color(_FACES if 1000 * sigma > _WORST else HEIGHTS)
 
     def pixels(self, colours: Any) -> Any:
         """Return the figure as an image, with the palette of ``colours`` or else its own."""

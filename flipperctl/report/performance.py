@@ -21,6 +21,8 @@ from flipperctl.report.figure import WIDTH, legend_above, style_axes
 
 _LEVELS = 101
 """Number of values of τ [-]."""
+_STYLES = ("-", "--", "-.")
+"""Lines of methods beside each other; with ten colours, 30 methods differ."""
 _RESAMPLES = 400
 """Number of bootstrap samples of a band [-]."""
 
@@ -34,10 +36,10 @@ def profile_figure(methods: Sequence[Method], price: float, label: str) -> Figur
     colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]
     for index, method in enumerate(methods):
         curve, low, high = profile_band(method, price, levels)
-        colour = colours[index % len(colours)]
+        colour, style = colours[index % len(colours)], _STYLES[index % len(_STYLES)]
         name = f"{method.name}, {method.seeds} seeds" if method.seeds > 1 else method.name
-        axes.plot(levels, curve, color=colour, linewidth=1.8, label=name)
-        axes.fill_between(levels, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.step(levels, curve, style, where="post", color=colour, linewidth=1.8, label=name)
+        axes.fill_between(levels, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
     axes.set_xlim(0, price)
     axes.set_ylim(-0.02, 1.02)
     style_axes(axes, "", label, "reached with at most this [-]")

@@ -15,6 +15,7 @@ from flipperctl.report.drawn_film import film_episode
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save
 from flipperctl.report.film import save_film
+from flipperctl.report.instants import samples
 from flipperctl.report.mapped import mapped
 
 
@@ -54,10 +55,11 @@ def _draw(path: Path, scene: Scene, progress: Progress) -> None:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
     title = (
         f"{source.label()} on {terrain}, conditions {Conditions.of(config).label}, "
-        f"episode 1 of {config.eval.episodes}"
+        f"episode 0 of {config.eval.episodes}: {made[-1].outcome}"
     )
     states = [made[0].before, *(t.after for t in made)]
-    save(episode_figure(states, profile, made[0].robot, title, mapped(made)), path)
+    robot = made[0].robot
+    save(episode_figure(states, profile, robot, title, mapped(made), samples(made)), path)
 
 
 def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
@@ -74,6 +76,6 @@ def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> No
     terrain = config.terrain.plugin_name
     with progress(f"{terrain}, film", 2) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
-        title = f"{source.label()} on {terrain}"
+        title = f"{source.label()} on {terrain}: {made[-1].outcome}"
         robot, speed = made[0].robot, config.robot.track_speed
         save_film(path, made, profile, robot, title, lambda part: report(1 + part), speed=speed)

@@ -56,11 +56,13 @@ def replay_file(
 def _write(folder: Path, found: Replay) -> None:
     from flipperctl.report.episode import episode_figure
     from flipperctl.report.figure import save
+    from flipperctl.report.instants import samples
 
     write_json(folder / "replay.json", found.to_dict())
     states = [found.transitions[0].before, *(t.after for t in found.transitions)]
-    robot = found.transitions[0].robot
-    save(episode_figure(states, found.profile, robot, title(found)), folder / "replay.png")
+    robot, fine = found.transitions[0].robot, samples(found.transitions)
+    figure = episode_figure(states, found.profile, robot, title(found), samples=fine)
+    save(figure, folder / "replay.png")
 
 
 def _film(path: Path, found: Replay, progress: Progress) -> None:

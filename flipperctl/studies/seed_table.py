@@ -123,15 +123,20 @@ def _row(method: Method, price: float) -> MethodRow:
         [values[method.reached[scene]] for scene, values in method.values.items()]
     )
     rng = np.random.default_rng(_SEED)
+    every = np.concatenate([values.ravel() for values in scores.values()])
+    ends = min(0.0, float(every.min())), max(price, float(every.max()))
     return MethodRow(
         method.name,
         method.seeds,
         success=_success(method),
-        score=mean_interval(scores),
-        iqm=statistic_interval(scores, interquartile_mean, rng),
+        score=_within(mean_interval(scores), *ends),
+        iqm=_within(statistic_interval(scores, interquartile_mean, rng), *ends),
         reached_mean=float(reached.mean()) if reached.size else None,
         above_price=method.above(price),
-        by_scene={scene: mean_interval({scene: values}) for scene, values in scores.items()},
+        by_scene={
+            scene: _within(mean_interval({scene: values}), *ends)
+            for scene, values in scores.items()
+        },
     )
 
 
@@ -151,7 +156,18 @@ def _success(method: Method) -> Interval:
     if found.low == found.high:
         counts = [(round(float(v.mean()) * v.shape[1]), v.shape[1]) for v in rates.values()]
         return mean_of([proportion(reached, total) for reached, total in counts])
-    return Interval(found.mean, max(0.0, found.low), min(1.0, found.high))
+    return _within(found, 0.0, 1.0)
+
+
+def _within(found: Interval, least: float, most: float) -> Interval:
+    """Return an interval of what lies between two numbers.
+
+    Values that do not vary, such as the price of failures alone, have none: they do not tell how
+    others would.
+    """
+    if found.low is None or found.high is None or found.low == found.high:
+        return Interval(found.mean, None, None)
+    return Interval(found.mean, max(least, found.low), min(most, found.high))
 
 
 def _compare(
@@ -163,6 +179,8 @@ def _compare(
 ) -> Comparison:
     ours, theirs = method.scores(price), other.scores(price)
     score, p = difference_interval(ours, theirs)
+    if score.low is not None and score.low == score.high:
+        score, p = Interval(score.mean, None, None), 1.0
     success: Interval | PairedSuccess
     if method.seeds == other.seeds == 1 and len(method.reached) == 1:
         success = _paired(method, other)

@@ -115,7 +115,10 @@ def comparisons(result: EvaluationResult) -> Iterator[Table]:
 
 def _comparison(baseline: str, compared: list[tuple[str, BaselineResult]]) -> Table:
     further = shown(other.difference.further for _, other in compared)
-    title = f"difference to {baseline} on the same episodes; measures where both reached the finish"
+    title = (
+        f"difference to {baseline} on the same episodes; Δ of measures where both reached the "
+        f"finish, {baseline}'s own where it did"
+    )
     headings = [
         *("terrain", f"{baseline}: success", "Δ success", "won, lost", "p (Holm)", "pairs"),
         *(f"{baseline}: {HEADING}", f"Δ {HEADING}", f"Δ {PAPERS_HEADING}", "Δ t_cost [s]"),

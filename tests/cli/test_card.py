@@ -1,12 +1,34 @@
 """``flipperctl card``."""
 
+import json
 from pathlib import Path
 
+import pytest
 import yaml
 
 from tests.cli.call import call
 
 EVAL = ("eval", "--checkpoint", "generalist", "--baseline", "level", "terrain=flat")
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ({"interrupted": True}, "was interrupted; eval with the same words and --output goes on"),
+        (
+            {"failed": [{"controller": "okada", "terrain": "step", "error": "no"}]},
+            "okada failed on step",
+        ),
+    ],
+)
+def test_a_card_has_all_results_or_none(
+    part: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "found").mkdir()
+    (tmp_path / "found" / "summary.json").write_text(json.dumps({"scenes": [], **part}))
+    done = call("card", "generalist", "found", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert words in done.err
 
 
 def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) -> None:

@@ -32,6 +32,12 @@ def test_a_map_is_printed_and_written(tmp_path: Path) -> None:
     assert (done.code, "bit-identical" in done.out) == (0, True)
 
 
+def test_the_heads_of_columns_tell_their_values_apart(tmp_path: Path) -> None:
+    axes = "robot.chassis_mass=30:31:3,sim.friction=0.9:1:2"
+    done = call(*MAP, axes, "--episodes", "1", cwd=tmp_path)
+    assert [line.split() for line in done.out.splitlines()][3] == ["30", "30.5", "31"]
+
+
 def test_a_full_disk_does_not_lose_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(folder: Path, found: object) -> None:
         raise WriteError(f"{folder}: writing failed half way (No space left on device)")
@@ -57,6 +63,7 @@ def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
     [
         (["terrain.hight,sim.friction"], "did you mean 'terrain.height_low'"),
         (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
+        (["terrain.height=0.2:0.5:2,sim.iterations=7:7.3:2"], "two different values are needed"),
         ([AXES, "--by", "height"], "--by: no meaning beside --map"),
         ([AXES, "eval.ray=auto"], "eval.ray: no meaning beside --map"),
         ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),

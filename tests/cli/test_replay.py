@@ -39,7 +39,9 @@ def test_pictures_show_the_robot_that_drove(
     """It is sampled; a nominal one would hover above the ground or lie in it."""
     drawn = []
 
-    def figure(states: object, profile: object, robot: Robot, *rest: object) -> Figure:
+    def figure(
+        states: object, profile: object, robot: Robot, *rest: object, **more: object
+    ) -> Figure:
         drawn.append(robot.track_radius)
         return Figure()
 

@@ -83,7 +83,10 @@ def test_an_interrupted_map_has_the_finished_cells() -> None:
     found = capability_map(UPLIFT, OKADA, axes, stop=stop)
     assert found.interrupted
     assert list(found.cells) == [(0, 0)]
-    assert capability_figure(found).axes
+    figure = capability_figure(found)
+    assert "interrupted: 1 of 4 cells" in figure.get_suptitle()
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["2 episodes played", "none reached, or not played"]
 
 
 def test_the_boundary_lies_halfway_between_success_and_failure() -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import errno
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
@@ -17,9 +19,11 @@ from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.files import picture_names
+from flipperctl.evaluation.scores import Method
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
 from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
+from flipperctl.report.performance import profile_figure
 from flipperctl.report.render import BELT
 from flipperctl.report.terrain import terrain_figure
 
@@ -118,7 +122,7 @@ def test_learning_has_four_panels_and_an_axis_of_epsilon() -> None:
     figure = learning_figure(rows(200), VALIDATIONS, "run")
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert [label.split("[")[0].split("$")[0].strip() for label in labels] == [
-        "success", "pitch variation", "return", "loss", "ε, random actions",
+        "success", "", "return", "loss", "ε, random actions",
     ]  # fmt: skip
     begin, curve, points = figure.axes[0].get_lines()
     assert len(begin.get_xdata()) == 100
@@ -150,6 +154,17 @@ def test_the_panel_of_swing_shows_100_hz_and_a_run_without_it_only_the_papers() 
     found = learning_figure(rows(3), earlier, "run").axes[1].get_lines()
     assert np.isnan(found[-2].get_ydata()).all()
     assert found[-1].get_ydata()[-1] == 1.25
+
+
+def test_the_panel_of_swing_leaves_out_what_did_not_reach_the_finish() -> None:
+    """A robot that overturns at once rocks little."""
+    swings = {"pitch_variation_100hz": "0.3", "pitch_variation": "0.25"}
+    failed = [{**VALIDATIONS[0], **swings, "success_rate": "0.0"}]
+    dots, begin, *checked = learning_figure(rows(4), failed, "run").axes[1].get_lines()
+    expected = [math.nan, 2.5, math.nan, 2.5]
+    assert np.asarray(dots.get_ydata()) == pytest.approx(expected, nan_ok=True)
+    assert np.asarray(begin.get_ydata())[-1] == 2.5
+    assert all(np.isnan(line.get_ydata()).all() for line in checked)
 
 
 def test_the_loss_is_empty_before_the_first_update() -> None:
@@ -188,6 +203,41 @@ def test_episode_marks_the_same_poses_in_both_panels() -> None:
     assert np.asarray(curves["rear flippers"].get_ydata())[0] == pytest.approx(math.degrees(-0.1))
     upright = [line for line in below.get_lines() if line.get_linestyle() == ":"]
     assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx(times)
+
+
+def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
+    """Pitch may exceed the flippers' limit, and swings between two decisions."""
+    states = trace(1.0, 3)
+    states[-1] = replace(states[-1], pitch=1.0)
+    finer = [replace(states[0], pitch=p, time=t) for p, t in ((0.2, 0.0), (-0.4, 1.0), (1.0, 5.0))]
+    robot = RobotGeometry(angle_limit=0.5)
+    below = episode_figure(states, STEP, robot, samples=finer).axes[1]
+    pitch = {str(line.get_label()): line for line in below.get_lines()}["pitch"]
+    assert np.asarray(pitch.get_ydata()) == pytest.approx(np.degrees([0.2, -0.4, 1.0]))
+    assert below.get_ylim()[1] > math.degrees(1.0)
+
+
+def test_a_long_title_keeps_clear_of_the_legend_and_of_the_edge() -> None:
+    figure = episode_figure(trace(), STEP, ROBOT, "a_policy_with_a_long_name " * 6)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    (above, _), renderer = figure.axes, canvas.get_renderer()
+    title = above._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]
+    legend = above.get_legend()
+    assert legend is not None
+    assert not title.overlaps(legend.get_window_extent(renderer))
+    assert figure.bbox.y1 >= title.y1
+    assert figure.bbox.x1 >= title.x1
+
+
+def test_methods_differ_by_their_lines_as_well() -> None:
+    methods = [
+        Method(f"m{i}", {"a": np.full((1, 5), i / 20)}, {"a": np.ones((1, 5), bool)})
+        for i in range(12)
+    ]
+    lines = profile_figure(methods, 1.0, "cost").axes[0].get_lines()
+    assert len({(str(line.get_color()), line.get_linestyle()) for line in lines}) == 12
+    assert {line.get_drawstyle() for line in lines} == {"steps-post"}
 
 
 def test_poses_keep_their_distance() -> None:

@@ -1,5 +1,6 @@
 """A film of an episode."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ from PIL import Image
 
 from flipperctl.api import Profile, Robot, RobotState, Transition
 from flipperctl.errors import OutputError
-from flipperctl.report.film import check_film, instants, save_film
+from flipperctl.report.film import check_film, save_film
+from flipperctl.report.instants import instants, samples
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
 
@@ -57,6 +59,20 @@ def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(
         last = np.array(film.convert("RGB"))
     assert first.shape == last.shape
     assert (first != last).any()
+
+
+def test_decisions_without_poses_are_shown_at_their_starts() -> None:
+    made = [replace(t, path=np.empty((0, 3)), flippers=np.empty((0, 2))) for t in drive(3)]
+    assert [s.time for s in samples(made)] == pytest.approx([0, 0.6, 1.2, 1.8])
+
+
+def test_the_clock_is_whole_above_a_tall_picture(tmp_path: Path) -> None:
+    high = Profile([(0.0, 0.0), (0.0, 2.0), (0.5, 2.0)])
+    save_film(tmp_path / "tall.gif", drive(8), high, Robot(), speed=0.2)
+    with Image.open(tmp_path / "tall.gif") as film:
+        first = np.array(film.convert("L"))
+    assert (first[:3] > 200).all()
+    assert (first[:25, first.shape[1] // 2 :] < 100).any()  # the clock
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "film", "missing/film.gif"])

@@ -1,5 +1,7 @@
 """Differences of success between methods of one training seed each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,28 @@ def test_few_outcomes_that_leave_no_variation_prove_no_more_than_their_number() 
     assert found.success.low < 0.35 < 0.6 < found.success.high
     assert found.p_success == pytest.approx(2 * 0.5**5)
     assert found.better == Interval(found.better.mean, None, None)
+
+
+def test_equal_scores_do_not_tell_how_others_would_vary() -> None:
+    """All fail, so that each costs the price; and all reach with equal scores."""
+    failed, reached = method("failed", (0, 6)), method("reached", (6, 6))
+    found = rows([failed, reached], 6.28, failed)
+    assert found[0].score == Interval(6.28, None, None)
+    assert found[0].by_scene == {"0": Interval(6.28, None, None)}
+    compared = found[1].comparison
+    assert compared is not None
+    assert compared.score == Interval(1.0 - 6.28, None, None)
+    assert compared.p == 1.0
+    assert compared.p_success < 0.05
+
+
+def test_the_interval_of_a_score_ends_where_scores_do() -> None:
+    """Nothing costs less than 0, or more than the price and the largest score."""
+    row = rows([found := method("m", (1, 6))], 6.28, found)[0]
+    assert row.score.high == 6.28
+    low = replace(found, values={"0": np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 2.0]])})
+    low = replace(low, reached={"0": np.ones((1, 6), bool)})
+    assert rows([low], 6.28, low)[0].score.low == 0.0
 
 
 def test_a_difference_of_success_ends_at_1() -> None:
