@@ -106,6 +106,8 @@ def make_folder(path: Path) -> Path:
     Raises:
         OutputError: the folder cannot be created or written.
     """
+    if path.is_file():
+        raise OutputError(f"{path} cannot be written: it is a file; a folder is allowed")
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -115,12 +117,19 @@ def make_folder(path: Path) -> Path:
     return path
 
 
-def check_writable(path: Path) -> None:
+def check_writable(path: Path, suffix: str | None = None) -> None:
     """Check, before long work, that a file can be written to ``path``.
 
+    ``suffix``: the usual one of such files. A file of another kind, such as the source of a plugin,
+    is not replaced.
+
     Raises:
-        OutputError: the path cannot be written.
+        OutputError: the path cannot be written, or holds a file with another suffix.
     """
+    if suffix is not None and path.is_file() and path.suffix.lower() != suffix:
+        raise OutputError(
+            f"{path} exists, and is kept since it is no {suffix} file; choose another name"
+        )
     if path.is_dir():
         raise OutputError(f"{path} cannot be written: it is a folder")
     if not path.parent.is_dir():

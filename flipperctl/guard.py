@@ -23,6 +23,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
+from pydantic import ValidationError
+
 from flipperctl.api import Plugin
 from flipperctl.errors import FlipperctlError, PluginFailedError, TerrainError
 
@@ -216,7 +218,12 @@ def _culprit(
 
 
 def _text(error: BaseException) -> str:
-    return _one_line(_call_safely(str, error), _LONGEST)
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        setting = f"{error.title}.{'.'.join(map(str, first['loc']))}"
+        return _one_line(f"{setting}: {first['msg']}", _LONGEST)
+    text = _call_safely(str, error).partition("For further information visit")[0].rstrip()
+    return _one_line(text, _LONGEST)
 
 
 def _class(plugin: Plugin | type[Plugin]) -> type[Plugin]:

@@ -6,6 +6,7 @@ import difflib
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
@@ -38,15 +39,24 @@ def _begins(first: str, second: str) -> bool:
     return len(short) >= 3 and long.startswith(short)
 
 
-def reinstall_hint(kind: str) -> str:
-    """Return a hint for an engine or sensor that exists but is not found; empty for other kinds.
+def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return a hint about a plugin that is not found: its close match, or how one is loaded.
 
     Each engine and sensor has an entry point of its own, even in this package, and entry points
     are read from the installed metadata.
     """
-    if kind not in ("sim", "perception"):
-        return ""
-    return "; a new entry point is found after the package is reinstalled (pip install -e .)"
+    _, equals, value = name.partition("=")
+    if equals:
+        return f"; write {value}, without {kind}="
+    if name.endswith(".py"):
+        return f"; give the plugin's name, and its file as --plugins {shlex.quote(name)}"
+    if Path(f"{name}.py").is_file():
+        return f"; {name}.py is loaded by --plugins {name}.py"
+    if close := close_match(name, known):
+        return close
+    if kind in ("sim", "perception"):
+        return "; a new entry point is found after the package is reinstalled (pip install -e .)"
+    return "; a plugin of your own is loaded by --plugins FILE"
 
 
 def missing_plugin(kind: str, name: str, file: str | None) -> str:
@@ -107,7 +117,8 @@ def explain(
     if first["type"] == "unknown_plugin":
         name, known = first["ctx"]["name"], first["ctx"]["known"]
         return (
-            f"{location}: {first['msg']}{close_match(name, known)}; registered: {', '.join(known)}"
+            f"{location}: {first['msg']}{missing_name(leaf, str(name), known)}; "
+            f"registered: {', '.join(known)}"
         )
     allowed = f" ({bounds(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1

@@ -46,7 +46,9 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     """
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
         if entry.value not in _loaded:
-            _import(entry.value, f"entry point {entry.name!r}", None, entry.load)
+            package = entry.dist.name if entry.dist else "?"
+            label = f"{entry.name!r} of the installed package {package}"
+            _import(entry.value, label, None, entry.load)
     named = [*configured_paths(), *(str(Path(p).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
@@ -91,6 +93,8 @@ def _files_at(path: Path) -> list[Path]:
             return files
         raise PluginError(f"plugins: {path} holds no .py file")
     fault = "is not a .py file" if path.exists() else "does not exist"
+    if (named := path.with_name(f"{path.name}.py")).is_file():
+        fault += f"; did you mean {named.name}?"
     raise PluginError(f"plugins: {path} {fault}; a .py file or a folder of them is allowed")
 
 

@@ -101,6 +101,18 @@ def test_action_index_is_3_i_plus_j_from_both_down_to_both_up() -> None:
     assert ACTIONS[8] == (1, 1)
 
 
+@pytest.mark.parametrize(("turns", "name"), [((0, 2), "rear"), ((-2, 0), "front"), ((0.5, 0), "")])
+def test_a_turn_that_is_none_is_refused(turns: tuple[int, int], name: str) -> None:
+    """It would be the index of another action."""
+    with pytest.raises(ValueError, match=rf"{name}.* -1, 0 or 1 is allowed"):
+        api.action_index(*turns)
+
+
+def test_a_setting_cannot_be_set() -> None:
+    with pytest.raises(AttributeError, match=r"Robot\.track_speed cannot be set: settings do not"):
+        api.Robot().track_speed = 0.3
+
+
 def test_the_old_name_of_a_constant_warns_and_an_unknown_name_is_missing() -> None:
     with pytest.warns(DeprecationWarning, match="MEMORY is deprecated .* use MAX_HISTORY"):
         assert api.MEMORY == MAX_HISTORY == 32

@@ -156,7 +156,7 @@ def with_budget(command: list[str]) -> list[str]:
         (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"(=[\d.]+:[\d.]+):\d+", r"\1:2", words)  # of a map
-        words = re.sub(r"terrain=(\w+,\w+,\w+),[\w,]+", r"terrain=\1", words).split()
+        words = re.sub(r"terrain=(\w+,\w+),[\w,]+", r"terrain=\1", words).split()
         sparse = SPARSE if command[0] == "eval" and "perception=lidar" in words else []
         return [*words, "--episodes", "1", *SEARCH.get(name, []), *sparse]
     return command

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import OutputError
-from flipperctl.files import remove_partial, write_bytes
+from flipperctl.files import check_writable, remove_partial, write_bytes
 
 
 def test_writers_of_one_file_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -39,6 +39,16 @@ def test_partial_files_of_dead_processes_are_removed_and_no_others(tmp_path: Pat
         (tmp_path / name).touch()
     remove_partial(tmp_path / "a[1].bin")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
+
+
+def test_a_file_of_another_kind_is_kept(tmp_path: Path) -> None:
+    """Such as the source of a plugin, typed for the name of the policy."""
+    (tmp_path / "mine.py").write_text("source")
+    with pytest.raises(OutputError, match=r"mine.py exists, and is kept since it is no .onnx file"):
+        check_writable(tmp_path / "mine.py", ".onnx")
+    check_writable(tmp_path / "yours.py", ".onnx")
+    (tmp_path / "old.onnx").write_text("policy")
+    check_writable(tmp_path / "old.onnx", ".onnx")
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:

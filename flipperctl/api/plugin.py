@@ -40,17 +40,19 @@ registry: dict[tuple[str, str], type[Plugin]] = {}
 
 PluginT = TypeVar("PluginT", bound=Plugin)
 
-NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first"
+NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first, and no word of YAML"
 """The rule for names of plugins, in words for an error."""
 
 
+_YAML = {"null", "true", "false", "yes", "no", "on", "off", "nan", "inf"}
+"""What a configuration or an override reads as a value."""
 _DECORATORS = {"sim": "engine", "perception": "sensor"}
 """Kind → name of its decorator, where they differ."""
 
 
 def is_plugin_name(name: str) -> bool:
     """Return whether the name is valid for a plugin; see ``NAME_RULE``."""
-    return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None
+    return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None and name not in _YAML
 
 
 def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
@@ -70,6 +72,7 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
     def decorate(cls: type[PluginT]) -> type[PluginT]:
         if not issubclass(cls, family):
             raise TypeError(f"@{decorator}({name!r}): {cls.__name__} is not a {family.__name__}")
+        _check_fields(cls, family, f"@{decorator}({name!r})")
         taken = registry.get((family.kind, name))
         if taken is not None:
             raise ValueError(
@@ -82,6 +85,18 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
         return cls
 
     return decorate
+
+
+def _check_fields(cls: type[Plugin], family: type[Plugin], where: str) -> None:
+    """Refuse settings that would hide what the family reads."""
+    if "name" in cls.model_fields:
+        raise TypeError(f"{where}: a setting cannot be called name, which selects the plugin")
+    for field in cls.model_fields.keys() - family.model_fields.keys():
+        if hasattr(family, field):
+            raise TypeError(
+                f"{where}: {field} is a part of {family.__name__}, not a setting; annotate it as "
+                f"ClassVar, or call the setting something else"
+            )
 
 
 def registered_names(kind: str) -> list[str]:

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from flipperctl.api.profile import Profile
 from flipperctl.core import observation
@@ -39,6 +39,20 @@ class Settings(BaseModel):
 
     null_values: ClassVar[Mapping[str, float]] = {}
     """Numbers as which settings count where they are null, such as infinity for no limit."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse to change a setting.
+
+        Raises:
+            AttributeError: always, but for private attributes.
+        """
+        try:
+            super().__setattr__(name, value)
+        except ValidationError as error:
+            raise AttributeError(
+                f"{type(self).__name__}.{name} cannot be set: settings do not change; keep what "
+                "changes in a local variable, or in an object that build returns"
+            ) from error
 
     @classmethod
     def nearest_allowed(cls, name: str, value: float) -> float:

@@ -31,7 +31,7 @@ def run(
         list[Path] | None, typer.Argument(metavar="RESULTS", help="Folders of eval --output.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The card [standard output].")
+        Path | None, typer.Option(metavar="FILE", help="The card, else standard output.")
     ] = None,
     plugins: options.PluginPaths = None,
 ) -> None:
@@ -48,7 +48,7 @@ def run(
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is exported; give its run or checkpoint")
     if output is not None:
-        check_writable(output)
+        check_writable(output, ".md")
     folders = results or []
     card_facts(policy, file, folders)  # raises for wrong results, before anything is composed
     commands = evaluation_commands(policy, file, folders)

@@ -31,7 +31,8 @@ def run(
     output: Annotated[Path, typer.Option(metavar="FILE.xyz", help="The file to write.")],
     overrides: options.Overrides = None,
     topic: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Topic of the PointCloud2 [the only one].")
+        str | None,
+        typer.Option(metavar="NAME", help="Topic of the PointCloud2, if several."),
     ] = None,
     fixed_frame: Annotated[
         str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
@@ -40,11 +41,12 @@ def run(
         str, typer.Option(metavar="NAME", help="Frame of the chassis.")
     ] = "base_link",
     reach: Annotated[
-        float, typer.Option(min=0.5, help="Points farther from the robot are left out [m].")
+        float,
+        typer.Option(min=0.5, help="Distance in m beyond which points are left out."),
     ] = 5.0,
     cell: Annotated[
         float,
-        typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge [m]."),
+        typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge in m."),
     ] = 0.02,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,

@@ -65,7 +65,9 @@ def run(
         if controller is not None or seed is not None:
             raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
         if checkpoint is None:
-            raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing")
+            given = [word for word in overrides or [] if "=" not in word]
+            hint = f"; write --checkpoint {given[0]}" if given else ""
+            raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing{hint}")
         _policy(kind, checkpoint, overrides or [], output, as_json=as_json)
         return
     from flipperctl.bags.episode import export_bag
@@ -87,8 +89,9 @@ def run(
         show(bag, lambda: print_bag(bag), as_json=as_json)
         return
     config, _ = only_one(scenes(with_engine(words), checkpoint, named))
-    target = output or Path(f"{config.terrain.plugin_name}.{'xml' if kind == 'mjcf' else kind}")
-    check_writable(target)
+    suffix = ".xml" if kind is Kind.mjcf else ".urdf"
+    target = output or Path(f"{config.terrain.plugin_name}{suffix}")
+    check_writable(target, suffix)
     scene = export_scene(config, "mjcf" if kind is Kind.mjcf else "urdf", target)
     show(scene, lambda: print_scene(scene), as_json=as_json)
 
@@ -112,7 +115,7 @@ def _policy(
     shipped = file in checkpoints.shipped_policies().values()
     name = file.stem if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.{kind.value}")
-    check_writable(target)
+    check_writable(target, f".{kind.value}")
     robot = robot_fields(Overrides.parse(words).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
     found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)

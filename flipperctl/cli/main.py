@@ -90,8 +90,10 @@ def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
         code = command.main(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         # Without arguments, the help is shown and the text is empty.
-        if words := error.format_message().rstrip("."):
-            raise RequestError(f"{words}; see {name} --help") from error
+        if words := " ".join(error.format_message().split()).rstrip("."):
+            context = getattr(error, "ctx", None)
+            path = context.command_path if context else name
+            raise RequestError(f"{words}; see {path} --help") from error
         return RequestError.exit_code
     except typer.Abort as error:
         raise KeyboardInterrupt from error

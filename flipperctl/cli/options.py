@@ -61,10 +61,11 @@ class Convention(StrEnum):
 
 
 CloudTopic = Annotated[
-    str | None, typer.Option("--topic", metavar="NAME", help="Topic of the PointCloud2 [the only].")
+    str | None,
+    typer.Option("--topic", metavar="NAME", help="Topic of the PointCloud2, if several."),
 ]
 ImuTopic = Annotated[
-    str | None, typer.Option("--imu", metavar="NAME", help="Topic of the Imu [the only].")
+    str | None, typer.Option("--imu", metavar="NAME", help="Topic of the Imu, if several.")
 ]
 BeltTopic = Annotated[
     str | None,

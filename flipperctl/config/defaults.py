@@ -17,7 +17,7 @@ from flipperctl.config.models import EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
-from flipperctl.messages import close_match, reinstall_hint
+from flipperctl.messages import close_match, missing_name
 
 GROUPS = (
     *("terrain", "robot", "rewards", "network", "collector", "teacher", "logger"),
@@ -69,8 +69,10 @@ def missing_entry(
 
     ``path``: the setting that was to have the entry; None for the one with the group's name.
     """
-    what = f"{group} plugin" if registered_names(group) else _ENTRY_NAMES.get(group, group)
+    plugin = bool(registered_names(group))
+    what = f"{group} plugin" if plugin else _ENTRY_NAMES.get(group, group)
+    hint = missing_name(group, name, known) if plugin else close_match(name, known)
     return ConfigError(
-        f"{path or group}: there is no {what} {name!r}{close_match(name, known)}; "
-        f"known: {', '.join(sorted(known)) or 'none'}{reinstall_hint(group)}"
+        f"{path or group}: there is no {what} {name!r}{hint}; "
+        f"known: {', '.join(sorted(known)) or 'none'}"
     )

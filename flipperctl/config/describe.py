@@ -14,7 +14,7 @@ from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
 from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import PluginError
-from flipperctl.messages import bounds, close_match, meaning, unit
+from flipperctl.messages import bounds, meaning, missing_name, unit
 
 _CHOICE = "name"
 """The field that names the variant of a section, such as ``local`` for the collector."""
@@ -98,7 +98,7 @@ def plugin_keys(name: str | None) -> list[tuple[str, str]]:
     """
     known = {plugin for _, plugin in registry}
     if name is not None and name not in known:
-        raise PluginError(f"there is no plugin {name!r}{close_match(name, known)}")
+        raise PluginError(f"there is no plugin {name!r}{missing_name('', name, known)}")
     return [key for key in sorted(registry) if name in (None, key[1])]
 
 

@@ -21,7 +21,7 @@ from flipperctl.config.guarded import guard_class
 from flipperctl.config.loggers import by_name
 from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
-from flipperctl.messages import close_match, explain, reinstall_hint
+from flipperctl.messages import explain, missing_name
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
@@ -37,8 +37,8 @@ def get(kind: str, name: object, where: str) -> type[Plugin]:
     except LookupError as error:
         known = registered_names(kind)
         raise ConfigError(
-            f"{where}: there is no {kind} plugin {name!r}{close_match(str(name), known)}; "
-            f"registered: {', '.join(known) or 'none'}{reinstall_hint(kind)}"
+            f"{where}: there is no {kind} plugin {name!r}{missing_name(kind, str(name), known)}; "
+            f"registered: {', '.join(known) or 'none'}"
         ) from error
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Sequence
+from itertools import zip_longest
 
 from flipperctl.errors import ConfigError, RequestError
 
@@ -40,8 +41,10 @@ def check_words(overrides: Sequence[str]) -> None:
             key is given twice.
     """
     before = ""
-    for word in overrides:
+    for word, after in zip_longest(overrides, overrides[1:], fillvalue=""):
         key, equals, _ = word.lstrip("+~").partition("=")
+        if not equals and after.startswith("="):
+            raise ConfigError(f"{word} {after}: write key=value without spaces around the =")
         if equals and not key.strip():
             raise ConfigError(f"{word!r} has no key; write key=value, as in terrain=stair")
         if not equals and not word.startswith("~"):

@@ -34,5 +34,12 @@ PAIRS = ActionTable(("front", "rear"), ACTIONS)
 
 
 def action_index(front: int, rear: int) -> int:
-    """Return the index of the action that turns the pairs by ``front``, ``rear`` in {-1, 0, 1}."""
+    """Return the index of the action that turns the pairs by ``front``, ``rear`` in {-1, 0, 1}.
+
+    Raises:
+        ValueError: another turn is given.
+    """
+    for name, turn in (("front", front), ("rear", rear)):
+        if turn not in (-1, 0, 1):
+            raise ValueError(f"{name} is {turn!r}; -1, 0 or 1 is allowed")
     return 3 * (front + 1) + (rear + 1)

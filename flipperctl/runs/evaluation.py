@@ -58,7 +58,7 @@ class EvaluationFiles:
         if film:
             _check_film(film, len(scenes))
         if record:
-            check_writable(record)
+            check_writable(record, ".safetensors")
             require_one_layout(record, [config for config, _ in scenes])
         drawn = [] if several else [config for config, _ in scenes]
         self._pictures = files.picture_names(drawn)

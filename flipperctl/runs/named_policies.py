@@ -9,8 +9,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flipperctl import checkpoint as checkpoints
-from flipperctl.api import Controller, Robot
+from flipperctl.api import Controller, Robot, registry
+from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.messages import close_match
@@ -66,7 +66,17 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
 def require_policy(
     checkpoints: Sequence[Path], controller: str | None, overrides: Sequence[str] | None
 ) -> None:
-    """Check that a policy is given; several are allowed. See ``require_one_policy``."""
+    """Check that a policy is given; several are allowed. See ``require_one_policy``.
+
+    Raises:
+        RequestError: none is given, or one with the option that is not its own.
+    """
+    for name in (controller or "").split(","):
+        if name in shipped_policies() and ("controller", name) not in registry:
+            raise RequestError(f"{name} is a shipped policy: write --checkpoint {name}")
+    for path in checkpoints:
+        if ("controller", str(path)) in registry and not path.exists():
+            raise RequestError(f"{path} is a controller: write --controller {path}")
     if not checkpoints or controller is None:
         require_one_policy(next(iter(checkpoints), None), controller, overrides)
 
@@ -136,7 +146,7 @@ def _source(
     label: str, fields: Mapping[str, Any], tell: Callable[[str], None], option: str
 ) -> PolicySource:
     path = Path(label)
-    if path.exists() or label in checkpoints.shipped_policies():
+    if path.exists() or label in shipped_policies():
         return PolicySource(checkpoint=find_policy(path, tell))
     known = resolver.get("controller", label, option).model_fields
     own = {name: value for name, value in fields.items() if name in known}

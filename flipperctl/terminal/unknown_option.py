@@ -34,6 +34,8 @@ def explain(
             shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found
         )
         return f"no such option: {name}; settings are written as {shown}"
+    if name == "--checkpoint":  # of a command that takes one in its place, such as card
+        return f"no such option: {name}; write {value or 'the run or policy'} alone"
     options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
     close = closest(name.lstrip("-"), options)
     return f"no such option: {name}" + (f"; did you mean {options[close]!r}?" if close else "")

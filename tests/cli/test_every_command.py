@@ -1,5 +1,6 @@
 """What every command has: help with examples, and plugins of files."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from tests.cli.call import call
 def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None:
     done = call(*command, "--help", cwd=tmp_path)
     assert done.code == 0
+    assert not re.search(r" \.\s", done.out)  # a part in brackets that was read as markup
     if command and command != ["inspect"]:
         assert f"flipperctl {' '.join(command)}" in done.out.split("Examples")[1]
 

@@ -115,6 +115,7 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
         (["terian", "mine"], ["'terian'", "'terrain'"]),
         (["terrain", "My Own"], ["'My Own'", "lower-case letters"]),
         (["terrain", "class"], ["'class'", "word of Python"]),
+        (["terrain", "null"], ["'null'", "word of YAML"]),
         (["terrain", "stair"], ["'stair'", "already", "stair.py:"]),
         (["engine", "planar"], ["engine plugin 'planar'", "already", "engine.py:"]),
         (["sensor", "planar"], ["sensor plugin 'planar'", "already", "sensing.py:"]),

@@ -43,6 +43,23 @@ def test_a_bad_profile_names_its_terrain(points: str, words: list[str], tmp_path
         assert [word for word in ["odd", *words] if word not in error] == [], error
 
 
+def test_a_plugin_that_sets_its_own_settings_is_told_what_to_do(tmp_path: Path) -> None:
+    source = TERRAIN.format(points="[(0, 0)]").replace(
+        "        return", "        self.k = 3\n        return"
+    )
+    (tmp_path / "odd.py").write_text(source.replace("    def", "    k: int = 1\n    def"))
+    words = ("train", "terrain=odd", "--plugins", "odd.py", *QUICK)
+    error = refused(*words, cwd=tmp_path, code=1)
+    assert "Odd.k cannot be set: settings do not change; keep what changes in a local" in error
+    assert "pydantic" not in error
+
+
+def test_a_plugin_file_without_its_suffix_or_its_option_is_found(tmp_path: Path) -> None:
+    (tmp_path / "odd.py").write_text(TERRAIN.format(points="[(0, 0)]"))
+    assert "did you mean odd.py?" in refused("train", "--plugins", "odd", cwd=tmp_path)
+    assert "odd.py is loaded by --plugins odd.py" in refused("train", "terrain=odd", cwd=tmp_path)
+
+
 def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -> None:
     points = "[(0, 0), (1, 0.1 if rng.random() < 0.7 else float('nan'))]"
     (tmp_path / "odd.py").write_text(TERRAIN.format(points=points))
@@ -59,6 +76,7 @@ def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
     assert "overlaps the robot at the start" in refused("eval", *arguments, cwd=tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore:Field name:UserWarning")
 @pytest.mark.parametrize(
     ("source", "words"),
     [
@@ -67,8 +85,16 @@ def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
         ("x = 1\n", ["bad.py", "registers nothing"]),
         (TERRAIN.format(points="[]").replace("odd", "stair"), ["'stair'", "Odd", "Stair"]),
         (TERRAIN.format(points="[]").replace('"odd"', '"Not A Name"'), ["Not A Name"]),
+        (
+            TERRAIN.format(points="[]").replace("    def", "    name: str = 'odd'\n    def"),
+            ["a setting cannot be called name"],
+        ),
+        (
+            TERRAIN.format(points="[]").replace("    def", "    kind: str = 'x'\n    def"),
+            ["kind is a part of Terrain"],
+        ),
     ],
-    ids=["import", "syntax", "nothing", "twice", "name"],
+    ids=["import", "syntax", "nothing", "twice", "name", "field", "hidden"],
 )
 def test_a_bad_plugin_file_stops_the_command(source: str, words: list[str], tmp_path: Path) -> None:
     (tmp_path / "bad.py").write_text(source)

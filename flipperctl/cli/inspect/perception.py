@@ -34,7 +34,7 @@ def run(
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A film .gif; with --at a picture .png.")
     ] = None,
-    at: Annotated[float | None, typer.Option(min=0, help="Time of a picture [s].")] = None,
+    at: Annotated[float | None, typer.Option(min=0, help="Time of a picture in s.")] = None,
     topic: options.CloudTopic = None,
     imu: options.ImuTopic = None,
     belts: options.BeltTopic = None,
