@@ -19,6 +19,7 @@ from flipperctl.bench.process import output
 from flipperctl.bench.settings import Bench, BenchSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity
 from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError
 from flipperctl.export.policy import export
 from flipperctl.training.trainer import Trainer
@@ -127,13 +128,17 @@ def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
 
 def peak(bench: Bench[BenchSettings], folder: Path) -> float:
     """Return the peak memory of all processes of a short training together [MiB]."""
-    decisions = bench.settings.decisions
-    command = [
-        *(sys.executable, "-m", "flipperctl", "train", *bench.overrides),
-        *(f"train.decisions={decisions}", f"train.validate_every={decisions}"),
-        *("train.validation_episodes=1", "train.regret_episodes=0"),
-        f"hydra.run.dir={folder / 'peak'}",
-    ]
+    decisions = str(bench.settings.decisions)
+    own = {
+        "train.decisions": decisions,
+        "train.validate_every": decisions,
+        "train.validation_episodes": "1",
+        "train.regret_episodes": "0",
+        "hydra.run.dir": str(folder / "peak"),
+    }
+    others = [word for word in bench.overrides if word.lstrip("+").partition("=")[0] not in own]
+    short = [literal_override(key, value) for key, value in own.items()]
+    command = [sys.executable, "-m", "flipperctl", "train", *others, *short]
     peak_kib = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
     return int(peak_kib) / 1024
 

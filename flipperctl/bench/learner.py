@@ -25,6 +25,7 @@ from flipperctl.bench.settings import Bench, CommonSettings
 from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import RequestError
 from flipperctl.policies.function import FunctionPolicy
 from flipperctl.rollout.collect import InProcessCollector
 from flipperctl.rollout.seeds import training_seed
@@ -58,8 +59,16 @@ def measure(bench: Bench[CommonSettings], rivals: Rivals = no_rivals) -> dict[st
     """Measure updates and transitions per second [1/s] for each batch size.
 
     ``rivals`` take turns with flipperctl's learner.
+
+    Raises:
+        RequestError: the configuration learns by a policy gradient, whose updates are not these.
     """
     s, config = bench.settings, bench.config
+    if config.agent.draws:
+        raise RequestError(
+            f"learner: agent.learner={config.agent.learner} has updates of whole rounds; the "
+            "gradient steps of a double DQN alone are timed"
+        )
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

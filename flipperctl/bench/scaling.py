@@ -143,13 +143,13 @@ def factories(
     """Return the factory and the numbers of workers of each kind of collector, by name.
 
     ``counts``: those of processes and of Ray workers. With a teacher, which labels what workers
-    collect, there is no collector in this process.
+    collect, and with a policy that draws its actions there is no collector in this process.
     """
     found: dict[str, tuple[Factory, tuple[int, ...]]] = {
         "processes": (process_collector, counts),
         "ray": (ray_collector(sum(counts)), counts),
     }
-    if config.teacher.controller is not None:
+    if config.teacher.controller is not None or config.agent.draws:
         return found
     return {"in_process": (InProcessCollector, (1,)), **found}
 

@@ -21,6 +21,8 @@ from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
     MissingExtraError,
+    NonFiniteError,
+    PluginFailedError,
     RequestError,
 )
 from flipperctl.messages import explain
@@ -30,7 +32,18 @@ from flipperctl.runs.search_space import Interval, distributions
 from flipperctl.runs.study import open_study
 from flipperctl.runs.sweep import JobResult, Sweep
 from flipperctl.runs.trial_owner import claim, heartbeat
-from flipperctl.runs.trials import FAILED, begun, fail_abandoned, finished, running, stop, suggest
+from flipperctl.runs.trials import (
+    FAILED,
+    PLACE,
+    counted_twin,
+    fail_abandoned,
+    finished,
+    free_place,
+    run_number,
+    running,
+    stop,
+    suggest,
+)
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -97,8 +110,8 @@ class OptunaSearch:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
 
     The proposals of one search depend only on the seed and the finished trials, so a resumed search
-    has the same results as an uninterrupted one. Several searches may share a study, each in a
-    folder of its own.
+    whose trials are trained one by one has the same results as an uninterrupted one. Several
+    searches may share a study, each in a folder of its own.
     """
 
     settings: SearchSettings
@@ -134,7 +147,7 @@ class OptunaSearch:
                 time.sleep(_POLL)
                 continue
             asked = [self._ask() for _ in range(size)]
-            trials = [trial for trial in asked if trial is not None]
+            trials = [t for t in asked if t is not None and not self._is_known(t)]
             if trials:
                 self._train(trials)
             self._raise_if_stopped()
@@ -146,26 +159,46 @@ class OptunaSearch:
     def _ask(self) -> Trial | None:
         """Return a new trial of this process; None if other searches have begun the last ones.
 
-        The seed of its proposal is its place among the finished and running trials, so that an
-        interrupted trial is sampled again, and no two searches propose the same values.
+        The seed of its proposal is its place, the lowest that no finished or running trial has, so
+        that an interrupted trial is sampled again, and no two searches propose the same values.
         """
         study = self.study
         trial = study.ask()
         claim(trial)
-        place = sum(t.number < trial.number for t in begun(study))
+        place = free_place(study, trial)
         if place >= self.settings.n_trials:
             stop(study, trial.number)
             return None
+        trial.set_user_attr(PLACE, place)
         study.sampler = self._sampler(place)
         for name, distribution in self.space.items():
             suggest(trial, name, distribution)
         return trial
 
+    def _is_known(self, trial: Trial) -> bool:
+        """Give a trial the result of an earlier one with its values; return whether there is one.
+
+        Equal settings give equal runs.
+        """
+        from optuna.trial import TrialState
+
+        twin = counted_twin(self.study, trial)
+        if twin is None:
+            return False
+        for name in (FAILED, "run"):
+            if name in twin.user_attrs:
+                trial.set_user_attr(name, twin.user_attrs[name])
+        failed = twin.value is None
+        self.study.tell(trial, twin.value, state=TrialState.FAIL if failed else None)
+        result = "failed" if failed else f"objective {twin.value:.5f}"
+        self.tell(f"trial {trial.number} has the values of trial {twin.number}: {result}")
+        return True
+
     def _train(self, trials: Sequence[Trial]) -> None:
         jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
         try:
             with heartbeat(trials):
-                results = self._launch(jobs, [trial.number for trial in trials])
+                results = self._launch(jobs, [run_number(self.study, trial) for trial in trials])
         except BaseException:
             for trial in trials:
                 stop(self.study, trial.number)
@@ -227,7 +260,7 @@ class OptunaSearch:
 
         study, value, error = self.study, result.value, result.error
         if error is not None:
-            if isinstance(error, FlipperctlError) and error.exit_code == FlipperctlError.exit_code:
+            if isinstance(error, NonFiniteError | PluginFailedError):
                 trial.set_user_attr(FAILED, True)  # a result: these settings do not work
                 study.tell(trial, state=TrialState.FAIL)
                 self.tell(f"trial {trial.number} failed: {error}")

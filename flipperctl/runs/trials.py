@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Any, Final
 
 from flipperctl.runs.trial_owner import is_owned
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
 
 FAILED: Final = "failed"
 """Marks a trial whose training failed; Optuna's FAIL also marks interrupted ones."""
+
+PLACE: Final = "place"
+"""Place of a trial in the search, which decides what is sampled [-]."""
 
 
 def finished(study: Study) -> list[FrozenTrial]:
@@ -32,6 +36,38 @@ def begun(study: Study) -> list[FrozenTrial]:
     """
     trials = study.get_trials(deepcopy=False)
     return [trial for trial in trials if _counts(trial) or _runs(trial)]
+
+
+def counted_twin(study: Study, trial: Trial) -> FrozenTrial | None:
+    """Return an earlier trial with the values of this one that counts; its training is the same."""
+    return next((other for other in _twins(study, trial) if _counts(other)), None)
+
+
+def run_number(study: Study, trial: Trial) -> int:
+    """Return the number of a trial's run: that of a stopped trial with its values, to go on."""
+    return min([trial.number, *(other.number for other in _twins(study, trial))])
+
+
+def _twins(study: Study, trial: Trial) -> list[FrozenTrial]:
+    """Return the closed trials with the values of this one."""
+    trials = study.get_trials(deepcopy=False)
+    return [one for one in trials if one.state.is_finished() and one.params == trial.params]
+
+
+def free_place(study: Study, trial: Trial) -> int:
+    """Return the lowest place that no earlier trial has which counts or runs.
+
+    Trials of earlier versions do not know theirs; it is their number among the others.
+    """
+    taken: set[int] = set()
+    for other in begun(study):  # in the order of their numbers
+        if other.number < trial.number:
+            taken.add(other.user_attrs.get(PLACE, _lowest_free(taken)))
+    return _lowest_free(taken)
+
+
+def _lowest_free(taken: set[int]) -> int:
+    return next(place for place in itertools.count() if place not in taken)
 
 
 def _counts(trial: FrozenTrial) -> bool:

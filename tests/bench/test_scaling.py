@@ -39,6 +39,12 @@ def test_what_a_teacher_labels_is_collected_by_workers_alone() -> None:
     }
 
 
+def test_drawn_actions_are_not_compared_with_an_exploring_policy() -> None:
+    agent = {"learner": "policy_gradient", "n_step": 1}
+    config = TrainConfig(terrain="step", network="mlp", agent=agent)
+    assert "in_process" not in scaling.factories(config, (1, 2))
+
+
 def test_every_collector_is_measured_and_closed() -> None:
     made: list[Counting] = []
 

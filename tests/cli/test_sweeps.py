@@ -133,7 +133,7 @@ def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) ->
     assert killed.state.name == "FAIL"
     assert third.params == second.params
     rate = third.params["agent.learning_rate"]
-    assert Path(third.user_attrs["run"]).name == f"2_agent.learning_rate={rate:.5g}"
+    assert Path(third.user_attrs["run"]).name == f"1_agent.learning_rate={rate:.5g}"
     (results,) = folder.glob("runs/multirun/*/optimization_results.yaml")
     assert "best_value" in results.read_text()
 

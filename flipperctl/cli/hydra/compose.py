@@ -7,7 +7,7 @@ overrides. ``config_store`` holds the defaults.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -100,9 +100,7 @@ def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *wor
     if not isinstance(name, str):
         return controller
     config_store.register_defaults()
-    # Within an application of Hydra, which knows --config-dir, this is initialised already.
-    within = GlobalHydra.instance().is_initialized()
-    with nullcontext() if within else initialize_config_dir(CONFIGS, version_base="1.3"):
+    with _initialized():
         options = GlobalHydra.instance().config_loader().get_group_options("rewards")
         if name not in (known := [option for option in options if option[0] != "_"]):
             raise missing_entry("rewards", name, known, f"{path}.rewards")
@@ -127,7 +125,7 @@ def only_one(found: Sequence[Composed]) -> Composed:
 def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, dict[str, Any]]]:
     """Yield each combination of the sweeps, and its composed configuration."""
     config_store.register_defaults()
-    with errors.convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
+    with errors.convert_hydra_errors(), _initialized():
         for combination in overrides.combinations(CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
@@ -139,6 +137,16 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
                 raise errors.unknown_key(error, primary, combination) from error
             except (TypeError, ValueError) as error:  # from Hydra: a choice is not a name
                 raise errors.wrong_choice(error, combination) from error
+
+
+def _initialized() -> AbstractContextManager[Any]:
+    """Return a context in which Hydra composes.
+
+    Within an application of Hydra, which knows --config-dir, it does so already.
+    """
+    if GlobalHydra.instance().is_initialized():
+        return nullcontext()
+    return initialize_config_dir(CONFIGS, version_base="1.3")
 
 
 def _training(plain: dict[str, Any]) -> TrainConfig:

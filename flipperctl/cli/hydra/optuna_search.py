@@ -8,7 +8,7 @@ trial after a restart.)
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,12 @@ from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
 from flipperctl.errors import ConfigError
 from flipperctl.runs.optuna_search import check_settings, search
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.search_space import Interval
 from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
+
+_TASK = {"terrain", "conditions", "sim", "perception", "episode", "robot", "randomise"}
+"""Sections and groups that change what validations are made of."""
 
 
 def prepare(
@@ -63,24 +67,45 @@ class SearchSweep:
         """
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
         _check_objective(sampled, fixed)
+        if found := [key for key in sampled if key.split(".")[0] in _TASK]:
+            print_note(
+                f"note: {', '.join(found)} change what a training is judged on; the best trial may "
+                "be the easiest"
+            )
         search(self.settings, self.jobs, arguments, sampled, fixed, tell=print_note)
 
 
-def _check_objective(sampled: Iterable[str], fixed: Sequence[str]) -> None:
+def _check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequence[str]) -> None:
     """Refuse a search whose trials have objectives that cannot be compared.
 
     Raises:
-        ConfigError: it samples what the objective is, or rewards while that is their sum.
+        ConfigError: it samples what the objective is or the draws that it is measured on, or
+            rewards while it is their sum.
     """
-    keys = list(sampled)
-    if "train.best_by" in keys:
-        raise ConfigError("train.best_by: a search has one objective; one value is allowed")
-    paying = [key for key in keys if key.split(".")[0] == "rewards"]
-    if not paying:
-        return
-    words = [word for word in fixed if not word.lstrip("+~").startswith("rewards.")]
-    if any(one.train.best_by == "return" for one in compose_train(Overrides.parse(words))):
+    for key in sampled:
+        if key == "train.best_by" or key.startswith("train.validation_"):
+            raise ConfigError(f"{key}: a search has one objective; one value is allowed")
+    paying = [key for key in sampled if _setting(key).split(".")[0] == "rewards"]
+    words = [word for word in fixed if not (paying and _setting(word).startswith("rewards."))]
+    lists = {key: values for key, values in sampled.items() if not isinstance(values, Interval)}
+    choices = [[], *([f"{key}={value}"] for key, values in lists.items() for value in values)]
+    objectives: dict[bool, str] = {}
+    for choice in choices:
+        for one in compose_train(Overrides.parse([*words, *choice])):
+            objectives.setdefault(one.train.best_by == "return", " ".join(choice))
+    if paying and True in objectives:
         raise ConfigError(
             f"{paying[0]}: a search by returns (train.best_by=return) would find the rewards that "
             "pay most, not those that teach best; search with train.best_by=success"
         )
+    if len(objectives) > 1:
+        other = next(filter(None, objectives.values()))
+        raise ConfigError(
+            f"{other}: a search has one objective, but this changes train.best_by; give that a "
+            "value of its own"
+        )
+
+
+def _setting(word: str) -> str:
+    """Return the setting of an override or its key, as in ``+reward@rewards.blow=impact``."""
+    return word.partition("=")[0].lstrip("+~").rpartition("@")[2]

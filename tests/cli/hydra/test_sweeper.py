@@ -16,9 +16,16 @@ from flipperctl.cli.hydra import optuna_search
 from flipperctl.cli.hydra.optuna_search import SearchSweep
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
-from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    NonFiniteError,
+    WriteError,
+)
 from flipperctl.runs.search import SearchSettings, objective
 from flipperctl.runs.search_space import distributions
+from tests.cli.call import refused
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
 
@@ -83,6 +90,8 @@ def test_a_search_that_was_killed_finds_what_an_uninterrupted_one_finds(tmp_path
 SCRIPT = """
 import sys, time
 from pathlib import Path
+from flipperctl import plugins
+plugins.load()
 from tests.cli.hydra.test_sweeper import Launcher, search
 train = Launcher.train
 def slow(self, job, number):
@@ -134,7 +143,7 @@ def test_a_trial_that_runs_elsewhere_is_left_alone_until_its_process_dies(
     assert states == ["RUNNING", "FAIL"]
     assert len(jobs) == 2
     assert [trial.state.name for trial in found] == ["FAIL", "COMPLETE", "COMPLETE"]
-    assert found[1].params != running[0].params
+    assert found[1].params != running[0].params == found[2].params  # sampled again
 
 
 def find_trials(folder: Path) -> list[optuna.trial.FrozenTrial]:
@@ -161,6 +170,46 @@ def test_a_training_that_diverges_is_a_result(tmp_path: Path) -> None:
     assert [trial.state.name for trial in found] == ["COMPLETE", "FAIL", "COMPLETE"]
 
 
+def test_a_full_disk_stops_the_search_and_its_trial_is_trained_later(tmp_path: Path) -> None:
+    with pytest.raises(WriteError, match="no space"):
+        search(tmp_path, fails={1: WriteError("no space")}, n_trials=3)
+    jobs, found = search(tmp_path, n_trials=3)
+    assert len(jobs) == 2
+    assert len(drawn(found)) == 3
+
+
+def test_equal_values_are_trained_once(tmp_path: Path) -> None:
+    lists = ["agent.learning_rate=0.1,0.2"]
+    jobs, found = search(tmp_path, lists, n_trials=6)
+    assert len(jobs) == len({job["agent.learning_rate"] for job in jobs})
+    assert [trial.value for trial in found] == [
+        float(trial.params["agent.learning_rate"]) for trial in found
+    ]
+    assert len(found) == 6
+    failing = {n: NonFiniteError("nan") for n in range(6)}
+    (tmp_path / "fails").mkdir()
+    with pytest.raises(FlipperctlError, match="every trial"):
+        search(tmp_path / "fails", lists, failing, n_trials=6)
+    assert len(trials(tmp_path / "fails")) == 6
+
+
+def test_an_interrupted_trial_goes_on_in_its_own_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        search(tmp_path, fails={2: KeyboardInterrupt()}, n_trials=4)
+    numbers, train = [], Launcher.train
+
+    def noted(self: Launcher, job: list[str], number: int) -> JobReturn:
+        numbers.append(number)
+        return train(self, job, number)
+
+    monkeypatch.setattr(Launcher, "train", noted)
+    _, found = search(tmp_path, n_trials=4)
+    assert numbers == [2, 4]
+    assert found[3].params == found[2].params
+
+
 def test_when_every_trial_fails_the_work_failed(tmp_path: Path) -> None:
     with pytest.raises(FlipperctlError, match="every trial"):
         search(tmp_path, fails={0: NonFiniteError("loss: nan")}, n_trials=1)
@@ -170,7 +219,7 @@ def test_a_wrong_request_stops_the_search_at_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"agent\.gamma"):
         search(tmp_path, fails={1: ConfigError("agent.gamma: …")}, n_trials=3)
     with pytest.raises(InterruptedRunError, match="1 of 3 trials are finished"):
-        search(tmp_path, fails={2: InterruptedRunError("…")}, n_trials=3)
+        search(tmp_path, fails={1: InterruptedRunError("…")}, n_trials=3)
 
 
 def test_one_study_holds_one_search(tmp_path: Path) -> None:
@@ -238,11 +287,25 @@ def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
             "rewards.swing.weight: a search by returns",
         ),
         (["rewards=paper,smooth", "experiment=searched"], "rewards: a search by returns"),
+        (
+            ["+reward@rewards.more=progress,impact", "train.best_by=return"],
+            r"\+reward@rewards.more: a search by returns",
+        ),
+        (["rewards=paper,smooth", "experiment=quick,searched"], "rewards: a search by returns"),
+        (["experiment=quick,searched"], "experiment=searched: a search has one objective"),
+        (["train.validation_seed=1,2,3"], "train.validation_seed: a search has one objective"),
     ],
 )
 def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         optuna_search._check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_the_command_refuses_them(tmp_path: Path) -> None:
+    """Within the application of Hydra, which composes otherwise than a test does."""
+    words = ("rewards.pitch.weight=0.1,1", "train.best_by=return")
+    error = refused("train", "-m", "hydra/sweeper=optuna", *words, cwd=tmp_path)
+    assert "rewards.pitch.weight: a search by returns" in error
 
 
 def test_rewards_are_searched_by_success() -> None:
