@@ -33,9 +33,9 @@ class MpcSettings(Settings):
         None,
         description="a run, a checkpoint or a shipped policy whose values end the horizon; plans "
         "then have the largest return of ``rewards`` instead of the least hand-set cost; empty: "
-        "the hand-set cost; null: mpc_value, and the hand-set cost if there are ``rewards`` or a "
-        "setting of it (swing, pitch, lean, flippers, turn, standstill, standstill_from, steep, "
-        "steep_from, wider, stuck_from) is not at its default [-]",
+        "the hand-set cost; null: mpc_value, and the hand-set cost if a setting of it (swing, "
+        "pitch, lean, flippers, turn, standstill, standstill_from, steep, steep_from, wider, "
+        "stuck_from) is not at its default [-]",
     )
     fallback: bool | None = Field(
         None,

@@ -60,7 +60,7 @@ class PlanarSensor(Sensor):
         ge=0,
         le=0.1,
         description="standard deviation of an error of the ground's heights that stays at its "
-        "place during the episode, as on a map; 0.005 is like perception=lidar [m]",
+        "place during the episode, as on a map; 0.004 is like perception=lidar [m]",
     )
     map_length: float = Field(
         2.0,
@@ -74,8 +74,8 @@ class PlanarSensor(Sensor):
         ge=0,
         le=0.5,
         description="standard deviation of the error of odometry over 1 m of the way, by which "
-        "ground that was seen earlier, below and behind the robot, is displaced; 0.065 is like "
-        "perception=lidar perception.pose=matched [m]",
+        "ground that was seen earlier, below and behind the robot, is displaced; 0.08, with a "
+        "map_jitter of 0.02, is like perception=lidar perception.pose=matched [m]",
     )
     map_jitter: float = Field(
         0.0,
