@@ -49,7 +49,10 @@ class Profile:
         run_up: float | None = None,
         run_out: float | None = None,
     ) -> None:
-        array = np.array(points, dtype=np.float64)
+        try:
+            array = np.array(points, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"a profile is (V, 2) points of x and z: {error}") from error
         if array.size == 0:
             raise ValueError("a profile needs at least one point; it is empty")
         if array.ndim != 2 or array.shape[1] != 2:

@@ -31,12 +31,15 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
     """
     with naming(controller, "build"):  # what it returned may fail as well
         policy = controller.build()
-        complete = all(callable(getattr(policy, name, None)) for name in ("reset", "act"))
+        lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]
         offers_costs = isinstance(policy, CostPolicy)
         offers_groups = offers_costs and isinstance(policy, ValuingPolicy)
         follows = isinstance(policy, FollowingPolicy)
-    if not complete:
-        text = f"returned {short_repr(policy)}; an object with reset and act is allowed"
+    if lacks:
+        text = (
+            f"returned {short_repr(policy)}, which lacks {' and '.join(lacks)}; an object with "
+            "reset and act is allowed"
+        )
         raise refusal(controller, "build", text)
     if offers_groups:
         return PluginValuingPolicy(controller, policy)

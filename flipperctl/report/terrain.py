@@ -14,7 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
-from flipperctl.report.figure import WIDTH, draw_ground, frame, style_axes, z_label, z_scale
+from flipperctl.report.figure import (
+    WIDTH,
+    draw_ground,
+    frame,
+    legend_above,
+    style_axes,
+    z_label,
+    z_scale,
+)
 from flipperctl.report.render import FAINT, INK, RobotArtist
 
 SMALL = 12
@@ -81,6 +89,7 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
     )
     RobotArtist(axes).show(state, robot)
     _mark_ends(axes, profile)
+    marks = [line for line in axes.get_lines() if line.get_label() in ("start", "finish")]
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
     if right > left:
         above = top + _HEADROOM
@@ -92,6 +101,8 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
         _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
     frame(axes, *_window(profile, robot), scale)
     style_axes(axes, title, "x [m]", z_label(scale))
+    if marks:
+        legend_above(axes, marks)
 
 
 def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, scale: int) -> None:
@@ -110,12 +121,15 @@ def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, sca
 
 def _mark_ends(axes: Axes, profile: Profile) -> None:
     """Mark where episodes start and finish on the ground, if it says so itself."""
-    ends = (profile.run_up, profile.start, -1, ">"), (profile.run_out, profile.end, 1, "|")
-    for distance, edge, direction, marker in ends:
+    ends = (
+        ("start", profile.run_up, profile.start, -1, ">"),
+        ("finish", profile.run_out, profile.end, 1, "|"),
+    )
+    for name, distance, edge, direction, marker in ends:
         if distance is not None:
             x = edge + direction * distance
             height = profile.height(x) + _MARK
-            axes.plot([x], [height], marker, color=INK, markersize=7, linestyle="none")
+            axes.plot([x], [height], marker, color=INK, markersize=7, linestyle="none", label=name)
 
 
 def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:

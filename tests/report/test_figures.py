@@ -68,6 +68,14 @@ def test_terrain_names_length_and_height() -> None:
     assert figure.axes[0].get_title(loc="left") == "step"
 
 
+def test_marks_of_start_and_finish_are_explained() -> None:
+    within = Profile(STEP.points, run_up=-0.2, run_out=-0.5)
+    legend = terrain_figure([within], "step", ROBOT).axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["start", "finish"]
+    assert terrain_figure([STEP], "step", ROBOT).axes[0].get_legend() is None
+
+
 def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
     axes = terrain_figure([STEP], "step", ROBOT).axes[0]
     belts = [c for c in axes.collections if np.array_equal(c.get_facecolor(), [to_rgba(BELT)])]
