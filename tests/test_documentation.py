@@ -145,6 +145,8 @@ def with_budget(command: list[str]) -> list[str]:
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *few, *trials, *own]
+    if "--draws" in command:
+        return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
     if command[:2] == ["export", "mcap"]:
         return [*command, *SPARSE]
     if command[0] == "bench":
