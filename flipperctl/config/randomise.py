@@ -167,9 +167,13 @@ class Randomise(Settings):
         None, description="of robot.track_radius; policies still assume the configured robot [m]"
     )
     substep: Range = Field(
-        None, description="of sim.substep, as the nearest divisor of the sampling time [s]"
+        None, description="of sim.substep, by the nearest number of substeps in a sampling time [s]"
     )
-    iterations: Range = Field(None, description="of sim.iterations, as the nearest integer [-]")
+    iterations: Range = Field(
+        None,
+        description="of sim.iterations, as the nearest integer, so that both ends of a range are "
+        "half as frequent as the numbers between them [-]",
+    )
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )

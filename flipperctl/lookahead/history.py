@@ -17,8 +17,8 @@ class History:
         self._time = 0.0
 
     def saw(self, pitch: float) -> None:
-        """Remember the pitch at a decision [rad]; before the first it was the same."""
-        self._pitches = [*(self._pitches or [pitch] * LAST_PITCHES), pitch][-LAST_PITCHES:]
+        """Remember the pitch at a decision [rad]."""
+        self._pitches = [*self._pitches, pitch][-LAST_PITCHES:]
 
     def took(self, action: int, period: float) -> None:
         """Remember an action and its ``period`` [s]."""

@@ -39,7 +39,7 @@ class Nodes:
     places: FloatArray
     """x and z of the chassis centre, (M, 2) [m]."""
     pitches: FloatArray
-    """Pitch at the last decisions and now, (M, ``LAST_PITCHES``) [rad]."""
+    """Pitch at the last decisions and now, (M, T) [rad]; at most ``LAST_PITCHES``."""
     turns: NDArray[np.int64]
     """Turns (front, rear) of the last decision, (M, 2); 0 before the first."""
     time: FloatArray
@@ -54,7 +54,10 @@ class Nodes:
 
     @classmethod
     def at_rest(cls, states: FloatArray, places: FloatArray) -> Nodes:
-        """Return robots at the start of an episode, which have stood with their present pitch."""
+        """Return robots that have stood with their present pitch.
+
+        An episode knows no pitch before its start; all nodes of a graph have equally many.
+        """
         count = len(states)
         return cls(
             states=states,
@@ -82,7 +85,7 @@ class Nodes:
 
         ``branch`` and ``action`` (M,) belong to these nodes, row by row.
         """
-        pitches = np.column_stack([self.pitches[:, 1:], branch.states[:, 2]])
+        pitches = np.column_stack([self.pitches, branch.states[:, 2]])[:, -LAST_PITCHES:]
         return Nodes(
             states=branch.states,
             places=branch.places,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Noisy(Network):
     """AT-D3QN with noisy heads (Fortunato et al. 2018), which explore without ε-greedy actions.
 
-    Train it with ``agent.epsilon_start=0``.
+    Train it with ``agent.epsilon_start=0 agent.epsilon_end=0``.
     """
 
     terrain: tuple[PositiveInt, ...] = Field(

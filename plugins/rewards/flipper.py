@@ -1,10 +1,10 @@
 """R_flipper (paper Eq. 4)."""
 
 import math
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flipperctl.api import (
     FloatArray,
@@ -40,6 +40,12 @@ class Flipper(RewardTerm):
         description="distance from the hinge at which the considered terrain ends; not given in "
         "the paper [m]",
     )
+
+    @model_validator(mode="after")
+    def _near_is_below_far(self) -> Self:
+        if self.near >= self.far:
+            raise ValueError(f"near={self.near:g} must be below far={self.far:g}")
+        return self
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]: -1 if the deviation exceeds the tolerance by 1/λ1."""

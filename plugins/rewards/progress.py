@@ -12,8 +12,9 @@ from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions, rewa
 class Progress(RewardTerm):
     """Reward the distance that the chassis moves forward; penalise moving back equally.
 
-    The sum over a crossing is proportional to its length and does not depend on the speed. This
-    term changes which policy is optimal; ``shaped_progress`` does not.
+    Below the cap, the sum over a crossing is proportional to its length and does not depend on the
+    speed: up to 0.33 m/s with decisions of 0.6 s. This term changes which policy is optimal;
+    ``shaped_progress`` does not.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)

@@ -29,7 +29,7 @@ _HARD: tuple[tuple[AnyTerrain, float], ...] = (
 class HardCourses(Mix):
     """``all_courses`` with more of what policies learn last, for training rather than for judging.
 
-    That is deep trenches, drops, long and flat flights down, hurdles, ramps, starts on stairs and
+    That is deep trenches, drops, long and flat flights down, piles, ramps, starts on stairs and
     the paper's stair.
     """
 

@@ -19,7 +19,9 @@ class Ramp(Drawn):
     slope_high: float = Field(35.0, gt=0, le=60, description="largest slope [°]")
     length_low: float = Field(0.8, gt=0, le=10, description="shortest incline, along the slope [m]")
     length_high: float = Field(1.5, gt=0, le=10, description="longest incline, along the slope [m]")
-    platform: float = Field(1.0, ge=0, le=20, description="length of the level platform [m]")
+    platform: float = Field(
+        1.0, ge=0, le=20, description="length of the level platform, with ``back`` [m]"
+    )
     direction: Literal["up", "down", "both"] = Field(
         "both", description="direction of the first incline; both draws one each episode [-]"
     )

@@ -6,6 +6,8 @@ import pytest
 from flipperctl.api import LAST_PITCHES, Outcome, RewardTerm
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.lookahead.history import History
 from flipperctl.lookahead.model import TARGETS, Model
 from flipperctl.lookahead.nodes import Nodes, transitions
 from flipperctl.reward_sum import RewardSum
@@ -90,3 +92,22 @@ def test_parts_are_joined_and_taken_row_by_row() -> None:
     moved = some.moved_to(parts[1], np.array([1]))
     assert moved.places[:, 0].tolist() == [2.0, 1.0]
     assert some.places[:, 0].tolist() == [2.0, 0.0]
+
+
+def test_the_past_of_a_policy_begins_with_its_episode() -> None:
+    """As in the engine's transitions, where ``pitch`` averages over fewer changes at first."""
+    history, model = History(), model_of(FLAT)
+    node = standing(model, 0.0)
+    for decisions in range(1, LAST_PITCHES + 3):
+        history.saw(0.1 * decisions)
+        past = history.node(node.states[0], node.places[0]).pitches
+        assert past.shape == (1, min(decisions, LAST_PITCHES))
+        assert past[0, -1] == pytest.approx(0.1 * decisions)
+        branch = model.expand(node.states, node.states[:, TARGETS : TARGETS + 2], 0.6, poses=True)
+        known = history.node(node.states[0], node.places[0]).after(branch, np.array([4]), 0.6)
+        assert known.pitches.shape == (1, min(decisions + 1, LAST_PITCHES))
+
+
+def test_the_terrain_that_flippers_are_compared_with_has_a_length() -> None:
+    with pytest.raises(ConfigError, match=r"near=0.5 must be below far=0.45"):
+        resolver.create("reward", {"name": "flipper", "near": 0.5}, "rewards")
