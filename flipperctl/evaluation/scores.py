@@ -38,6 +38,8 @@ class Method:
     """The measure by scene, (S, E) for S training seeds and E episodes, the same for each seed."""
     reached: Mapping[str, NDArray[np.bool_]]
     """Whether the finish was reached, by scene, (S, E)."""
+    trained: bool = True
+    """Whether its policies were trained; False for rules."""
 
     @property
     def seeds(self) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +32,13 @@ Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
 class _Run:
     """The episodes of one policy of a folder."""
 
+    folder: Path
+    """The first of its folders."""
     episodes: Episodes
     digests: frozenset[str]
     """Digests of its weights or settings, by its cells; empty without these."""
+    training_seed: int | None
+    """Seed of its training, by its cells; None without these, or of a rule."""
 
     def is_of(self, other: _Run) -> bool:
         """Return whether another run is of the same policy; without cells, by its episodes."""
@@ -46,7 +50,7 @@ class _Run:
         """Return the episodes of both runs of the same policy."""
         scenes = dict.fromkeys([*self.episodes, *other.episodes])
         episodes = {s: {**self.episodes.get(s, {}), **other.episodes.get(s, {})} for s in scenes}
-        return _Run(episodes, self.digests | other.digests)
+        return replace(self, episodes=episodes, digests=self.digests | other.digests)
 
 
 @dataclass(frozen=True)
@@ -74,13 +78,15 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
     """
     runs: dict[str, list[_Run]] = {}
     rules: set[str] = set()
+    untrained: set[str] = set()
     notices: list[str] = []
     seen: set[Path] = set()
     rulers = registered_names("controller")  # they have no training seeds
     for word in words:
         name, folder = _named(word)
         folders = list(_folders(folder))
-        if len(folders) > 1 or folders[0] != folder:
+        below = len(folders) > 1 or folders[0] != folder
+        if below:
             name = name or folder.resolve().name
         for one in folders:
             if (place := one.resolve()) in seen:
@@ -89,10 +95,18 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
             seen.add(place)
             played = _played(one)
             for index, (label, episodes) in enumerate(_policies(one / FILE, measure).items()):
-                run = _Run(episodes, frozenset(p.digest for p in played.get(label, ())))
-                known = runs.setdefault((name if index == 0 else None) or label, [])
+                run = _run(one, episodes, played.get(label, set()))
+                method = (name if index == 0 else None) or label
+                known = runs.setdefault(method, [])
                 same = [at for at, other in enumerate(known) if run.is_of(other)]
                 is_rule = label in rulers or _untrained(label, played.get(label, ()))
+                if known and index == 0 and below and is_rule != (method in untrained):
+                    raise RequestError(
+                        f"{one}: {method} has a rule, {label if is_rule else 'of another folder'}, "
+                        "beside trained policies; a rule is no training seed"
+                    )
+                if is_rule:
+                    untrained.add(method)
                 if index or is_rule:
                     rules.add(label)
                 against = known if is_rule else [known[at] for at in same]
@@ -107,9 +121,20 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
                 known[same[0]] = known[same[0]].joined(run)
                 if index == 0:
                     notices.append(f"{one} has a policy of another folder, which counts once")
-    return _shared(
-        {method: [run.episodes for run in known] for method, known in runs.items()}, rules, notices
-    )
+    for method, known in runs.items():
+        seeds = [run.training_seed for run in known if run.training_seed is not None]
+        if again := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
+            notices.append(
+                f"{method}: {len(seeds)} policies, but training seed {again[0]} counts "
+                f"{seeds.count(again[0])} times; trainings of one method differ in their seeds"
+            )
+    return _shared(runs, rules, untrained, notices)
+
+
+def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> _Run:
+    seeds = {one.training_seed for one in played}
+    digests = frozenset(one.digest for one in played)
+    return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None)
 
 
 def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
@@ -192,24 +217,34 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
 
 
 def _shared(
-    runs: Mapping[str, Sequence[Episodes]], rules: Container[str], notices: list[str]
+    found: Mapping[str, Sequence[_Run]],
+    rules: Container[str],
+    untrained: Container[str],
+    notices: list[str],
 ) -> Evaluated:
     """Return the methods on the scenes and episodes that every run has.
 
-    ``rules``: those with no training seed, which count once if these episodes are equal.
+    ``rules``: those that count once if these episodes are equal; ``untrained``: those without a
+    training.
     """
+    runs = {method: [run.episodes for run in known] for method, known in found.items()}
     every = [run for known in runs.values() for run in known]
+    folders = [run.folder for known in found.values() for run in known]
     shared: dict[str, list[str]] = {}
     for scene in dict.fromkeys(scene for run in every for scene in run):
         played = [set(run.get(scene, ())) for run in every]
         common = set.intersection(*played)
         if common:
             shared[scene] = [seed for seed in every[0][scene] if seed in common]
-        if (most := max(map(len, played))) > len(common):
-            notices.append(f"{scene}: {len(common)} of up to {most} episodes were played by all")
+        counts = list(map(len, played))
+        if (most := max(counts)) > len(common):
+            fewest = folders[counts.index(min(counts))]
+            notices.append(
+                f"{scene}: {len(common)} of up to {most} episodes were played by all; "
+                f"{fewest} has {min(counts)}"
+            )
     if not shared:
-        scenes = "; ".join(f"{name}: {', '.join(known[0])}" for name, known in runs.items())
-        raise RequestError(f"no episode was played by all methods and seeds ({scenes})")
+        raise RequestError(f"no episode was played by all methods and seeds: {_unlike(found)}")
     names = _short(list(shared))
     methods = []
     for method, known in runs.items():
@@ -222,9 +257,19 @@ def _shared(
         pairs = {name: [run[name] for run in reduced] for name in reduced[0]}
         values = {k: np.array([[v for v, _ in row] for row in rows]) for k, rows in pairs.items()}
         reached = {k: np.array([[r for _, r in row] for row in rows]) for k, rows in pairs.items()}
-        methods.append(Method(method, values, reached))
+        methods.append(Method(method, values, reached, trained=method not in untrained))
     episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
     return Evaluated(tuple(methods), episodes, tuple(notices))
+
+
+def _unlike(found: Mapping[str, Sequence[_Run]]) -> str:
+    """Return in which folders others were played."""
+    scenes: dict[str, dict[str, None]] = {}
+    for run in (run for known in found.values() for run in known):
+        scenes.setdefault(", ".join(run.episodes), {})[str(run.folder)] = None
+    if len(scenes) == 1:
+        return "their conditions are equal, but not their episodes, as with another --seed"
+    return "; ".join(f"{', '.join(folders)}: {names}" for names, folders in scenes.items())
 
 
 def _short(scenes: Sequence[str]) -> dict[str, str]:

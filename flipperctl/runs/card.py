@@ -128,6 +128,6 @@ def _changed(config: TrainConfig) -> dict[str, Any]:
     for setting in settings(config):
         chosen = setting.path.partition(".")[0] in _SECTIONS and "[" not in setting.path
         plugin = setting.path == setting.section and setting.path != "teacher.controller"
-        if chosen and not plugin and setting.value != setting.field.default:
+        if chosen and not plugin and setting.value not in (setting.field.default, {}):
             found[setting.path] = json.dumps(setting.value)
     return found

@@ -102,13 +102,25 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         except FlipperctlError as error:
             tell(f"{run} is left out: {error}")
             continue
-        groups.setdefault(repr(settings), []).append((run, seed))
+        members = groups.setdefault(repr(settings), [])
+        if equal := [other for other, at in members if at == seed]:
+            tell(f"{run} is left out: {equal[0]} has its settings and its seed")
+            continue
+        members.append((run, seed))
     if not groups:
         raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
-    for members in groups.values():
-        name = str(path) if len(groups) == 1 else str(members[0][0])
+    swept = [_swept(members[0][0]) for members in groups.values()]
+    for members, values in zip(groups.values(), swept, strict=True):
+        telling = values and swept.count(values) == 1
+        name = f"{path}/{values}" if telling else str(members[0][0])
         for run, seed in members:
-            yield Entrant(name, run, seed)
+            yield Entrant(str(path) if len(groups) == 1 else name, run, seed)
+
+
+def _swept(run: Path) -> str:
+    """Return the swept values in the name of a run but for its seed, as in ``network=conv``."""
+    values = run.name.partition("_")[2].split(",")
+    return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
 
 
 def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:

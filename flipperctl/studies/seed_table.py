@@ -68,6 +68,8 @@ class MethodRow:
     method: str
     seeds: int
     """Number of training seeds."""
+    trained: bool
+    """Whether its policies were trained; False for a rule."""
     success: Interval
     score: Interval
     """Mean score over scenes, seeds and episodes."""
@@ -128,6 +130,7 @@ def _row(method: Method, price: float) -> MethodRow:
     return MethodRow(
         method.name,
         method.seeds,
+        method.trained,
         success=_success(method),
         score=_within(mean_interval(scores), *ends),
         iqm=_within(statistic_interval(scores, interquartile_mean, rng), *ends),
@@ -182,7 +185,7 @@ def _compare(
     if score.low is not None and score.low == score.high:
         score, p = Interval(score.mean, None, None), 1.0
     success: Interval | PairedSuccess
-    if method.seeds == other.seeds == 1 and len(method.reached) == 1:
+    if len(method.reached) == 1 and _agree(method) and _agree(other):
         success = _paired(method, other)
         p_success = success.p
     else:
@@ -216,8 +219,7 @@ def _success_difference(method: Method, other: Method) -> tuple[Interval, float]
         return found, p
     if found.low < found.high:
         return Interval(found.mean, max(-1.0, found.low), min(1.0, found.high)), p
-    every = [*method.reached.values(), *other.reached.values()]
-    if not all((values == values[0]).all() for values in every):
+    if not (_agree(method) and _agree(other)):
         return Interval(found.mean, None, None), 1.0
     pairs = [
         _pair(values[0], theirs[0])
@@ -227,8 +229,13 @@ def _success_difference(method: Method, other: Method) -> tuple[Interval, float]
     return mean_of(pairs), mcnemar_p(won, lost)
 
 
+def _agree(method: Method) -> bool:
+    """Return whether all seeds reach the finish in the same episodes; a single one does."""
+    return all((values == values[0]).all() for values in method.reached.values())
+
+
 def _paired(method: Method, other: Method) -> PairedSuccess:
-    """Return the difference of success of one seed each on one scene."""
+    """Return the difference of success on one scene, of one seed each or of seeds that agree."""
     (ours,), (theirs,) = method.reached.values(), other.reached.values()
     return _pair(ours[0], theirs[0])
 

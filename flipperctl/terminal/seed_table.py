@@ -44,7 +44,8 @@ def print_table(answer: Answer, picture: Path | None) -> None:
     compared = [(row.method, row.comparison) for row in rows if row.comparison is not None]
     if compared:
         _comparisons(compared).print(out)
-    for line in (*_needed(compared, answer.question), *_warnings(rows)):
+    several = any(row.seeds > 1 for row in rows)
+    for line in (*_needed(compared, answer.question, several), *_warnings(rows)):
         out.print(line, highlight=False, markup=False, soft_wrap=True)
     if picture is not None:
         print(f"picture: {picture}")
@@ -76,7 +77,11 @@ def _p_text(p: float) -> str:
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def _needed(compared: Sequence[tuple[str, Comparison]], question: Question) -> Iterator[str]:
+def _needed(
+    compared: Sequence[tuple[str, Comparison]], question: Question, several: bool
+) -> Iterator[str]:
+    """Yield how many episodes show a difference; ``several``: a method has several seeds."""
+    others = ", not between the methods, whose other trainings differ" if several else ""
     for method, one in compared:
         for difference, what, number in (
             (question.detect, "the score", one.needed),
@@ -87,6 +92,7 @@ def _needed(compared: Sequence[tuple[str, Comparison]], question: Question) -> I
                 yield (
                     f"{method}, {one.against}: {count} episodes show a difference of "
                     f"{difference:g} of {what} between these policies with a probability of 80 %"
+                    f"{others}"
                 )
 
 
@@ -97,7 +103,13 @@ def _warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
                 f"warning: {row.above_price} episodes that {row.method} reached cost more than one "
                 "that is not reached; a higher --price is advised"
             )
-    few = [row.method for row in rows if 1 < row.seeds < 5]
+    alone = [row.method for row in rows if row.trained and row.seeds == 1]
+    if alone:
+        yield (
+            f"one training seed: {', '.join(alone)}; the interval is over episodes alone, and says "
+            "nothing of other trainings of the method (docs/training_seeds.md)"
+        )
+    few = [row.method for row in rows if row.trained and 1 < row.seeds < 5]
     if few:
         yield (
             f"fewer than five training seeds: {', '.join(few)}; their intervals are wide, and too "

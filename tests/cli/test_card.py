@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from flipperctl.config import TrainConfig
+from flipperctl.runs import card
 from tests.cli.call import call
 
 EVAL = ("eval", "--checkpoint", "generalist", "--baseline", "level", "terrain=flat")
@@ -68,3 +70,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     done = call("card", "generalist", ".", cwd=tmp_path)
     assert done.code == 2
     assert "summary.json: it cannot be read" in done.err
+
+
+def test_a_training_at_its_defaults_changes_nothing() -> None:
+    assert card._changed(TrainConfig(terrain="step", network="mlp")) == {}

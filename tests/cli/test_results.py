@@ -57,9 +57,10 @@ def test_tables_a_picture_and_the_episodes_that_show_a_difference(seeds: Path) -
     arguments = ("plain", "searched=other", "--detect", "0.1", "--detect-success", "1")
     done = call("inspect", "results", *arguments, "--output", "profile.png", cwd=seeds)
     assert done.code == 0, done.err
-    assert "8 of up to 9 episodes were played by all" in done.err
+    assert "8 of up to 9 episodes were played by all; plain/0 has 8" in done.err
     assert "compared with plain" in done.out
     assert "searched, plain: 6 episodes show a difference of 1 of success" in done.out
+    assert "not between the methods, whose other trainings differ" in done.out
     assert "fewer than five training seeds: plain" in done.out
     assert (seeds / "profile.png").stat().st_size > 0
 
@@ -203,3 +204,67 @@ def test_settings_of_a_plugins_controller_are_no_seeds_without_the_plugin(tmp_pa
     done = call("inspect", "results", "a", "b", cwd=tmp_path)
     assert done.code == 2
     assert "mine has other results there" in done.err
+
+
+def test_one_training_says_nothing_of_its_method(tmp_path: Path) -> None:
+    for name, value in (("a", 1.0), ("b", 2.0)):
+        write(tmp_path / name, {f"{name}/best": value, "level": 2.5})
+        remember(tmp_path / name, f"{name}/best", name, 1)
+    done = call("inspect", "results", "a", "b", cwd=tmp_path)
+    assert "one training seed: a/best, b/best; the interval is over episodes alone" in done.out
+    assert "level" not in done.out.split("one training seed")[1]
+
+
+@pytest.mark.parametrize("place", [1, 3])
+def test_a_rule_among_the_seeds_of_a_method_is_refused(place: int, tmp_path: Path) -> None:
+    for number in (1, 2, 3):
+        folder = tmp_path / "m" / f"{number}"
+        write(folder, {"level" if number == place else f"{number}/best": 1.0 + number})
+        if number != place:
+            remember(folder, f"{number}/best", f"d{number}", number)
+    done = call("inspect", "results", "m", cwd=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "a rule is no training seed" in done.err
+
+
+def test_equal_training_seeds_of_a_method_are_told(tmp_path: Path) -> None:
+    """As of one training at two decisions, or of two networks."""
+    for number, seed in enumerate((1, 1, 2)):
+        write(tmp_path / "m" / f"{number}", {f"{number}/best": 1.0 + number})
+        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", seed)
+    done = call("inspect", "results", "m", cwd=tmp_path)
+    assert done.code == 0
+    assert "m: 3 policies, but training seed 1 counts 2 times" in done.err
+
+
+def test_seeds_that_agree_prove_no_more_than_one(tmp_path: Path) -> None:
+    """The same five of eight episodes fail: McNemar's test, however many seeds there are."""
+    for seed in range(2):
+        write(tmp_path / "m" / f"{seed}", {f"{seed}/best": 1.0 + seed, "level": 2.0})
+        file = tmp_path / "m" / f"{seed}" / "episodes.csv"
+        fails = [f"best,abcd,{n}," for n in range(5)]
+        lines = [
+            line.replace("reached", "stuck") if any(f in line for f in fails) else line
+            for line in file.read_text().splitlines()
+        ]
+        file.write_text("\n".join(lines) + "\n")
+    found = {}
+    for words in (("m/0",), ("m",)):
+        done = call("inspect", "results", *words, "--against", "level", "--json", cwd=tmp_path)
+        (row,) = [r for r in json.loads(done.out)["methods"] if r["comparison"]]
+        found[words] = row["comparison"]["p_success"], row["comparison"]["success"]["low"]
+    assert found["m/0",] == found["m",]
+    assert found["m",][0] == pytest.approx(2 * 0.5**5)
+
+
+def test_what_hinders_a_comparison_is_named(tmp_path: Path) -> None:
+    write(tmp_path / "a", {"a/best": 1.0})
+    write(tmp_path / "b", {"b/best": 1.0})
+    file = tmp_path / "b" / "episodes.csv"
+    rows = file.read_text()
+    file.write_text(rows.replace("abcd,", "abcd,1"))
+    done = call("inspect", "results", "a", "b", cwd=tmp_path)
+    assert "their conditions are equal, but not their episodes, as with another --seed" in done.err
+    file.write_text(rows.replace("abcd", "ffff"))
+    done = call("inspect", "results", "a", "b", cwd=tmp_path)
+    assert "a: stair abcd; b: stair ffff" in done.err

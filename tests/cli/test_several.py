@@ -166,6 +166,34 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
     assert names[1].to_dict() == {"method": "sweep", "training_seed": 9}
 
 
+def test_methods_of_a_sweep_have_the_names_of_what_was_swept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = checkpoint.read(checkpoint.shipped_policies()["generalist"])
+    names = (
+        "0_agent.learning_rate=0.001,seed=1",
+        "1_agent.learning_rate=0.002,seed=1",
+        "2_agent.learning_rate=0.001,seed=1",
+    )
+    for name in names:
+        file = tmp_path / "sweep" / name / checkpoint.BEST
+        file.parent.mkdir(parents=True)
+        rate = {"learning_rate": 0.001 if "0.001" in name else 0.002}
+        config = shipped.document.config
+        agent = {**config.agent, **rate}
+        changed = config.model_copy(update={"seed": 1, "agent": agent})
+        document = shipped.document.model_copy(update={"config": changed})
+        checkpoint.write(file, document, shipped.tensors)
+    told: list[str] = []
+    monkeypatch.chdir(tmp_path)
+    found = entrants([Path("sweep")], None, told.append)
+    assert [e.method for e in found] == [
+        "sweep/agent.learning_rate=0.001",
+        "sweep/agent.learning_rate=0.002",
+    ]
+    assert told == [f"sweep/{names[2]} is left out: sweep/{names[0]} has its settings and its seed"]
+
+
 def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
