@@ -48,10 +48,11 @@ def find(run: Path) -> Path:
     if run.is_dir():
         if holds_run(run):
             return run
-        raise CheckpointError(
-            f"{run} holds neither {CONFIG} nor a checkpoint; is it a run directory? "
-            "A run that was stopped before it wrote them must be started again"
+        hint = sweep_hint(run) or (
+            "is it a run directory? A run that was stopped before it wrote them must be started "
+            "again"
         )
+        raise CheckpointError(f"{run} holds neither {CONFIG} nor a checkpoint; {hint}")
     file = checkpoint.find(run)
     if checkpoint.read(file).document.kind != "last":
         raise CheckpointError(
@@ -63,6 +64,16 @@ def find(run: Path) -> Path:
             f"{file} does not lie in a run directory; a run is resumed from its {checkpoint.LAST}"
         )
     return directory
+
+
+def sweep_hint(folder: Path) -> str:
+    """Return what to give in place of a folder that does not exist or has runs in it, if so."""
+    if not folder.exists():
+        return "there is no such folder"
+    if not folder.is_dir():
+        return ""
+    runs = sorted(inner for inner in folder.iterdir() if inner.is_dir() and holds_run(inner))
+    return f"give one of its runs, such as {runs[0]}" if runs else ""
 
 
 def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from flipperctl.errors import RequestError
 from flipperctl.runs import lock
-from flipperctl.runs.folder import METRICS, SUMMARY
+from flipperctl.runs.folder import METRICS, SUMMARY, sweep_hint
 from flipperctl.training.events import read_rows
 
 _REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
@@ -42,7 +42,8 @@ class RunRows:
         """
         metrics = run / METRICS
         if not metrics.is_file():
-            raise RequestError(f"{run} holds no {METRICS}; is it a run directory?")
+            hint = sweep_hint(run) or "is it a run directory?"
+            raise RequestError(f"{run} holds no {METRICS}; {hint}")
         rows = read_rows(metrics)
         kinds = ("episode", "validation")
         return cls(*([row for row in rows if row["kind"] == kind] for kind in kinds))

@@ -36,6 +36,7 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["card", "--checkpoint", "runs/mine"], ["write runs/mine alone"]),
         (["eval", "--controller", "generalist"], ["write --checkpoint generalist"]),
         (["eval", "--checkpoint", "okada"], ["write --controller okada"]),
+        (["inspect", "run", "nope"], ["nope holds no metrics.csv; there is no such folder"]),
         (["new"], ["'KIND'", "see flipperctl new --help"]),
         (["export"], ["Choose from: onnx, pt2", "see flipperctl export --help"]),
         (["train", "terrain=step seed=3"], ["several overrides", "out: terrain=step seed=3"]),
@@ -176,6 +177,15 @@ def test_resume_neither_prints_nor_sweeps(
 ) -> None:
     error = refused("train", "--resume", str(short_run), *words, cwd=tmp_path)
     assert f"{words[0]}: no meaning beside --resume" in error
+
+
+def test_the_folder_of_a_sweep_is_no_run(tmp_path: Path) -> None:
+    run = tmp_path / "sweep" / "0_seed=1"
+    run.mkdir(parents=True)
+    (run / "config.yaml").write_text("seed: 1")
+    for command in (["inspect", "run", "sweep"], ["train", "--resume", "sweep"]):
+        error = refused(*command, cwd=tmp_path)
+        assert "give one of its runs, such as sweep/0_seed=1" in error
 
 
 def test_resume_keeps_the_configuration(short_run: Path, tmp_path: Path) -> None:
