@@ -7,6 +7,7 @@ In: jobs, each a list of overrides, and a launcher. Out: a run directory for eac
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,14 +50,17 @@ class Sweep:
         *,
         named: bool,
         serial: bool,
+        tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """``folder`` is that of the sweep; ``show`` is called with it and the runs at the end.
 
         ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
-        launched one by one, so that none begins after Ctrl-C.
+        launched one by one, so that none begins after Ctrl-C; ``tell`` is then called with a line
+        before each.
         """
         self.folder = folder
         self._launcher, self._show, self._named, self._serial = launch, show, named, serial
+        self._tell = tell
         self.stop: Callable[[], bool] = lambda: False
         """Called before each launch; once it returns True, no further job begins."""
         self.jobs = 0
@@ -86,6 +90,7 @@ class Sweep:
         """
         size = 1 if self._serial else len(jobs)
         results: list[JobResult] = []
+        begun = time.monotonic()
         self.jobs += len(jobs)
         for start in range(0, len(jobs), size):
             number = first + start
@@ -94,6 +99,11 @@ class Sweep:
                 error = InterruptedRunError("interrupted")
                 self._leave_out(jobs[start:], self._names(jobs[start:], number), number, error)
                 break
+            if self._serial and len(jobs) > 1:
+                spent = time.monotonic() - begun
+                left = spent / start * (len(jobs) - start) if start else None
+                rest = "" if left is None else f"; about {left:.0f} s left for all"
+                self._tell(f"run {start + 1} of {len(jobs)}{rest}")
             results += self._launch(jobs[start : start + size], number)
         return results
 

@@ -1,6 +1,7 @@
 """Run directories: held by one process, and resumed from all that a kill can leave."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -189,6 +190,8 @@ def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(tmp_p
     done = call("train", "-m", *QUICK, "seed=1,2", *options, cwd=tmp_path)
     assert done.code == 2
     assert "Error executing job" not in done.err
+    assert "run 1 of 2\n" in done.err
+    assert re.search(r"run 2 of 2; about \d+ s left for all", done.err)
     assert done.err.splitlines()[-1].startswith("error: ")
     assert "0/config.yaml: its configuration does not fit" in done.err.splitlines()[-1]
     table = (tmp_path / "sweep.csv").read_text()

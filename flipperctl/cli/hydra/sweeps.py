@@ -23,6 +23,7 @@ from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 from flipperctl.runs import follow_up
 from flipperctl.runs.sweep import Job, JobResult, Sweep
+from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.sweep import print_comparison
 
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
@@ -50,7 +51,7 @@ def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
 
     # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.
     serial = isinstance(launcher, BasicLauncher)
-    return Sweep(folder, launch, print_comparison, named=named, serial=serial)
+    return Sweep(folder, launch, print_comparison, named=named, serial=serial, tell=print_note)
 
 
 def job_result(job: JobReturn) -> JobResult:
