@@ -7,6 +7,7 @@ methods with the episodes that all of them played.
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
 
 FILE = "episodes.csv"
+SUMMARY = "summary.json"
 _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
 
 Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
@@ -69,19 +71,15 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
 
     A folder with ``episodes.csv`` is one training seed of a method, which has the name of its
     policy unless ``METHOD`` is given; a folder whose subfolders have such a file is one method with
-    a training seed in each. Baselines are methods by their own name. A policy that was evaluated
-    several times counts once, with the episodes of all its folders.
+    a training seed in each. An evaluation of a sweep has all the seeds of its methods. Baselines
+    are methods by their own name. A policy that was evaluated several times counts once, with the
+    episodes of all its folders.
 
     Raises:
         RequestError: a folder has no results, a file is damaged or lacks the measure, or no episode
             was played by all.
     """
-    runs: dict[str, list[_Run]] = {}
-    rules: set[str] = set()
-    untrained: set[str] = set()
-    notices: list[str] = []
-    seen: set[Path] = set()
-    rulers = registered_names("controller")  # they have no training seeds
+    reader, seen = _Reader(measure), set[Path]()
     for word in words:
         name, folder = _named(word)
         folders = list(_folders(folder))
@@ -90,45 +88,82 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
             name = name or folder.resolve().name
         for one in folders:
             if (place := one.resolve()) in seen:
-                notices.append(f"{one} is named twice and counts once")
+                reader.notices.append(f"{one} is named twice and counts once")
                 continue
             seen.add(place)
-            played = _played(one)
-            for index, (label, episodes) in enumerate(_policies(one / FILE, measure).items()):
-                run = _run(one, episodes, played.get(label, set()))
-                method = (name if index == 0 else None) or label
-                known = runs.setdefault(method, [])
-                same = [at for at, other in enumerate(known) if run.is_of(other)]
-                is_rule = label in rulers or _untrained(label, played.get(label, ()))
-                if known and index == 0 and below and is_rule != (method in untrained):
-                    raise RequestError(
-                        f"{one}: {method} has a rule, {label if is_rule else 'of another folder'}, "
-                        "beside trained policies; a rule is no training seed"
-                    )
-                if is_rule:
-                    untrained.add(method)
-                if index or is_rule:
-                    rules.add(label)
-                against = known if is_rule else [known[at] for at in same]
-                if any(_contradict(episodes, other.episodes) for other in against):
-                    raise RequestError(
-                        f"{one}: {label} has other results there than in another folder, as with "
-                        "other settings; METHOD=DIR gives each a name of its own"
-                    )
-                if not same:
-                    known.append(run)
-                    continue
-                known[same[0]] = known[same[0]].joined(run)
-                if index == 0:
-                    notices.append(f"{one} has a policy of another folder, which counts once")
-    for method, known in runs.items():
-        seeds = [run.training_seed for run in known if run.training_seed is not None]
-        if again := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
-            notices.append(
-                f"{method}: {len(seeds)} policies, but training seed {again[0]} counts "
-                f"{seeds.count(again[0])} times; trainings of one method differ in their seeds"
+            reader.read(one, name, is_seed=below)
+    reader.tell_equal_seeds()
+    return _shared(reader.runs, reader.rules, reader.untrained, reader.notices)
+
+
+class _Reader:
+    """The policies of the folders that were read so far."""
+
+    def __init__(self, measure: str) -> None:
+        self._measure = measure
+        self._rulers = registered_names("controller")  # they have no training seeds
+        self.runs: dict[str, list[_Run]] = {}
+        """By method."""
+        self.rules: set[str] = set()
+        """Methods that count once if their episodes are equal."""
+        self.untrained: set[str] = set()
+        """Methods without a training."""
+        self.notices: list[str] = []
+
+    def read(self, folder: Path, name: str | None, *, is_seed: bool) -> None:
+        """Add the policies of a folder; ``name`` is the method of its first one, if it has one.
+
+        ``is_seed``: whether the folder is one of those of a method's training seeds.
+        """
+        played, grouped = _played(folder), _grouped(folder)
+        policies = _policies(folder / FILE, self._measure)
+        first = next(iter(policies))
+        for label, episodes in policies.items():
+            of_sweep = label in grouped
+            leads = label == first or (of_sweep and grouped[label] == grouped.get(first))
+            method = name if name and leads else grouped.get(label, label)
+            is_rule = label in self._rulers or _untrained(label, played.get(label, ()))
+            if is_seed and label == first:
+                self._check_kind(method, label, folder, is_rule=is_rule)
+            if is_rule:
+                self.untrained.add(method)
+            if is_rule or not leads:
+                self.rules.add(label)
+            known = self.runs.setdefault(method, [])
+            run = _run(folder, episodes, played.get(label, ()))
+            same = [at for at, other in enumerate(known) if run.is_of(other)]
+            against = known if is_rule else [known[at] for at in same]
+            if any(_contradict(episodes, other.episodes) for other in against):
+                raise RequestError(
+                    f"{folder}: {label} has other results there than in another folder, as with "
+                    "other settings; METHOD=DIR gives each a name of its own"
+                )
+            if not same:
+                known.append(run)
+                continue
+            known[same[0]] = known[same[0]].joined(run)
+            if leads:
+                self.notices.append(f"{folder} has a policy of another folder, which counts once")
+
+    def _check_kind(self, method: str, label: str, folder: Path, *, is_rule: bool) -> None:
+        """Refuse a rule among the training seeds of a method."""
+        if method in self.runs and is_rule != (method in self.untrained):
+            rule = label if is_rule else "of another folder"
+            raise RequestError(
+                f"{folder}: {method} has a rule, {rule}, beside trained policies; a rule is no "
+                "training seed"
             )
-    return _shared(runs, rules, untrained, notices)
+
+    def tell_equal_seeds(self) -> None:
+        """Add a notice on each method with two policies of one training seed."""
+        for method, known in self.runs.items():
+            seeds = [run.training_seed for run in known if run.training_seed is not None]
+            again = next((seed for seed in seeds if seeds.count(seed) > 1), None)
+            if again is not None:
+                self.notices.append(
+                    f"{method}: {len(seeds)} policies, but training seed {again} counts "
+                    f"{seeds.count(again)} times; trainings of one method differ in their seeds"
+                )
 
 
 def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> _Run:
@@ -143,6 +178,19 @@ def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
     for (label, _), policies in played_policies(folder / FOLDER).items():
         found.setdefault(label, set()).update(policies)
     return found
+
+
+def _grouped(folder: Path) -> dict[str, str]:
+    """Return the method of each policy, by label, where one evaluation had several of its seeds."""
+    try:
+        scenes = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
+        labels: dict[str, set[str]] = {}
+        for scene in scenes:
+            if method := scene.get("method"):
+                labels.setdefault(method, set()).add(scene["controller"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}  # the episodes alone are needed
+    return {label: name for name, found in labels.items() if len(found) > 1 for label in found}
 
 
 def _untrained(label: str, played: Collection[PlayedPolicy]) -> bool:

@@ -268,3 +268,13 @@ def test_what_hinders_a_comparison_is_named(tmp_path: Path) -> None:
     file.write_text(rows.replace("abcd", "ffff"))
     done = call("inspect", "results", "a", "b", cwd=tmp_path)
     assert "a: stair abcd; b: stair ffff" in done.err
+
+
+def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -> None:
+    values = {"s/0": 1.0, "s/1": 1.5, "s/2": 3.0, "s/3": 3.5, "level": 2.0}
+    write(tmp_path / "judged", values)
+    methods = dict(zip(values, ("s/a", "s/a", "s/b", "s/b", "level"), strict=True))
+    scenes = [{"controller": label, "method": method} for label, method in methods.items()]
+    (tmp_path / "judged" / "summary.json").write_text(json.dumps({"scenes": scenes}))
+    assert seeds_of("judged", cwd=tmp_path) == {"s/a": 2, "s/b": 2, "level": 1}
+    assert seeds_of("mine=judged", cwd=tmp_path) == {"mine": 2, "s/b": 2, "level": 1}
