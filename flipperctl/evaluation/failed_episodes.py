@@ -24,8 +24,8 @@ MOST = 20
 """Largest number of failures of a scene that are recorded [-]."""
 
 
-def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResult) -> int:
-    """Write the policy's first ``MOST`` failures of each scene; return the number of files.
+def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResult) -> list[str]:
+    """Write the policy's first ``MOST`` failures of each scene; return the names of the files.
 
     The result may lack scenes.
 
@@ -36,7 +36,7 @@ def write_failures(folder: Path, scenes: Sequence[Scene], result: EvaluationResu
     records = list(failure_records(scenes, result))
     for name, record in records:
         write_json(folder / name, record.model_dump(mode="json"))
-    return len(records)
+    return [name for name, _ in records]
 
 
 def write_map_failures(

@@ -81,7 +81,7 @@ class EvaluationFiles:
     def _write_tables(self, result: EvaluationResult) -> None:
         if self._folder is not None:
             later = [] if result.interruption else self._pictures
-            failures = 0
+            failures: list[str] = []
 
             def write(part: Path) -> None:
                 nonlocal failures
@@ -93,8 +93,9 @@ class EvaluationFiles:
             write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
             if failures:
-                replay = f"{command('eval', '--replay', self._folder.path)}/failure_….json"
-                self._tell(f"recorded {failures} failures; to play one again: {replay}")
+                replay = command("eval", "--replay", self._folder.path / failures[0])
+                several = f"{len(failures)} failures" if len(failures) > 1 else "a failure"
+                self._tell(f"recorded {several}; to play the first again: {replay}")
             for version, cells in self.store.other_versions.items():
                 self._tell(
                     f"{self._folder.path / FOLDER}: {cells} of these cells were played with "

@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("failures")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(failed_episodes, "MOST", 2)
-        assert write_failures(folder, [(STEP, LEVEL)], evaluate([(STEP, LEVEL)])) == 2
+        assert len(write_failures(folder, [(STEP, LEVEL)], evaluate([(STEP, LEVEL)]))) == 2
     return folder
 
 
@@ -119,7 +119,7 @@ def test_scenes_that_differ_in_the_policys_settings_alone_keep_their_own_failure
         (EvalConfig(**wall), PolicySource(settings={"name": "okada", "far": far}))
         for far in (0.45, 0.15)
     ]
-    assert write_failures(tmp_path, scenes, evaluate(scenes)) == 2
+    assert len(write_failures(tmp_path, scenes, evaluate(scenes))) == 2
     files = sorted(tmp_path.glob("failure_*"))
     records = [read_record(file) for file in files]
     assert [(record.policy.controller or {})["far"] for record in records] == [
