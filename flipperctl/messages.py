@@ -141,6 +141,8 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     known = sorted(name for name in node if name != "name")
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
+    if inside and not known:
+        return f"{key}: there is no such key; {inside} has no settings here"
     return (
         f"{key}: there is no such key{hint or close_match(leaf, known)}; "
         f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"

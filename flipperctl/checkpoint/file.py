@@ -219,7 +219,10 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
             return run_or_file / name
-    raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; is it a run directory?")
+    inner = (run for run in sorted(run_or_file.iterdir()) if (run / LAST).is_file())
+    run = next(inner, None)
+    hint = f"give one of its runs, such as {run}" if run else "is it a run directory?"
+    raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; {hint}")
 
 
 def _suggestion(missing: Path, shipped: Iterable[str]) -> str:

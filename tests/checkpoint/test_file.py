@@ -157,6 +157,11 @@ def test_a_run_directory_stands_for_its_checkpoint(short_run: Path, tmp_path: Pa
         checkpoint.find(tmp_path)
     with pytest.raises(CheckpointError, match="no such run"):
         checkpoint.find(tmp_path / "missing")
+    last = tmp_path / "0_seed=1" / checkpoint.LAST
+    last.parent.mkdir(parents=True)
+    last.touch()
+    with pytest.raises(CheckpointError, match=r"one of its runs, such as .*0_seed=1"):
+        checkpoint.find(tmp_path)
 
 
 def test_a_misspelt_run_suggests_the_run_beside_it(short_run: Path, tmp_path: Path) -> None:

@@ -34,6 +34,11 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["inspect", "plugins", "mine.py"], ["its file as --plugins mine.py"]),
         (["export", "onnx", "runs/mine"], ["write --checkpoint runs/mine"]),
         (["card", "--checkpoint", "runs/mine"], ["write runs/mine alone"]),
+        (
+            ["eval", "--controller", "level", "train.decisions=5"],
+            ["train.decisions: it belongs to a training, and has no meaning here"],
+        ),
+        (["train", "collector.max_lag=3"], ["collector has no settings here"]),
         (["eval", "--controller", "generalist"], ["write --checkpoint generalist"]),
         (["eval", "--checkpoint", "okada"], ["write --controller okada"]),
         (["inspect", "run", "nope"], ["nope holds no metrics.csv; there is no such folder"]),

@@ -25,6 +25,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from flipperctl.api import Logger, RewardTerm
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, GROUPS, missing_entry
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, MissingExtraError, RequestError
@@ -110,6 +111,9 @@ def unknown_key(
     addition = None if override.is_delete() else _addition(override, node)
     if addition and _is_group(override):
         key = addition.partition("@")[2].partition("=")[0]
+    section = key.partition(".")[0]
+    if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
+        return ConfigError(f"{key}: it belongs to a training, and has no meaning here")
     hint = f"; to add it, write {addition}" if addition else ""
     return ConfigError(explain_unknown_key(key, node) + hint)
 
