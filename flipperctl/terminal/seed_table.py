@@ -40,6 +40,8 @@ def print_table(answer: Answer, picture: Path | None) -> None:
         )
         for scene, score in row.by_scene.items() if len(episodes) > 1 else ():
             found.add(f"  {scene}", "", "", interval_text(score, 3), "", "", dim=True)
+    for line in _price_warnings(rows):
+        out.print(line, highlight=False, markup=False, soft_wrap=True)
     found.print(out)
     compared = [(row.method, row.comparison) for row in rows if row.comparison is not None]
     if compared:
@@ -96,13 +98,17 @@ def _needed(
                 )
 
 
-def _warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
+def _price_warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
+    """Yield a line, above the table, for each method whose failures pay."""
     for row in rows:
         if row.above_price:
             yield (
                 f"warning: {row.above_price} episodes that {row.method} reached cost more than one "
-                "that is not reached; a higher --price is advised"
+                "that is not reached, so that failing pays in this table; a higher --price is advised"
             )
+
+
+def _warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
     alone = [row.method for row in rows if row.trained and row.seeds == 1]
     if alone:
         yield (
