@@ -104,7 +104,7 @@ def _price_warnings(rows: Sequence[MethodRow]) -> Iterator[str]:
         if row.above_price:
             yield (
                 f"warning: {row.above_price} episodes that {row.method} reached cost more than one "
-                "that is not reached, so that failing pays in this table; a higher --price is advised"
+                "that is not reached, so that failing pays here; a higher --price is advised"
             )
 
 

@@ -278,3 +278,10 @@ def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -
     (tmp_path / "judged" / "summary.json").write_text(json.dumps({"scenes": scenes}))
     assert seeds_of("judged", cwd=tmp_path) == {"s/a": 2, "s/b": 2, "level": 1}
     assert seeds_of("mine=judged", cwd=tmp_path) == {"mine": 2, "s/b": 2, "level": 1}
+
+
+def test_a_price_at_which_failing_pays_is_said_before_the_table(tmp_path: Path) -> None:
+    write(tmp_path / "a", {"a/best": 3.0, "level": 2.0}, failed=0)
+    done = call("inspect", "results", "a", "--price", "1", cwd=tmp_path)
+    first = done.out.splitlines()[0]
+    assert first.startswith("warning: 7 episodes that a/best reached cost more than one that is")
