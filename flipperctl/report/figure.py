@@ -29,7 +29,7 @@ WIDTH = 9.6
 """Width of every figure [in]."""
 
 
-_TITLE = 96
+_TITLE = 106
 """Largest number of characters of a line of a title [-]."""
 _LEGEND = 18.0
 """Height of a legend of one line, with its margins [pt]."""
