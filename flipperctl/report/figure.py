@@ -29,7 +29,7 @@ WIDTH = 9.6
 """Width of every figure [in]."""
 
 
-_TITLE = 106
+_TITLE = 88
 """Largest number of characters of a line of a title [-]."""
 _LEGEND = 18.0
 """Height of a legend of one line, with its margins [pt]."""
@@ -69,7 +69,7 @@ def z_label(scale: int) -> str:
 
 def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
     """Set title and labels, draw a light grid and remove the upper and the right spine."""
-    _set_title(axes, textwrap.fill(title, _TITLE))
+    _set_title(axes, "\n".join(textwrap.fill(line, _TITLE) for line in title.splitlines()))
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
     axes.tick_params(labelsize=8, colors=INK)

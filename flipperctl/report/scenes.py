@@ -54,8 +54,8 @@ def _draw(path: Path, scene: Scene, progress: Progress) -> None:
     with progress(f"{terrain}, picture", 1) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
     title = (
-        f"{source.label()} on {terrain}, conditions {Conditions.of(config).label}, "
-        f"episode 0 of {config.eval.episodes}: {made[-1].outcome}"
+        f"{source.label()} on {terrain}: {made[-1].outcome}\n"
+        f"episode 0 of {config.eval.episodes}, conditions {Conditions.of(config).label}"
     )
     states = [made[0].before, *(t.after for t in made)]
     robot = made[0].robot
