@@ -220,8 +220,8 @@ def _culprit(
 def _text(error: BaseException) -> str:
     if isinstance(error, ValidationError):
         first = error.errors()[0]
-        setting = f"{error.title}.{'.'.join(map(str, first['loc']))}"
-        return _one_line(f"{setting}: {first['msg']}", _LONGEST)
+        setting = ".".join([error.title, *map(str, first["loc"])])
+        return _one_line(f"{setting}: {first['msg'].removeprefix('Value error, ')}", _LONGEST)
     text = _call_safely(str, error).partition("For further information visit")[0].rstrip()
     return _one_line(text, _LONGEST)
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
@@ -45,12 +45,13 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     Each engine and sensor has an entry point of its own, even in this package, and entry points
     are read from the installed metadata.
     """
-    _, equals, value = name.partition("=")
-    if equals:
-        return f"; write {value}, without {kind}="
+    known = list(known)
+    key, _, value = name.partition("=")
+    if value in known:
+        return f"; write {value}, without {key}="
     if name.endswith(".py"):
         return f"; give the plugin's name, and its file as --plugins {shlex.quote(name)}"
-    if Path(f"{name}.py").is_file():
+    if os.path.isfile(f"{name}.py"):  # noqa: PTH113  # false for any text, however long
         return f"; {name}.py is loaded by --plugins {name}.py"
     if close := close_match(name, known):
         return close

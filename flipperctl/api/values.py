@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,19 +40,21 @@ class Settings(BaseModel):
     null_values: ClassVar[Mapping[str, float]] = {}
     """Numbers as which settings count where they are null, such as infinity for no limit."""
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse to change a setting.
+    if not TYPE_CHECKING:  # which else would take any attribute for known
 
-        Raises:
-            AttributeError: always, but for private attributes.
-        """
-        try:
-            super().__setattr__(name, value)
-        except ValidationError as error:
-            raise AttributeError(
-                f"{type(self).__name__}.{name} cannot be set: settings do not change; keep what "
-                "changes in a local variable, or in an object that build returns"
-            ) from error
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Refuse to set an attribute, but for private ones.
+
+            Raises:
+                AttributeError: it is a setting, or no attribute at all.
+            """
+            try:
+                super().__setattr__(name, value)
+            except ValidationError as error:
+                raise AttributeError(
+                    f"{type(self).__name__}.{name} cannot be set: settings do not change; keep "
+                    "what changes in a local variable, or in an object that build returns"
+                ) from error
 
     @classmethod
     def nearest_allowed(cls, name: str, value: float) -> float:

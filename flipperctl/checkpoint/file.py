@@ -219,21 +219,36 @@ def find(run_or_file: Path, prefer: Path = BEST) -> Path:
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
             return run_or_file / name
-    inner = (run for run in sorted(run_or_file.iterdir()) if (run / LAST).is_file())
-    run = next(inner, None)
-    hint = f"give one of its runs, such as {run}" if run else "is it a run directory?"
+    inner = runs_in(run_or_file)
+    hint = f"give one of its runs, such as {inner[0]}" if inner else "is it a run directory?"
     raise CheckpointError(f"{run_or_file} holds neither {BEST} nor {LAST}; {hint}")
+
+
+def holds(folder: Path) -> bool:
+    """Return whether a folder is that of a run with a checkpoint."""
+    return any((folder / name).is_file() for name in (BEST, LAST))
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """Return the runs with a checkpoint in a folder, as that of a sweep, in the order of jobs.
+
+    Raises:
+        OSError: the folder cannot be read.
+    """
+    return sorted(filter(holds, folder.iterdir()), key=number)
+
+
+def number(run: Path) -> tuple[int, str]:
+    """Order runs of a sweep by the number with which their names begin."""
+    first = run.name.partition("_")[0]
+    return (int(first) if first.isdigit() else 2**31, run.name)
 
 
 def _suggestion(missing: Path, shipped: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the closest run beside the path, or shipped policy."""
     folder = missing.parent
     with contextlib.suppress(OSError):  # no suggestion from an unreadable folder
-        runs = [
-            run.name
-            for run in sorted(folder.iterdir())
-            if any((run / name).is_file() for name in (BEST, LAST))
-        ]
+        runs = [run.name for run in runs_in(folder)]
         if found := difflib.get_close_matches(missing.name, runs, n=1):
             return f"; did you mean {str(folder / found[0])!r}?"
     return close_match(str(missing), shipped)

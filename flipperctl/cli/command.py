@@ -64,7 +64,11 @@ class Command(TyperCommand):
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
         overridable = any("OVERRIDE" in str(param.metavar) for param in self.params)
         primary = self.primary if overridable else None
-        raise _unknown(name, _value(name, args), known, primary)
+        takes_run = any(
+            param.param_type_name == "argument" and "RUN" in str(param.metavar)
+            for param in self.params
+        )
+        raise _unknown(name, _value(name, args), known, primary, takes_run=takes_run)
 
 
 class TrainingCommand(Command):
@@ -99,7 +103,9 @@ class Group(TyperGroup):
         raise _unknown(name, value, known, primary)
 
 
-def _unknown(name: str, value: str, known: list[str], primary: str | None) -> RequestError:
+def _unknown(
+    name: str, value: str, known: list[str], primary: str | None, *, takes_run: bool = False
+) -> RequestError:
     from flipperctl.terminal.unknown_option import explain
 
     def default() -> TrainConfig:
@@ -107,7 +113,7 @@ def _unknown(name: str, value: str, known: list[str], primary: str | None) -> Re
 
         return only_one(compose_train())
 
-    return RequestError(explain(name, value, known, primary, default))
+    return RequestError(explain(name, value, known, primary, default, takes_run=takes_run))
 
 
 def _value(name: str, args: Sequence[str]) -> str:

@@ -19,8 +19,6 @@ from flipperctl.config.randomise import Randomise
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
 
-DEFAULT_ROBOT = "nubot"
-"""The robot whose values are the defaults of ``api.Robot``."""
 _SUFFIXES = (".yaml", ".yml")
 _KEY = "robot"
 _ALIKE = 0.02

@@ -56,17 +56,6 @@ def profile(scores: FloatArray, levels: FloatArray) -> FloatArray:
     return np.asarray(1.0 - below / ordered.size)
 
 
-def stratified(
-    scores: FloatArray, rows: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-) -> FloatArray:
-    """Return resampled scores: in each task the runs whose indices are ``rows``, (..., R, T).
-
-    rliable resamples the runs of each task by themselves, which suits runs that are trained on one
-    task each. ``seed_intervals`` resamples whole runs, since one policy plays all scenes.
-    """
-    return np.asarray(np.take_along_axis(np.broadcast_to(scores, rows.shape), rows, axis=-2))
-
-
 def percentile_ends(values: FloatArray) -> FloatArray:
     """Return the percentile interval: the 2.5 % and 97.5 % quantiles of (B,) resampled values."""
     return np.asarray(np.percentile(values, [2.5, 97.5]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.files import SUMMARY
 
 MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel")
 """Measures of a row; those over the episodes that reached the finish, but ``max_pitch``."""
@@ -77,7 +78,7 @@ class StoredRow:
 
 def summary_file(folder_or_file: Path) -> Path:
     """Return the file of results in a folder of ``eval --output``, or the file itself."""
-    return folder_or_file / "summary.json" if folder_or_file.is_dir() else folder_or_file
+    return folder_or_file / SUMMARY if folder_or_file.is_dir() else folder_or_file
 
 
 def read_rows(folder_or_file: Path) -> list[StoredRow]:
@@ -93,16 +94,17 @@ def read_rows(folder_or_file: Path) -> list[StoredRow]:
         raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise RequestError(f"{path}: it is no JSON document: {error}") from error
-    if isinstance(document, dict) and document.get("interrupted"):
-        raise RequestError(
-            f"{path}: its evaluation was interrupted; eval with the same words and --output goes on"
-        )
-    if isinstance(document, dict) and (failed := document.get("failed")):
-        raise RequestError(
-            f"{path}: results are missing, since {failed[0]['controller']} failed on "
-            f"{failed[0]['terrain']}"
-        )
     try:
+        if document.get("interrupted"):
+            raise RequestError(
+                f"{path}: its evaluation was interrupted; eval with the same words and --output "
+                "goes on"
+            )
+        if failed := document.get("failed"):
+            raise RequestError(
+                f"{path}: results are missing, since {failed[0]['controller']} failed on "
+                f"{failed[0]['terrain']}"
+            )
         return list(rows_of(document))
     except (KeyError, TypeError, AttributeError) as error:
         raise RequestError(f"{path}: it holds no results of eval; it lacks {error}") from error

@@ -18,12 +18,12 @@ from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.best_known import is_best_known
+from flipperctl.evaluation.files import SUMMARY
 from flipperctl.evaluation.scores import Method
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
 
 FILE = "episodes.csv"
-SUMMARY = "summary.json"
 _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
 
 Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
@@ -76,7 +76,8 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
     episodes of all its folders.
 
     Raises:
-        RequestError: a folder has no results, a file is damaged or lacks the measure, or no episode
+        RequestError: a folder has no results, a file is damaged or lacks the measure, two results
+            of a policy contradict each other, a rule stands among training seeds, or no episode
             was played by all.
     """
     reader, seen = _Reader(measure), set[Path]()
@@ -127,8 +128,8 @@ class _Reader:
                 self._check_kind(method, label, folder, is_rule=is_rule)
             if is_rule:
                 self.untrained.add(method)
-            if is_rule or not leads:
-                self.rules.add(label)
+            if is_rule or not (leads or of_sweep):
+                self.rules.add(method)
             known = self.runs.setdefault(method, [])
             run = _run(folder, episodes, played.get(label, ()))
             same = [at for at, other in enumerate(known) if run.is_of(other)]

@@ -28,6 +28,8 @@ RESAMPLES = 2000
 """Number of bootstrap samples [-]."""
 FEWEST_SEEDS = 5
 """Number of seeds from which Satterthwaite's interval contains the truth in 95 ± 1 % [-]."""
+_FLAT = 1e-9
+"""Error of an estimate, relative to it, below which its values are equal but for rounding [-]."""
 _HALVINGS = 40
 """Halvings by which a p-value is found [-]."""
 FEWEST_EPISODES = 5
@@ -209,7 +211,7 @@ def _tested(
     parts = [*seeds, episodes]
     # The residual is in both sums; the estimate of the variance must not fall below either.
     variance = max(_joined(parts).variance - rest, *(part.variance for part in parts))
-    if variance <= 0:
+    if variance <= (_FLAT * max(1.0, abs(found))) ** 2:
         return Interval(found, found, found), 0.0 if found else 1.0
     if any(part.freedom + 1 < FEWEST_SEEDS for part in seeds):
         half, p = _cautious(found, parts, rest)

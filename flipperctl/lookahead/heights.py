@@ -25,7 +25,7 @@ class Ground:
         at = np.arange(0.0, along[-1] + _SPACING / 2, _SPACING)
         self._x = np.interp(at, along, line[:, 0])
         self._sums = np.concatenate([[0.0], np.cumsum(np.interp(at, along, line[:, 1]))])
-        self._line, self._layout = line, layout
+        self._line = line
         self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach
 
     def observations(self, places: FloatArray, states: FloatArray) -> NDArray[np.float32]:

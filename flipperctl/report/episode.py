@@ -21,9 +21,9 @@ from flipperctl.report.figure import (
     draw_ground,
     frame,
     legend_above,
+    scaled,
     style_axes,
     z_label,
-    z_scale,
 )
 from flipperctl.report.mapped import draw_heights, draw_points
 from flipperctl.report.render import CHASSIS, FAINT, FRONT, INK, REAR, RobotArtist
@@ -63,9 +63,7 @@ def episode_figure(
     shown = [trace[i] for i in poses]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = window(path, profile, reach, max(tops))
-    scale = z_scale(high - low, WIDTH - 1.0)
-    natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
-    height = float(np.clip(natural, 1.0, 6.0))
+    scale, height = scaled(low, high, 6.0)
     heights = [2.4] if perceived else []
     figure = Figure(figsize=(WIDTH, height + 3.9 + sum(heights)), layout="constrained")
     above, below, *lowest = figure.subplots(

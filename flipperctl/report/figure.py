@@ -55,6 +55,14 @@ def z_scale(extent: FloatArray, width: float) -> int:
     return max(1, math.ceil(_LEAST * float(extent[0]) / (width * float(extent[1]))))
 
 
+def scaled(low: FloatArray, high: FloatArray, most: float) -> tuple[int, float]:
+    """Return the scale of z, and the height [in] of a picture of the box, from 1 to ``most``."""
+    width, extent = WIDTH - 1.0, high - low
+    scale = z_scale(extent, width)
+    natural = scale * width * float(extent[1] / extent[0])
+    return scale, min(max(natural, 1.0), most)
+
+
 def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int = 1) -> None:
     """Show the box from ``low`` to ``high``, (x, z) in world [m], with the given scale of z."""
     axes.set_xlim(low[0], high[0])

@@ -26,9 +26,9 @@ from flipperctl.report.figure import (
     draw_ground,
     frame,
     legend_above,
+    scaled,
     style_axes,
     z_label,
-    z_scale,
 )
 from flipperctl.report.instants import instants
 from flipperctl.report.mapped import map_points, mapped
@@ -96,6 +96,16 @@ def save_film(
     write_frames(path, frames, [_SHOWN] * (len(frames) - 1) + [_LAST])
 
 
+def quantized(canvas: Any, colours: Image | None) -> Image:
+    """Return what a canvas of Agg shows, with the palette of ``colours`` or else its own."""
+    from PIL import Image
+
+    picture = Image.fromarray(np.array(canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3])
+    if colours is None:
+        return picture.quantize(_COLOURS, dither=Image.Dither.NONE)
+    return picture.quantize(palette=colours, dither=Image.Dither.NONE)
+
+
 def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) -> None:
     """Write frames as a GIF that repeats; ``shown``: time of each frame [s]."""
     durations = [round(1000 * time) for time in shown]  # [ms]
@@ -136,9 +146,7 @@ class _Picture:
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
         path = np.array([state.position for state in states])  # (T, 2) [m]
         low, high = window(path, profile, reach, top)
-        scale = z_scale(high - low, WIDTH - 1.0)
-        natural = scale * (WIDTH - 1.0) * (high[1] - low[1]) / (high[0] - low[0])
-        height = float(np.clip(natural, 1.0, 5.0))
+        scale, height = scaled(low, high, 5.0)
         figure = Figure(figsize=(WIDTH, height + 2.6), dpi=_DPI, layout="constrained")
         above, below = figure.subplots(2, 1, height_ratios=[height, 1.3])
         draw_ground(above, profile)
@@ -163,8 +171,6 @@ class _Picture:
 
     def draw(self, index: int, state: RobotState, colours: Image | None) -> Image:
         """Return the frame of ``state``, with the palette of ``colours`` or else its own."""
-        from PIL import Image
-
         self._artist.show(state, self._robot, self._speed * state.time)
         if self._maps:
             self._points.set_data(*self._maps[index].T)
@@ -175,11 +181,7 @@ class _Picture:
         self._canvas.restore_region(self._background)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
-        pixels = np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
-        picture = Image.fromarray(pixels)
-        if colours is None:
-            return picture.quantize(_COLOURS, dither=Image.Dither.NONE)
-        return picture.quantize(palette=colours, dither=Image.Dither.NONE)
+        return quantized(self._canvas, colours)
 
     def _draw_background(self, figure: Figure) -> Any:
         self._canvas.draw()

@@ -24,14 +24,13 @@ from flipperctl.bags.perceiving import Instant, Replay
 from flipperctl.errors import OutputError, RequestError
 from flipperctl.files import check_writable
 from flipperctl.report.figure import SUFFIXES, WIDTH, save, style_axes
-from flipperctl.report.film import SUFFIX, write_frames
+from flipperctl.report.film import SUFFIX, quantized, write_frames
 from flipperctl.report.render import HEIGHTS, INK, RobotArtist
 
 _SPEED = 3.0
 """Real time per time of the film [-]."""
 _LAST = 1.5
 """Time that the last frame is shown [s]."""
-_COLOURS = 63
 _FACE = 0.02
 """Lowest vertical face that is drawn as one [m]."""
 _DEEP, _HIGH = -0.35, 0.4
@@ -218,13 +217,8 @@ class _Picture:
 
     def pixels(self, colours: Any) -> Any:
         """Return the figure as an image, with the palette of ``colours`` or else its own."""
-        from PIL import Image
-
         self._canvas.draw()
-        picture = Image.fromarray(np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3])
-        if colours is None:
-            return picture.quantize(_COLOURS, dither=Image.Dither.NONE)
-        return picture.quantize(palette=colours, dither=Image.Dither.NONE)
+        return quantized(self._canvas, colours)
 
 
 def _heights(instants: Sequence[Instant]) -> tuple[float, float]:

@@ -81,7 +81,7 @@ class Renderer:
     """Draw one picture per call into the same figure."""
 
     def __init__(self) -> None:
-        figure = self._figure = Figure((WIDTH / _DPI, HEIGHT / _DPI), _DPI, facecolor="white")
+        figure = Figure((WIDTH / _DPI, HEIGHT / _DPI), _DPI, facecolor="white")
         self._canvas: Any = FigureCanvasAgg(figure)
         self._axes = figure.add_axes(_BOX, facecolor="#FBFBFD", axisbelow=True)
         self._build_axes(self._axes)

@@ -67,12 +67,12 @@ def find(run: Path) -> Path:
 
 
 def sweep_hint(folder: Path) -> str:
-    """Return what to give in place of a folder that does not exist or has runs in it, if so."""
+    """Return why a folder is no run: it does not exist, or has runs in it; empty otherwise."""
     if not folder.exists():
         return "there is no such folder"
     if not folder.is_dir():
         return ""
-    runs = sorted(inner for inner in folder.iterdir() if inner.is_dir() and holds_run(inner))
+    runs = sorted(filter(holds_run, folder.iterdir()), key=checkpoint.number)
     return f"give one of its runs, such as {runs[0]}" if runs else ""
 
 

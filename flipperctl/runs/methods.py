@@ -42,7 +42,8 @@ def entrants(
     """Return the policies of all methods, each once.
 
     A folder with the runs of a sweep stands for them all: for one method, if they differ in their
-    seeds alone. ``tell`` is called with a line for each run that has no checkpoint.
+    seeds alone. ``tell`` is called with a line for each run that has no checkpoint, or repeats
+    another one.
 
     Raises:
         RequestError: a name is empty, or a folder has no run with a checkpoint.
@@ -81,10 +82,11 @@ def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
 
 def runs_below(folder: Path) -> list[Path]:
     """Return the runs in a folder of a sweep; none for a run, a file or any other folder."""
-    if not folder.is_dir() or _holds_checkpoint(folder):
+    if not folder.is_dir() or checkpoints.holds(folder):
         return []
-    inner = sorted((f for f in folder.iterdir() if f.is_dir()), key=_number)
-    return inner if any(map(_holds_checkpoint, inner)) else []
+    return checkpoints.runs_in(folder) and sorted(
+        (f for f in folder.iterdir() if f.is_dir()), key=checkpoints.number
+    )
 
 
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
@@ -95,7 +97,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         return
     groups: dict[str, list[tuple[Path, int | None]]] = {}
     for run in runs:
-        if not (run / "config.yaml").exists() and not _holds_checkpoint(run):
+        if not (run / "config.yaml").exists() and not checkpoints.holds(run):
             continue  # no run at all
         try:
             seed, settings = _trained(checkpoints.find(run))
@@ -104,7 +106,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
             continue
         members = groups.setdefault(repr(settings), [])
         if equal := [other for other, at in members if at == seed]:
-            tell(f"{run} is left out: {equal[0]} has its settings and its seed")
+            tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
             continue
         members.append((run, seed))
     if not groups:
@@ -119,7 +121,12 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
 
 def _swept(run: Path) -> str:
     """Return the swept values in the name of a run but for its seed, as in ``network=conv``."""
-    values = run.name.partition("_")[2].split(",")
+    values: list[str] = []
+    for part in run.name.partition("_")[2].split(","):
+        if "=" in part or not values:
+            values.append(part)
+        else:  # of a list, as in network.hidden=_64,32_
+            values[-1] += f",{part}"
     return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
 
 
@@ -131,13 +138,3 @@ def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
     plain = resolver.to_dict(config)
     plain["train"] = {name: value for name, value in plain["train"].items() if name not in _PACE}
     return config.seed, {name: value for name, value in plain.items() if name not in _PLACES}
-
-
-def _holds_checkpoint(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (checkpoints.BEST, checkpoints.LAST))
-
-
-def _number(run: Path) -> tuple[int, str]:
-    """Order runs by the number with which their names begin."""
-    first = run.name.partition("_")[0]
-    return (int(first) if first.isdigit() else 2**31, run.name)

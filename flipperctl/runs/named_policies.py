@@ -71,7 +71,7 @@ def require_policy(
     Raises:
         RequestError: none is given, or one with the option that is not its own.
     """
-    for name in (controller or "").split(","):
+    for name in map(str.strip, (controller or "").split(",")):
         if name in shipped_policies() and ("controller", name) not in registry:
             raise RequestError(f"{name} is a shipped policy: write --checkpoint {name}")
     for path in checkpoints:

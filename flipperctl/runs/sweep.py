@@ -39,6 +39,10 @@ Launch = Callable[[Sequence[Job], Sequence[str], int], Sequence[JobResult]]
 argument is the number of the first job."""
 
 
+_AT_ONCE = 1.0
+"""Time within which a run returns that was finished before [s]; it tells nothing of the others."""
+
+
 class Sweep:
     """The jobs of a sweep and their results."""
 
@@ -56,7 +60,7 @@ class Sweep:
 
         ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
         launched one by one, so that none begins after Ctrl-C; ``tell`` is then called with a line
-        before each.
+        before each of several.
         """
         self.folder = folder
         self._launcher, self._show, self._named, self._serial = launch, show, named, serial
@@ -90,7 +94,7 @@ class Sweep:
         """
         size = 1 if self._serial else len(jobs)
         results: list[JobResult] = []
-        begun = time.monotonic()
+        times: list[float] = []
         self.jobs += len(jobs)
         for start in range(0, len(jobs), size):
             number = first + start
@@ -100,11 +104,13 @@ class Sweep:
                 self._leave_out(jobs[start:], self._names(jobs[start:], number), number, error)
                 break
             if self._serial and len(jobs) > 1:
-                spent = time.monotonic() - begun
-                left = spent / start * (len(jobs) - start) if start else None
+                left = sum(times) / len(times) * (len(jobs) - start) if times else None
                 rest = "" if left is None else f"; about {left:.0f} s left for all"
                 self._tell(f"run {start + 1} of {len(jobs)}{rest}")
+            begun = time.monotonic()
             results += self._launch(jobs[start : start + size], number)
+            if (spent := time.monotonic() - begun) > _AT_ONCE:
+                times.append(spent)
         return results
 
     def raise_errors(self) -> None:

@@ -86,7 +86,6 @@ class SelfTest:
         self.part: _Part | None = next(self._parts)
         self.verdicts: list[Verdict] = []
         self._base: dict[str, float] = {}
-        self._board: float | None = None
         self._begun: float | None = None
 
     @property
@@ -107,7 +106,7 @@ class SelfTest:
             self.verdicts.append(verdict)
             lines.append(f"  {verdict.text}")
             self.part, self._begun = next(self._parts, None), now
-            self._base, self._board = {}, None
+            self._base = {}
             lines.append(self._instruction() if self.part else self._summary())
         return "\n".join(lines)
 

@@ -44,7 +44,7 @@ def inflated(
 
 @cached(njit)
 def _flipper(
-    heights: FloatArray, forward: int, margin: int, steep: int, turns: int, sizes: FloatArray
+    heights: FloatArray, forward: int, steep: int, turns: int, sizes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the lowest and the highest hinge at which a flipper touches, each (J, P) [m].
 
@@ -98,10 +98,10 @@ def can_stand(
     the step of angles [rad].
     """
     spacing, half, radius, shift, step = sizes[0], sizes[1], sizes[3], sizes[4], sizes[5]
-    front_least, _ = _flipper(inner, 1, margin, steep, turns, sizes)
-    _, front_most = _flipper(outer, 1, margin, steep, turns, sizes)
-    rear_least, _ = _flipper(inner, -1, margin, steep, turns, sizes)
-    _, rear_most = _flipper(outer, -1, margin, steep, turns, sizes)
+    front_least, _ = _flipper(inner, 1, steep, turns, sizes)
+    _, front_most = _flipper(outer, 1, steep, turns, sizes)
+    rear_least, _ = _flipper(inner, -1, steep, turns, sizes)
+    _, rear_most = _flipper(outer, -1, steep, turns, sizes)
     samples = math.ceil(2 * half / spacing)
     found = np.zeros((places, 2 * steep + 1), np.bool_)
     for p in range(2 * steep + 1):

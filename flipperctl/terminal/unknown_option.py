@@ -21,11 +21,14 @@ def explain(
     known: Sequence[str],
     primary: str | None,
     default: Callable[[], TrainConfig],
+    *,
+    takes_run: bool = False,
 ) -> str:
     """Return the error text for the option ``name``, which was typed with ``value``.
 
     ``known`` are the subcommand's options; ``primary`` names the configuration of its overrides,
-    and ``default`` returns that of a training without overrides.
+    and ``default`` returns that of a training without overrides. ``takes_run``: whether the
+    subcommand takes a run or a policy without an option.
     """
     key = name.lstrip("-").replace("-", "_")
     found = list(_settings(key, primary, default)) if primary else []
@@ -34,8 +37,13 @@ def explain(
             shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found
         )
         return f"no such option: {name}; settings are written as {shown}"
-    if name == "--checkpoint":  # of a command that takes one in its place, such as card
+    if name == "--checkpoint" and takes_run:
         return f"no such option: {name}; write {value or 'the run or policy'} alone"
+    if name == "--checkpoint" and primary == "train":
+        return (
+            f"no such option: {name}; agent.start_from={value or 'RUN_OR_FILE'} begins with its "
+            "weights, and --resume goes on with a run"
+        )
     options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
     close = closest(name.lstrip("-"), options)
     return f"no such option: {name}" + (f"; did you mean {options[close]!r}?" if close else "")

@@ -34,6 +34,9 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["inspect", "plugins", "mine.py"], ["its file as --plugins mine.py"]),
         (["export", "onnx", "runs/mine"], ["write --checkpoint runs/mine"]),
         (["card", "--checkpoint", "runs/mine"], ["write runs/mine alone"]),
+        (["train", "--checkpoint", "runs/mine"], ["agent.start_from=runs/mine begins with"]),
+        (["inspect", "plugins", "terrain=stair"], ["write stair, without terrain="]),
+        (["eval", "--controller", 300 * "a"], ["a plugin of your own is loaded by --plugins"]),
         (
             ["eval", "--controller", "level", "train.decisions=5"],
             ["train.decisions: it belongs to a training, and has no meaning here"],

@@ -285,3 +285,9 @@ def test_a_price_at_which_failing_pays_is_said_before_the_table(tmp_path: Path) 
     done = call("inspect", "results", "a", "--price", "1", cwd=tmp_path)
     first = done.out.splitlines()[0]
     assert first.startswith("warning: 7 episodes that a/best reached cost more than one that is")
+
+
+def test_a_rule_by_another_name_is_one_seed(tmp_path: Path) -> None:
+    for name, count in (("a", 6), ("b", 8)):
+        write(tmp_path / name, {"level": 2.0}, count=count)
+    assert seeds_of("flat=a", "flat=b", cwd=tmp_path) == {"flat": 1}

@@ -14,6 +14,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.cli.hydra.sweeps import UNNAMED
 from flipperctl.runs import folder as run_folder
+from flipperctl.runs import sweep
 from flipperctl.runs.lock import hold
 from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.training.trainer import Trainer
@@ -182,7 +183,10 @@ def test_the_name_that_gives_way_is_the_one_that_is_configured() -> None:
     assert f"subdir: {UNNAMED}\n" in configured
 
 
-def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(tmp_path: Path) -> None:
+def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweep, "_AT_ONCE", 0.0)  # the first fails at once
     (tmp_path / "0").mkdir()
     options = ["hydra.sweep.dir=.", "hydra.sweep.subdir=${hydra.job.num}"]
     shutil.copytree(tmp_path / "0", tmp_path / "copy")

@@ -15,7 +15,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.methods import Entrant, entrants
+from flipperctl.runs.methods import Entrant, _swept, entrants
 from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
@@ -187,11 +187,14 @@ def test_methods_of_a_sweep_have_the_names_of_what_was_swept(
     told: list[str] = []
     monkeypatch.chdir(tmp_path)
     found = entrants([Path("sweep")], None, told.append)
+    assert _swept(Path("0_network.hidden=_64,32_,seed=1")) == "network.hidden=_64,32_"
     assert [e.method for e in found] == [
         "sweep/agent.learning_rate=0.001",
         "sweep/agent.learning_rate=0.002",
     ]
-    assert told == [f"sweep/{names[2]} is left out: sweep/{names[0]} has its settings and its seed"]
+    assert told == [
+        f"sweep/{names[2]} is left out: sweep/{names[0]} has its seed and what it learns by"
+    ]
 
 
 def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(

@@ -38,7 +38,7 @@ def test_the_stratified_bootstrap_has_the_ends_of_rliables(example: dict[str, An
     rows = np.array(
         [generator.choice(len(ours), ours.shape) for _ in range(STORED["resamples"])], np.intp
     )
-    drawn = aggregates.interquartile_mean(aggregates.stratified(ours, rows))
+    drawn = aggregates.interquartile_mean(np.take_along_axis(ours[None], rows, axis=-2))
     assert aggregates.percentile_ends(drawn) == same(np.array(example["interquartile_mean_ends"]))
 
 

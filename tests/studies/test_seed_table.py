@@ -46,11 +46,19 @@ def test_few_outcomes_that_leave_no_variation_prove_no_more_than_their_number() 
 
 
 def test_equal_scores_do_not_tell_how_others_would_vary() -> None:
-    """All fail, so that each costs the price; and all reach with equal scores."""
+    """All fail, so that each costs the price; and all reach with equal scores.
+
+    Sums of equal numbers differ by rounding: 1.2 does, 1.0 does not.
+    """
     failed, reached = method("failed", (0, 6)), method("reached", (6, 6))
     found = rows([failed, reached], 6.28, failed)
     assert found[0].score == Interval(6.28, None, None)
     assert found[0].by_scene == {"0": Interval(6.28, None, None)}
+    three = {"0": np.zeros((3, 20), bool)}
+    many = replace(failed, values={"0": np.ones((3, 20))}, reached=three)
+    for price in (0.7, 1.2, 1.6, 3.2):
+        (row,) = rows([many], price, many)
+        assert row.score.low is row.score.high is row.iqm.low is row.iqm.high is None
     compared = found[1].comparison
     assert compared is not None
     assert compared.score == Interval(1.0 - 6.28, None, None)

@@ -29,6 +29,7 @@ from flipperctl.terminal.streams import print_note
 
 _TASK = {"terrain", "conditions", "sim", "perception", "episode", "robot", "randomise"}
 """Sections and groups that change what validations are made of."""
+_EXPERIMENT = "experiment"
 
 
 def prepare(
@@ -67,7 +68,7 @@ class SearchSweep:
         """
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
         _check_objective(sampled, fixed)
-        if found := [key for key in sampled if key.split(".")[0] in _TASK]:
+        if found := [key for key in sampled if _setting(key).split(".")[0] in _TASK]:
             print_note(
                 f"note: {', '.join(found)} change what a training is judged on; the best trial may "
                 "be the easiest"
@@ -83,15 +84,18 @@ def _check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Seq
             rewards while it is their sum.
     """
     for key in sampled:
-        if key == "train.best_by" or key.startswith("train.validation_"):
+        setting = _setting(key)
+        if setting == "train.best_by" or setting.startswith("train.validation_"):
             raise ConfigError(f"{key}: a search has one objective; one value is allowed")
     paying = [key for key in sampled if _setting(key).split(".")[0] == "rewards"]
     words = [word for word in fixed if not (paying and _setting(word).startswith("rewards."))]
     lists = {key: values for key, values in sampled.items() if not isinstance(values, Interval)}
-    choices = [[], *([f"{key}={value}"] for key, values in lists.items() for value in values)]
+    # Of the lists, an experiment alone changes the objective; of others, the first value stands.
+    first = [f"{key}={values[0]}" for key, values in lists.items() if key != _EXPERIMENT]
     objectives: dict[bool, str] = {}
-    for choice in choices:
-        for one in compose_train(Overrides.parse([*words, *choice])):
+    for experiment in lists.get(_EXPERIMENT, [None]):
+        choice = [] if experiment is None else [f"{_EXPERIMENT}={experiment}"]
+        for one in compose_train(Overrides.parse([*words, *first, *choice])):
             objectives.setdefault(one.train.best_by == "return", " ".join(choice))
     if paying and True in objectives:
         raise ConfigError(
@@ -99,7 +103,7 @@ def _check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Seq
             "pay most, not those that teach best; search with train.best_by=success"
         )
     if len(objectives) > 1:
-        other = next(filter(None, objectives.values()))
+        *_, other = objectives.values()
         raise ConfigError(
             f"{other}: a search has one objective, but this changes train.best_by; give that a "
             "value of its own"

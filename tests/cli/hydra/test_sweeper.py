@@ -294,11 +294,17 @@ def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
         (["rewards=paper,smooth", "experiment=quick,searched"], "rewards: a search by returns"),
         (["experiment=quick,searched"], "experiment=searched: a search has one objective"),
         (["train.validation_seed=1,2,3"], "train.validation_seed: a search has one objective"),
+        (["++train.validation_seed=interval(1,9)"], "train.validation_seed: a search has one"),
     ],
 )
 def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         optuna_search._check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_lists_that_need_each_other_are_composed_together() -> None:
+    words = ["network=mlp,dueling_mlp", "network.hidden=[16],[32]"]
+    optuna_search._check_objective(*Overrides.parse(words, check=False).sampled())
 
 
 def test_the_command_refuses_them(tmp_path: Path) -> None:
