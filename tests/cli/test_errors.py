@@ -41,6 +41,7 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
             ["eval", "--controller", "level", "train.decisions=5"],
             ["train.decisions: it belongs to a training, and has no meaning here"],
         ),
+        (["train", "+train.validation_episodes=3"], ["exists already; write it without +"]),
         (["train", "collector.max_lag=3"], ["collector has no settings here"]),
         (["eval", "--controller", "generalist"], ["write --checkpoint generalist"]),
         (["eval", "--checkpoint", "okada"], ["write --controller okada"]),

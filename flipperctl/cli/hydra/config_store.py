@@ -50,7 +50,8 @@ def register_defaults() -> None:
     if _registered == registry:
         return
     store = ConfigStore.instance()
-    store.__class__ = _SharedStore
+    if type(store) is ConfigStore:
+        store.__class__ = _SharedStore
     for group, name, node in entries():
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None

@@ -111,6 +111,8 @@ def unknown_key(
     addition = None if override.is_delete() else _addition(override, node)
     if addition and _is_group(override):
         key = addition.partition("@")[2].partition("=")[0]
+    if override.is_add() and OmegaConf.select(OmegaConf.create(node), key) is not None:
+        return ConfigError(f"{key} exists already; write it without +")
     section = key.partition(".")[0]
     if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
         return ConfigError(f"{key}: it belongs to a training, and has no meaning here")
