@@ -6,28 +6,18 @@ methods with the episodes that all of them played.
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.best_known import is_best_known
-from flipperctl.evaluation.files import SUMMARY
+from flipperctl.evaluation import stored_episodes
 from flipperctl.evaluation.scores import Method
-from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
-from flipperctl.messages import close_match
-
-FILE = "episodes.csv"
-_KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
-
-Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
-"""Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
+from flipperctl.evaluation.store import PlayedPolicy
+from flipperctl.evaluation.stored_episodes import FILE, Episodes
 
 
 @dataclass(frozen=True)
@@ -116,13 +106,13 @@ class _Reader:
 
         ``is_seed``: whether the folder is one of those of a method's training seeds.
         """
-        played, grouped = _played(folder), _grouped(folder)
-        policies = _policies(folder / FILE, self._measure)
+        played, methods = stored_episodes.played(folder), stored_episodes.grouped(folder)
+        policies = stored_episodes.policies(folder / FILE, self._measure)
         first = next(iter(policies))
         for label, episodes in policies.items():
-            of_sweep = label in grouped
-            leads = label == first or (of_sweep and grouped[label] == grouped.get(first))
-            method = name if name and leads else grouped.get(label, label)
+            of_sweep = label in methods
+            leads = label == first or (of_sweep and methods[label] == methods.get(first))
+            method = name if name and leads else methods.get(label, label)
             is_rule = label in self._rulers or _untrained(label, played.get(label, ()))
             if is_seed and label == first:
                 self._check_kind(method, label, folder, is_rule=is_rule)
@@ -173,27 +163,6 @@ def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> 
     return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None)
 
 
-def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
-    """Return the policies whose cells lie beside the episodes of a folder, by label."""
-    found: dict[str, set[PlayedPolicy]] = {}
-    for (label, _), policies in played_policies(folder / FOLDER).items():
-        found.setdefault(label, set()).update(policies)
-    return found
-
-
-def _grouped(folder: Path) -> dict[str, str]:
-    """Return the method of each policy, by label, where one evaluation had several of its seeds."""
-    try:
-        scenes = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
-        labels: dict[str, set[str]] = {}
-        for scene in scenes:
-            if method := scene.get("method"):
-                labels.setdefault(method, set()).add(scene["controller"])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return {}  # the episodes alone are needed
-    return {label: name for name, found in labels.items() if len(found) > 1 for label in found}
-
-
 def _untrained(label: str, played: Collection[PlayedPolicy]) -> bool:
     """Return whether cells are of a rule, perhaps one of a plugin; files have no seed either."""
     return bool(played) and not Path(label).suffix and all(p.training_seed is None for p in played)
@@ -229,40 +198,6 @@ def _folders(folder: Path) -> Iterator[Path]:
             "flipperctl eval --output is allowed"
         )
     yield from inner
-
-
-def _policies(path: Path, measure: str) -> dict[str, Episodes]:
-    """Return the episodes of each policy of a file, the evaluated one before its baselines."""
-    found: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
-    try:
-        with path.open(newline="") as file:
-            reader = csv.DictReader(file)
-            columns = reader.fieldnames or ()
-            for key in (*_KEYS, measure):
-                if key not in columns:
-                    raise RequestError(
-                        f"{path}: there is no column {key!r}{close_match(key, columns)}"
-                    )
-            for row in reader:
-                if is_best_known(row["controller"]):
-                    continue  # it stands only where it beats all others
-                scene = f"{row['scene']} {row['conditions_hash']}"
-                value = float(row[measure])
-                if not np.isfinite(value):
-                    raise ValueError(f"{measure} {row[measure]!r}")
-                played = found.setdefault(row["controller"], {}).setdefault(scene, {})
-                found_here = value, row["outcome"] == Outcome.REACHED
-                if played.setdefault(row["seed"], found_here) != found_here:
-                    raise RequestError(
-                        f"{path}: {row['controller']} has several results on {scene}, seed "
-                        f"{row['seed']}, as with several of its settings; a folder of "
-                        "eval --output for each of them, named as in METHOD=DIR, is allowed"
-                    )
-    except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
-        raise RequestError(f"{path}: cannot be read: {error}") from error
-    if not found:
-        raise RequestError(f"{path}: there is no episode in it")
-    return dict(found)
 
 
 def _shared(

@@ -14,18 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import OmegaConf
-from pydantic import ValidationError
 
 from flipperctl.errors import (
-    ConfigError,
     FlipperctlError,
     InterruptedRunError,
-    MissingExtraError,
     NonFiniteError,
     PluginFailedError,
     RequestError,
 )
-from flipperctl.messages import explain
 from flipperctl.runs.follow_up import command, sweep_command
 from flipperctl.runs.search import SearchSettings
 from flipperctl.runs.search_space import Interval, distributions
@@ -52,27 +48,6 @@ if TYPE_CHECKING:
 
 _POLL = 1.0
 """Time between two polls of the trials of other searches [s]."""
-
-
-def check_settings(given: Mapping[str, Any]) -> SearchSettings:
-    """Return the settings of a search.
-
-    Raises:
-        MissingExtraError: Optuna is not installed.
-        ConfigError: one of the settings is of the wrong type or out of bounds.
-    """
-    try:
-        import optuna
-    except ImportError as error:
-        raise MissingExtraError(
-            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
-        ) from error
-    try:
-        settings = SearchSettings(**given)
-    except ValidationError as error:
-        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    return settings
 
 
 def search(

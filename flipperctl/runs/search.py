@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from flipperctl.api import Settings
+from flipperctl.errors import ConfigError, MissingExtraError
+from flipperctl.messages import explain
 
 
 class SearchSettings(Settings):
@@ -49,3 +52,24 @@ def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "succes
         variation = best["pitch_variation"] or 0.0
     penalty = variation / (1.0 + variation) if math.isfinite(variation) else 1.0
     return float(best["success_rate"]) - penalty / episodes
+
+
+def check_settings(given: Mapping[str, Any]) -> SearchSettings:
+    """Return the settings of a search.
+
+    Raises:
+        MissingExtraError: Optuna is not installed.
+        ConfigError: one of the settings is of the wrong type or out of bounds.
+    """
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError(
+            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+        ) from error
+    try:
+        settings = SearchSettings(**given)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return settings

@@ -21,8 +21,8 @@ from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
 from flipperctl.errors import ConfigError
-from flipperctl.runs.optuna_search import check_settings, search
-from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.optuna_search import search
+from flipperctl.runs.search import SearchSettings, check_settings
 from flipperctl.runs.search_space import Interval
 from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
