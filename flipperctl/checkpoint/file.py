@@ -235,11 +235,11 @@ def runs_in(folder: Path) -> list[Path]:
     Raises:
         OSError: the folder cannot be read.
     """
-    return sorted(filter(holds, folder.iterdir()), key=number)
+    return sorted(filter(holds, folder.iterdir()), key=job_order)
 
 
-def number(run: Path) -> tuple[int, str]:
-    """Order runs of a sweep by the number with which their names begin."""
+def job_order(run: Path) -> tuple[int, str]:
+    """Return the key that sorts runs of a sweep by the numbers with which their names begin."""
     first = run.name.partition("_")[0]
     return (int(first) if first.isdigit() else 2**31, run.name)
 

@@ -32,8 +32,7 @@ def profile_figure(methods: Sequence[Method], price: float, label: str) -> Figur
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     axes = figure.subplots()
     levels = np.linspace(0.0, price, _LEVELS, endpoint=False)
-    # Of the listed colour maps, to which tab10 belongs.
-    colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]
+    colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]  # it is listed
     for index, method in enumerate(methods):
         curve, low, high = profile_band(method, price, levels)
         colour, style = colours[index % len(colours)], _STYLES[index % len(_STYLES)]

@@ -72,7 +72,7 @@ def sweep_hint(folder: Path) -> str:
         return "there is no such folder"
     if not folder.is_dir():
         return ""
-    runs = sorted(filter(holds_run, folder.iterdir()), key=checkpoint.number)
+    runs = sorted(filter(holds_run, folder.iterdir()), key=checkpoint.job_order)
     return f"give one of its runs, such as {runs[0]}" if runs else ""
 
 

@@ -84,9 +84,9 @@ def runs_below(folder: Path) -> list[Path]:
     """Return the runs in a folder of a sweep; none for a run, a file or any other folder."""
     if not folder.is_dir() or checkpoints.holds(folder):
         return []
-    return checkpoints.runs_in(folder) and sorted(
-        (f for f in folder.iterdir() if f.is_dir()), key=checkpoints.number
-    )
+    if not checkpoints.runs_in(folder):
+        return []
+    return sorted((f for f in folder.iterdir() if f.is_dir()), key=checkpoints.job_order)
 
 
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:

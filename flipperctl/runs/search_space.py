@@ -60,7 +60,7 @@ def _numbers(interval: Interval) -> BaseDistribution:
 
     made = IntDistribution if interval.whole else FloatDistribution
     try:
-        # Both ends are whole numbers if the interval is of them.
-        return made(interval.low, interval.high, log=interval.log)  # type: ignore[arg-type]
+        low, high = interval.low, interval.high
+        return made(low, high, log=interval.log)  # type: ignore[arg-type]  # both are of its kind
     except ValueError as error:
         raise ConfigError(f"{interval.typed}: {error}") from error
