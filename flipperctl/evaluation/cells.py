@@ -76,6 +76,7 @@ class Series:
             "cell": cell_name(self.key, first, last),
             "policy": self.policy.digest,
             "training_seed": self.policy.training_seed,
+            "training": self.policy.training,
             "controller": self.policy.label,
             "scene": self.config.terrain.plugin_name,
             "conditions": conditions.name,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from flipperctl.evaluation import stored_episodes
 from flipperctl.evaluation.scores import Method
 from flipperctl.evaluation.store import PlayedPolicy
 from flipperctl.evaluation.stored_episodes import FILE, Episodes
+from flipperctl.evaluation.training_settings import tell_unlike
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ class _Run:
     """Digests of its weights or settings, by its cells; empty without these."""
     training_seed: int | None
     """Seed of its training, by its cells; None without these, or of a rule."""
+    training: Mapping[str, Any] | None
+    """Settings of its training, by its cells; None without these, or if they have none."""
 
     def is_of(self, other: _Run) -> bool:
         """Return whether another run is of the same policy; without cells, by its episodes."""
@@ -84,6 +88,7 @@ def read(words: Sequence[str], measure: str) -> Evaluated:
             seen.add(place)
             reader.read(one, name, is_seed=below)
     reader.tell_equal_seeds()
+    reader.tell_other_settings()
     return _shared(reader.runs, reader.rules, reader.untrained, reader.notices)
 
 
@@ -156,11 +161,18 @@ class _Reader:
                     f"{seeds.count(again)} times; trainings of one method differ in their seeds"
                 )
 
+    def tell_other_settings(self) -> None:
+        """Add a notice on each method whose policies were trained with different settings."""
+        for method, known in self.runs.items():
+            if told := tell_unlike([run.training for run in known if run.training is not None]):
+                self.notices.append(f"{method}: {told}")
+
 
 def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> _Run:
     seeds = {one.training_seed for one in played}
     digests = frozenset(one.digest for one in played)
-    return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None)
+    training = next((one.training for one in played if one.training is not None), None)
+    return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
 
 
 def _untrained(label: str, played: Collection[PlayedPolicy]) -> bool:

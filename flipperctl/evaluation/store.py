@@ -10,8 +10,8 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +132,9 @@ class PlayedPolicy:
     """SHA-256 of its weights or settings."""
     training_seed: int | None
     """Seed of its training; None for a rule."""
+    training: Mapping[str, Any] | None = field(default=None, compare=False)
+    """Settings in which the trainings of its method agree; None for a rule or an exported file, and
+    in cells of version 0.2."""
 
 
 def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
@@ -142,7 +145,7 @@ def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
             with file.open() as lines:
                 header = json.loads(lines.readline())
             key = header["controller"], header["conditions_hash"]
-            policy = PlayedPolicy(header["policy"], header["training_seed"])
+            policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
         except (OSError, ValueError, LookupError, TypeError):
             continue  # it is damaged; an evaluation says so
         found.setdefault(key, set()).add(policy)

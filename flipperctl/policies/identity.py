@@ -1,25 +1,31 @@
 """What identifies a policy wherever its file lies: its content and the seed of its training.
 
-In: a policy's source. Out: a SHA-256 that is equal for equal policies, and a name for tables.
+In: a policy's source. Out: a SHA-256 that is equal for equal policies, a name for tables, and the
+settings in which trainings of one method agree.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Controller
 from flipperctl.checkpoint import find, read
-from flipperctl.config import identity
+from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import content_digest, foreign_sources
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.abilities import PolicyUser, ValueUser
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.source import PolicySource
+
+_PLACES = ("seed", "device", "collector", "logger")
+"""Settings in which the trainings of one method may differ."""
+_PACE = ("workers", "threads", "checkpoint_every", "regret_episodes")
+"""Settings of ``train`` in which they may differ, since a run may go on elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,8 @@ class PolicyIdentity:
     plugin that is not part of flipperctl is included."""
     training_seed: int | None
     """Seed of the training; None for a controller plugin."""
+    training: Mapping[str, Any] | None = field(default=None, compare=False, repr=False)
+    """Settings in which the trainings of its method agree; None unless it is a checkpoint."""
 
     @classmethod
     def of(cls, source: PolicySource) -> PolicyIdentity:
@@ -53,7 +61,14 @@ class PolicyIdentity:
         digest = _required(file, content_digest(file))
         if sources := foreign_sources([config.network]):  # its code acts as well
             digest = _digest([digest, *sources])
-        return cls(source.label(), digest, config.seed)
+        return cls(source.label(), digest, config.seed, method_settings(config))
+
+
+def method_settings(config: TrainConfig) -> dict[str, Any]:
+    """Return the settings in which the trainings of one method agree."""
+    plain = to_dict(config)
+    plain["train"] = {name: value for name, value in plain["train"].items() if name not in _PACE}
+    return {name: value for name, value in plain.items() if name not in _PLACES}
 
 
 def _of_controller(controller: Controller) -> str:

@@ -15,13 +15,10 @@ from flipperctl import checkpoint as checkpoints
 from flipperctl.config import resolver
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.identity import method_settings
 
 STANDING = ("level", "okada")
 """Controllers that stand in a table of several methods unless others are named."""
-_PLACES = ("seed", "device", "collector", "logger")
-"""Settings in which the trainings of one method may differ."""
-_PACE = ("workers", "threads", "checkpoint_every", "regret_episodes")
-"""Settings of ``train`` in which they may differ, since a run may go on elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +132,4 @@ def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
     if is_exported(file):
         return ExportedPolicy(file).interface.seed, {"file": str(file)}
     config = checkpoints.read(file).policy_config()
-    plain = resolver.to_dict(config)
-    plain["train"] = {name: value for name, value in plain["train"].items() if name not in _PACE}
-    return config.seed, {name: value for name, value in plain.items() if name not in _PLACES}
+    return config.seed, method_settings(config)

@@ -170,10 +170,12 @@ def test_outcomes_that_never_vary_prove_no_more_than_those_of_one_seed(tmp_path:
     assert 0.2 < level["low"] < 0.5 < level["high"] < 0.8
 
 
-def remember(folder: Path, label: str, digest: str, seed: int | None) -> None:
+def remember(
+    folder: Path, label: str, digest: str, seed: int | None, training: dict | None = None
+) -> None:
     """Write the header of a cell of a policy, beside its episodes."""
     (folder / "cells").mkdir(exist_ok=True)
-    header = {"controller": label, "policy": digest, "training_seed": seed}
+    header = {"controller": label, "policy": digest, "training_seed": seed, "training": training}
     text = json.dumps({**header, "conditions_hash": "abcd"})
     (folder / "cells" / f"{digest}.jsonl").write_text(text + "\n")
 
@@ -235,6 +237,21 @@ def test_equal_training_seeds_of_a_method_are_told(tmp_path: Path) -> None:
     done = call("inspect", "results", "m", cwd=tmp_path)
     assert done.code == 0
     assert "m: 3 policies, but training seed 1 counts 2 times" in done.err
+
+
+def test_trainings_of_a_method_with_different_settings_are_told(tmp_path: Path) -> None:
+    for number, (rate, start) in enumerate(((0.1, "runs/1"), (0.1, "runs/2"), (0.2, None))):
+        write(tmp_path / "m" / f"{number}", {f"{number}/best": 1.0 + number, "level": 2.5})
+        settings = {"agent": {"learning_rate": rate, "start_from": start}, "terrain": {"n": [1, 2]}}
+        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", number, settings)
+    done = call("inspect", "results", "m", cwd=tmp_path)
+    assert done.code == 0
+    assert (
+        "m: its policies were trained with different settings: agent.learning_rate (0.1, 0.2), "
+        "agent.start_from (a run, None);"
+    ) in done.err
+    done = call("inspect", "results", "m/0", "m/1", "two=m/2", cwd=tmp_path)
+    assert "different settings" not in done.err
 
 
 def test_seeds_that_agree_prove_no_more_than_one(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from flipperctl.evaluation.cells import Series, cut
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import evaluate
-from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, write_view
+from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, played_policies, write_view
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import ray_cluster
@@ -97,6 +97,12 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     one, other = PolicyIdentity.of(shipped), PolicyIdentity.of(PolicySource(checkpoint=copy))
     assert (one.digest, one.training_seed) == (other.digest, other.training_seed)
     assert one.training_seed is not None
+    evaluate([(config(1), shipped)], store=CellFolder(tmp_path / "cells"))
+    (played,) = (p for found in played_policies(tmp_path / "cells").values() for p in found)
+    assert one.training is not None
+    assert played.training == one.training
+    assert one.training["network"]["name"] == "stacked"
+    assert not {"seed", "device"} & set(one.training)
 
 
 class FakeRay:
