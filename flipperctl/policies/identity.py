@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Controller
-from flipperctl.checkpoint import find, read
+from flipperctl.checkpoint import find, read_policy
 from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import content_digest, foreign_sources
 from flipperctl.errors import CheckpointError
@@ -57,7 +57,7 @@ class PolicyIdentity:
         if is_exported(file):
             digest, seed = content_digest(file), ExportedPolicy(file).interface.seed
             return cls(source.label(), _required(file, digest), seed)
-        config = read(file).policy_config()
+        config = read_policy(file).policy_config()
         digest = _required(file, content_digest(file))
         if sources := foreign_sources([config.network]):  # its code acts as well
             digest = _digest([digest, *sources])

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Controller, Policy, Robot
-from flipperctl.checkpoint import find, read, shipped_policies
+from flipperctl.checkpoint import find, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.abilities import PolicyUser, RewardUser, ValueUser
@@ -73,7 +73,7 @@ class PolicySource:
             return None
         if is_exported(self.checkpoint):
             return exported_config(self.checkpoint).robot
-        return read(self.checkpoint).policy_config().robot
+        return read_policy(self.checkpoint).policy_config().robot
 
     def build(self, config: EnvConfig) -> Policy:
         """Build the policy for an environment of this configuration.
@@ -197,7 +197,7 @@ def _trained(file: Path, config: EnvConfig) -> Policy:
     """Return the policy of a checkpoint for an environment."""
     from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 
-    checkpoint = read(file)
+    checkpoint = read_policy(file)
     trained = checkpoint.policy_config()
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
     policy = TrainedPolicy(module, trained.network.frames, risk, trained.agent.escape)

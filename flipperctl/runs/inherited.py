@@ -85,7 +85,8 @@ def read_config(
         CheckpointError: the file is damaged, or its own terrain is to be evaluated and the plugin
             of that is missing.
     """
-    found = exported_config(file) if is_exported(file) else checkpoints.read(file).policy_config()
+    exported = is_exported(file)
+    found = exported_config(file) if exported else checkpoints.read_policy(file).policy_config()
     absent = found.terrain
     if isinstance(absent, AbsentTerrain):
         name = absent.plugin_name

@@ -131,5 +131,5 @@ def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
     """Return the seed of a training, and the settings that name its method."""
     if is_exported(file):
         return ExportedPolicy(file).interface.seed, {"file": str(file)}
-    config = checkpoints.read(file).policy_config()
+    config = checkpoints.read_policy(file).policy_config()
     return config.seed, method_settings(config)

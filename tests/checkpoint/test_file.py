@@ -14,6 +14,8 @@ import torch
 from safetensors.torch import save_file
 
 from flipperctl import checkpoint
+from flipperctl.api import registry
+from flipperctl.config.absent import AbsentTerrain
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.trained import policy_module
 
@@ -47,6 +49,21 @@ def test_a_checkpoint_describes_itself(best: Path) -> None:
     (network,) = [p for p in saved.document.plugins if p.kind == "network"]
     assert (network.name, network.module) == ("at_d3qn", "flipperctl_plugins.networks.at_d3qn")
     assert saved.config().seed == 7
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_policy_is_read_again_when_its_file_or_the_plugins_change(best: Path) -> None:
+    first = checkpoint.read_policy(best)
+    assert checkpoint.read_policy(best) is first
+    config = first.policy_config()
+    assert first.policy_config() is config
+    del registry["terrain", "step"]
+    assert isinstance(first.policy_config().terrain, AbsentTerrain)
+    resign(best, {"config.seed": 8})
+    assert checkpoint.read_policy(best).document.config.seed == 8
+    best.unlink()
+    with pytest.raises(CheckpointError, match="there is no such checkpoint"):
+        checkpoint.read_policy(best)
 
 
 def test_best_and_last_hold_the_same_policy_where_last_was_validated(short_run: Path) -> None:
@@ -178,6 +195,8 @@ import resource, signal, sys
 from pathlib import Path
 from flipperctl.errors import WriteError
 from flipperctl import checkpoint
+from flipperctl.api import registry
+from flipperctl.config.absent import AbsentTerrain
 saved = checkpoint.read(Path(sys.argv[1]))
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # the disk is full after 4 KiB
