@@ -1,6 +1,7 @@
 """The array form of each built-in reward term equals its other form at poses of every kind."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,9 +60,9 @@ def ts() -> Transitions:
     )
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_both_forms_are_equal(name: str, ts: Transitions) -> None:
-    term = resolver.create("reward", name, "rewards")
+@pytest.mark.parametrize("spec", [*BUILT_IN, {"name": "swing", "at_decisions": True}], ids=str)
+def test_both_forms_are_equal(spec: str | dict[str, Any], ts: Transitions) -> None:
+    term = resolver.create("reward", spec, "rewards")
     assert isinstance(term, RewardTerm)
     expected = np.array([term(t) for t in ts])
     assert term.array(ts) == pytest.approx(expected, abs=1e-12)

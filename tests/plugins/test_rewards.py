@@ -86,6 +86,10 @@ def test_shaped_progress_is_the_change_of_potential(
         ([0.2, 0.2, 0.2], {}, 0.0),  # steep, but still
         ([0.0, 0.4, 0.0], {"slope": 2.0}, -1.0),  # 1.6, capped
         ([], {}, 0.0),  # a transition without a path
+        ([0.0, 0.1, 0.0, -0.05], {"at_decisions": True}, -0.05),  # what lies between is not seen
+        ([0.0, -0.05], {"at_decisions": True}, -0.05),
+        ([0.3], {"at_decisions": True}, 0.0),
+        ([], {"at_decisions": True}, 0.0),
     ],
 )
 def test_swing_costs_every_pitch_change_within_the_decision(
