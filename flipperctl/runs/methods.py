@@ -16,6 +16,7 @@ from flipperctl.config import resolver
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings
+from flipperctl.runs.named_policies import refuse_file
 
 STANDING = ("level", "okada")
 """Controllers that stand in a table of several methods unless others are named."""
@@ -63,7 +64,7 @@ def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
     """Return the controllers that stand beside the methods; ``baseline`` names others, or none.
 
     Raises:
-        RequestError: a name is empty.
+        RequestError: a name is empty, or that of a file.
         ConfigError: there is no such controller.
     """
     if baseline == "none":
@@ -73,6 +74,7 @@ def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
         text = f"names between commas, or none, are allowed; got {baseline!r}"
         raise RequestError(f"--baseline: {text}")
     for name in names:
+        refuse_file(name.strip(), "--baseline")
         resolver.get("controller", name.strip(), "--baseline")
     return [e for e in (Entrant(name.strip()) for name in names) if e not in present]
 

@@ -98,7 +98,7 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
     ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
 
     Raises:
-        RequestError: a name is empty, or ``none`` stands beside other names.
+        RequestError: a name is empty or that of a file, or ``none`` stands beside other names.
         ConfigError: there is no such controller.
     """
     chosen = default if names is None else [] if names == "none" else names.split(",")
@@ -106,7 +106,24 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
         raise RequestError(f"{option}: none stands alone, without other names; got {names}")
     if not all(chosen):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
+    for name in chosen:
+        refuse_file(name.strip(), option)
     return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
+
+
+def refuse_file(name: str, option: str) -> None:
+    """Refuse a shipped policy, a run or a file where ``option`` takes controllers.
+
+    Raises:
+        RequestError: ``name`` is one of them, and no controller.
+    """
+    if ("controller", name) in registry:
+        return
+    if name in shipped_policies() or Path(name).exists():
+        raise RequestError(
+            f"{option}: controllers are allowed, and {name} is none; add --checkpoint {name}, "
+            "which may be repeated: policies stand in one table, on the same episodes"
+        )
 
 
 def policies(

@@ -140,6 +140,14 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["eval"], ["--checkpoint", "--controller"]),
         (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
         (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
+        *(
+            (["eval", *words, "generalist"], [words[-1], "add --checkpoint generalist"])
+            for words in (
+                ["--controller", "okada", "--baseline"],
+                ["--controller", "okada", "--passable"],
+                ["--controller", "okada,level", "--baseline"],
+            )
+        ),
         (
             ["eval", "--controller", "okada", "--baseline", "none,okada"],
             ["--baseline: none stands alone", "none,okada"],
