@@ -7,9 +7,11 @@ upper rows of the matrix, as KITTI's do. Out: points in the frame of the poses.
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 from flipperctl.bags.transforms import Pose
@@ -61,11 +63,26 @@ def read_stamps(folder: Path) -> FloatArray:
 
 def _read_rows(file: Path) -> FloatArray:
     try:
-        return np.loadtxt(file, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of numpy, on an empty file
+            rows = np.loadtxt(file, ndmin=2)
     except OSError as error:
         raise RequestError(f"{file}: there is no such file; it holds the clouds' poses") from error
     except ValueError as error:
         raise RequestError(f"{file}: lines of numbers are allowed; {error}") from error
+    if not rows.size:
+        raise RequestError(f"{file}: it is empty; one line for each cloud is needed")
+    finite = np.asarray(np.isfinite(rows).all(axis=1))
+    _require(file, rows, finite, "finite numbers are allowed")
+    return rows
+
+
+def _require(file: Path, rows: FloatArray, fit: NDArray[np.bool_], allowed: str) -> None:
+    """Raise RequestError, naming the first of the ``rows`` that is not ``fit``, (L,) both."""
+    for number, (row, ok) in enumerate(zip(rows.tolist(), fit, strict=True), 1):
+        if not ok:
+            numbers = " ".join(f"{value:g}" for value in row)
+            raise RequestError(f"{file}, pose {number}: {allowed}; it is {numbers}")
 
 
 def _read_poses(file: Path) -> list[Pose]:
@@ -73,6 +90,8 @@ def _read_poses(file: Path) -> list[Pose]:
 
     rows = _read_rows(file)
     if rows.shape[1] == 8:
+        turned = np.linalg.norm(rows[:, 4:], axis=1) > 0
+        _require(file, rows, turned, "the quaternion (its last four numbers) must not be 0")
         return [Pose(row[1:4], row[4:] / np.linalg.norm(row[4:])) for row in rows]
     if rows.shape[1] == 12:
         matrices = rows.reshape(-1, 3, 4)
@@ -103,8 +122,9 @@ def _points(file: Path) -> FloatArray:
         raise MissingExtraError(
             f"{file}: {error.name} is not installed; run pip install 'flipperctl[profiles]'"
         ) from error
-    except (OSError, ValueError) as error:
-        raise RequestError(f"{file} cannot be read: {' '.join(str(error).split())}") from error
+    except Exception as error:  # each library has its own errors for damaged files
+        text = " ".join(str(error).split())
+        raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error
     found = np.asarray(points, dtype=np.float64)
     if found.ndim != 2 or found.shape[1] < 3:
         raise RequestError(

@@ -73,16 +73,17 @@ def convert(
         OutputError: the file cannot be written.
     """
     if source.is_dir() and (source / POSES).exists():
-        scans, skipped = [_Scan(points, pose) for points, pose in read_folder(source, output)], 0
+        scans = [_Scan(points, pose) for points, pose in read_folder(source, output)]
+        used, skipped = len(scans), 0
     else:
-        scans, skipped = _scans(source, frames)
+        scans, used, skipped = _scans(source, frames)
     points = thinned(_seen(scans, robot, limits), limits.cell)
     start, end = _known_line(source, points, scans, _half_length(robot))
     write_bytes(output, _text(points).encode())
     return {
         "source": str(source),
         "output": str(output),
-        "clouds": len(scans),
+        "clouds": used,
         "clouds_without_pose": skipped,
         "points": len(points),
         "start": [round(float(number), 3) + 0.0 for number in start],
@@ -121,10 +122,13 @@ def _known_line(
     return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
 
 
-def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], int]:
-    """Return the clouds of a bag in the frame of the chassis, and how many have no pose."""
+def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], int, int]:
+    """Return the clouds of a bag in the frame of the chassis, and the numbers of their messages.
+
+    That is of those that are used and of those without a pose.
+    """
     bag = read_bag(source, frames.topic)
-    found, skipped = [], 0
+    found, used = [], set[int]()
     for cloud in bag.clouds:
         try:
             pose = bag.transforms.pose(frames.fixed, frames.base, cloud.time)
@@ -132,15 +136,16 @@ def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], int]:
         except RequestError as error:
             raise RequestError(f"{source}: {error}") from error
         if pose is None or mount is None:
-            skipped += 1
             continue
+        used.add(cloud.message)
         found.append(_Scan(mount.apply(cloud.points), pose))
+    messages = len({cloud.message for cloud in bag.clouds})
     if not found:
         raise RequestError(
-            f"{source}: none of the {len(bag.clouds)} clouds of {bag.topic} has a transform to "
+            f"{source}: none of the {messages} clouds of {bag.topic} has a transform to "
             f"{frames.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    return found, skipped
+    return found, len(used), messages - len(used)
 
 
 def _half_length(robot: Robot) -> float:

@@ -29,6 +29,7 @@ _NUMBERS = {7: "f4", 8: "f8"}
 """Datatype of a field → type of numpy."""
 _SLICE = 0.01
 """Points of a turning LiDAR are taken for simultaneous within this time [s]."""
+_METADATA = "metadata.yaml"
 _LONGEST_TURN = 1.0
 """Largest time of a point before or after the stamp of its cloud [s]."""
 _DAMAGED = (
@@ -48,6 +49,8 @@ class Cloud:
     frame: str
     points: FloatArray
     """(P, 3) finite points in that frame [m]."""
+    message: int = 0
+    """Number of its message in the bag; a message with times of its points has several clouds."""
 
 
 @dataclass(frozen=True)
@@ -81,13 +84,16 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
         MissingExtraError: rosbags is not installed.
         RequestError: the file is no bag, there is no such topic, or the clouds have no stamps.
     """
-    transforms, clouds, odometry = Transforms(), [], []
+    transforms, clouds, odometry = Transforms(), list[Cloud](), []
+    messages = 0
     with opened(path) as reader:
         chosen = chosen_topic(path, reader, topic)
         for connection, _, data in reader.messages():
             kind = connection.msgtype
             if connection.topic == chosen:
-                clouds += _clouds(f"{path}: {chosen}", reader.deserialize(data, kind))
+                read = reader.deserialize(data, kind)
+                clouds += _clouds(f"{path}: {chosen}", read, messages)
+                messages += 1
             elif kind in FRAMES:
                 add_transforms(transforms, connection.topic, reader.deserialize(data, kind))
             elif kind == ODOMETRY:
@@ -138,6 +144,11 @@ def opened(path: Path) -> Iterator[Any]:
 
     if not path.exists():
         raise RequestError(f"{path}: there is no such file or folder")
+    if path.is_dir() and not (path / _METADATA).exists():
+        raise RequestError(
+            f"{path}: this folder has neither {_METADATA}, as a bag of ROS 2, nor poses.txt, as a "
+            "folder of clouds"
+        )
     # A bag without definitions of its types, as of early ROS 2, has those of the distribution.
     try:
         with AnyReader([path], default_typestore=typestore()) as reader:
@@ -164,14 +175,14 @@ def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
     return found
 
 
-def _clouds(where: str, message: Any) -> list[Cloud]:
+def _clouds(where: str, message: Any, number: int) -> list[Cloud]:
     """Return the points of a message, those of about one instant as one cloud."""
     found = read_points(where, message)
     if found.shifts is None:
-        return [Cloud(found.time, found.frame, found.points)]
+        return [Cloud(found.time, found.frame, found.points, number)]
     slices = np.round(found.shifts / _SLICE).astype(np.int64)
     return [
-        Cloud(found.time + _SLICE * one, found.frame, found.points[slices == one])
+        Cloud(found.time + _SLICE * one, found.frame, found.points[slices == one], number)
         for one in np.unique(slices)
     ]
 

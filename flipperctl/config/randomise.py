@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeGuard
 
 from pydantic import (
     AfterValidator,
@@ -27,7 +27,12 @@ from flipperctl.errors import ConfigError
 
 
 def _pair(value: object) -> object:
-    return [value, value] if isinstance(value, int | float) else value
+    return [value, value] if _is_number(value) else value
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number, as true and false are in Python but not in YAML."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -48,7 +53,7 @@ def _of_paths(value: object, info: ValidationInfo) -> object:
 
 def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
     items = list(value) if isinstance(value, list | tuple) else [value]
-    numbers = [float(item) for item in items if isinstance(item, int | float)]
+    numbers = [float(item) for item in items if _is_number(item)]
     if len(numbers) == len(items) == 1 and items == [value] and math.isfinite(numbers[0]):
         return numbers[0]
     if len(numbers) == len(items) == 2 and all(map(math.isfinite, numbers)):

@@ -77,6 +77,8 @@ def draw(
         WriteError: writing failed half way.
     """
     check_output(path, at)
+    if at is not None:
+        _check_instant(at, replay)
     picture = _Picture(replay, robot, f", {_SPEED:g} × real time" if at is None else "")
     if at is not None:
         picture.show(min(replay.instants, key=lambda one: abs(one.time - at)))
@@ -90,6 +92,15 @@ def draw(
     times = [one.time for one in replay.instants]
     shown = [pause / _SPEED for pause in np.diff(times).tolist()]
     write_frames(path, frames, [*shown, _LAST])
+
+
+def _check_instant(at: float, replay: Replay) -> None:
+    """Refuse a time ``at`` [s] at which nothing was perceived."""
+    times = [one.time for one in replay.instants]
+    first, last = min(times), max(times)
+    apart = max(np.diff(times).tolist(), default=0.0)
+    if not first - apart <= at <= last + apart:
+        raise RequestError(f"--at {at:g}: {first:g} to {last:g} s of the recording are allowed")
 
 
 def faces(points: FloatArray, filled: NDArray[np.bool_]) -> list[FloatArray]:

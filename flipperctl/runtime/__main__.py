@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -194,10 +194,15 @@ def _on_messages(words: list[str]) -> int:
 
     if file == "-":
         return run(sys.stdin, "the input")
+    return run(_lines(file), file)
+
+
+def _lines(file: str) -> Iterator[str]:
+    """Yield the lines of a file; an error of the file names it, one of its reader passes."""
     try:
         with Path(file).open(encoding="utf-8") as lines:
-            return run(lines, file)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+            yield from lines
+    except (OSError, ValueError) as error:
         raise RequestError(f"{file} cannot be read: {error}") from error
 
 

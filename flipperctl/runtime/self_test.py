@@ -218,7 +218,10 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
             messages = {
                 name: _KINDS[name](**{"time": time, **values}) for name, values in entry.items()
             }
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        except (
+            *(ValueError, TypeError, KeyError, AttributeError),
+            *(RecursionError, OverflowError),
+        ) as error:
             known = "; ".join(
                 f"{name}: {', '.join(f.name for f in fields(kind))}"  # type: ignore[arg-type]
                 for name, kind in _KINDS.items()

@@ -7,6 +7,7 @@ and each change of state, and how often each fault came. Nothing is commanded.
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -59,7 +60,9 @@ class Shadow:
     def _step(self, now: float, messages: Mapping[str, object]) -> None:
         joints = messages.get("joints")
         if isinstance(joints, JointAngles):
-            self._measured = joints.front, joints.rear
+            angles = joints.front, joints.rear
+            if all(map(math.isfinite, angles)):  # a message of other joints has none
+                self._measured = angles
         self._begun = now if self._begun is None else self._begun
         answer = self._controller.step(now, **messages)  # type: ignore[arg-type]  # any content
         elapsed = 0.0

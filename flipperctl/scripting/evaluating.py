@@ -68,9 +68,9 @@ def evaluate(
     found = scenes([*words(own), *words(settings | given, overrides)], path, controller)
     for config, _ in found:
         check_evaluation(config, config.eval.jobs, controller)
-    against = controllers(_names(baselines), "baselines", found[0][1].baselines())
-    references = controllers(_names(passable or None), "passable")
-    groups = parse(_names(by or None), "by", [config for config, _ in found])
+    against = controllers(_names("baselines", baselines), "baselines", found[0][1].baselines())
+    references = controllers(_names("passable", passable or None), "passable")
+    groups = parse(_names("by", by or None), "by", [config for config, _ in found])
     show, tell = shown.episodes(progress), shown.notes(progress)
     files = {
         name: None if file is None else Path(file)
@@ -106,8 +106,8 @@ def _named(
     return None, policy.name, own
 
 
-def _names(names: Sequence[str] | None) -> str | None:
+def _names(argument: str, names: Sequence[str] | None) -> str | None:
     """Return names as the options of the command take them."""
     if isinstance(names, str):
-        raise RequestError(f"a list of names is allowed; the value is {names!r}")
+        raise RequestError(f"{argument}: a list of names is allowed; the value is {names!r}")
     return None if names is None else ",".join(names) or "none"

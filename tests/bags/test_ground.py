@@ -138,6 +138,25 @@ def test_a_folder_of_clouds_with_poses_is_read_as_well(tmp_path, columns):
         convert(tmp_path, tmp_path / "ground.xyz", Robot())
 
 
+@pytest.mark.parametrize(
+    ("poses", "error"),
+    [
+        ("", r"poses.txt: it is empty"),
+        ("0 0 0 nan 0 0 0 1", r"poses.txt, pose 1: finite numbers are allowed; it is 0 0 0 nan"),
+        ("0 0 0 0 0 0 0 0", r"poses.txt, pose 1: the quaternion .* must not be 0"),
+        ("0 0 0 0 0 0 0 1", r"a.ply cannot be read: \w+"),
+    ],
+)
+def test_a_damaged_folder_of_clouds_is_named(tmp_path, poses, error):
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0.5\n"
+    )
+    (tmp_path / "poses.txt").write_text(f"{poses}\n")
+    with pytest.raises(RequestError, match=error):
+        convert(tmp_path, tmp_path / "ground.xyz", Robot())
+    assert not (tmp_path / "ground.xyz").exists()
+
+
 def unstamped():
     for one in messages():
         if one.topic == "/points":
@@ -165,12 +184,14 @@ def test_a_bag_that_cannot_be_used_is_refused_with_the_reason(tmp_path, made, fr
 
 def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
     (tmp_path / "text.mcap").write_text("no bag")
+    (tmp_path / "folder").mkdir()
     whole = (bag / "drive.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     for source, error in {
         "text.mcap": "text.mcap cannot be read as a bag",
         "cut.mcap": "cut.mcap cannot be read as a bag",
         "absent": "absent: there is no such file or folder",
+        "folder": "folder: this folder has neither metadata.yaml, .* nor poses.txt",
     }.items():
         with pytest.raises(RequestError, match=error):
             convert(tmp_path / source, tmp_path / "ground.xyz", Robot())

@@ -96,6 +96,7 @@ def test_one_instant_is_drawn_and_a_table_printed(bag, tmp_path, capsys):
         (["--at", "2"], "a picture needs --output FILE.png"),
         (["--output", "a.png"], "a picture needs --at SECONDS"),
         (["--output", "a.gif", "--at", "2"], "a picture ends in .png"),
+        (["--output", "a.png", "--at", "500"], "--at 500: 0 to "),
         (["--base-frame", "base_lnk"], "there is no frame 'base_lnk'; did you mean 'base_link'"),
         (["--signs", "ours"], "'ours' is not one of 'rep103', 'flipperctl'"),
     ],

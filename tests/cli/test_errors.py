@@ -141,6 +141,10 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
         (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
         *(
+            (["eval", "--controller", "okada", f"randomise.{key}=true"], [key, "rue"])
+            for key in ("friction", "robot.payload")
+        ),
+        *(
             (["eval", *words, "generalist"], [words[-1], "add --checkpoint generalist"])
             for words in (
                 ["--controller", "okada", "--baseline"],

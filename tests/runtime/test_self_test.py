@@ -117,7 +117,11 @@ def test_a_device_that_is_silent_does_not_pass(
 
 
 @pytest.mark.parametrize(
-    "line", ["[]", '{"time": 1, "arms": {}}', '{"joints": {}}', "{", '{"time": NaN}']
+    "line",
+    [
+        *("[]", '{"time": 1, "arms": {}}', '{"joints": {}}', "{", '{"time": NaN}'),
+        f'{{"time": 1{"0" * 400}}}',
+    ],
 )
 def test_another_line_is_refused_by_its_number(line: str) -> None:
     with pytest.raises(PolicyError, match="m, line 2"):
@@ -136,6 +140,24 @@ def test_another_request_is_refused(words: list[str]) -> None:
 def test_a_missing_file_is_named() -> None:
     with pytest.raises(RequestError, match=r"nowhere\.jsonl cannot be read"):
         _main(["--self-test", "nowhere.jsonl"])
+
+
+def test_an_error_of_the_output_is_none_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def closed(*words: object, **more: object) -> None:
+        raise BrokenPipeError
+
+    (tmp_path / "m.jsonl").write_text('{"time": 0}\n')
+    monkeypatch.setattr("builtins.print", closed)
+    with pytest.raises(BrokenPipeError):
+        _main(["--self-test", str(tmp_path / "m.jsonl")])
+
+
+def test_a_file_of_another_encoding_is_named(tmp_path: Path) -> None:
+    (tmp_path / "m.jsonl").write_bytes(b"\xff\xfe")
+    with pytest.raises(RequestError, match=r"m\.jsonl cannot be read"):
+        _main(["--self-test", str(tmp_path / "m.jsonl")])
 
 
 def test_the_example_s_builder_makes_every_motion(capsys: pytest.CaptureFixture) -> None:

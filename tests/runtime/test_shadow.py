@@ -1,6 +1,7 @@
 """Shadow mode on messages: a log for whoever drives, and nothing that moves."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -49,6 +50,15 @@ def test_flippers_that_follow_someone_else_are_no_fault(file):
         shadow.take(tick * 0.05, messages(tick * 0.05))
     assert shadow.summary()["faults"] == {}
     assert shadow.summary()["decisions"] == 9  # in 4.95 s
+
+
+def test_angles_of_other_joints_are_not_logged(file):
+    lines = []
+    shadow = Shadow(file, SETUP, lines.append)
+    shadow.take(0.0, messages(0.0))
+    shadow.take(2.0, {"joints": JointAngles(2.0, math.nan, 0.0)})
+    assert lines
+    assert [json.loads(line)["measured"] for line in lines] == [[0.3, -0.2]] * len(lines)
 
 
 def test_the_command_prints_the_log_of_lines_of_json(file, tmp_path, capsys):

@@ -190,7 +190,7 @@ def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env
 
 
 def test_names_are_lists() -> None:
-    with pytest.raises(RequestError, match="a list of names"):
+    with pytest.raises(RequestError, match="baselines: a list of names"):
         flipperctl.evaluate("level", terrain="flat", episodes=1, baselines="okada")
 
 
