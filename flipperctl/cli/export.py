@@ -115,6 +115,8 @@ def _policy(
     shipped = file in checkpoints.shipped_policies().values()
     name = file.stem if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.{kind.value}")
+    if target.suffix in {f".{other.value}" for other in (Kind.onnx, Kind.pt2) if other != kind}:
+        raise RequestError(f"--output {target}: this is the suffix of another format than {kind}")
     check_writable(target, f".{kind.value}")
     robot = robot_fields(Overrides.parse(words).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)

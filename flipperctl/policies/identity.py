@@ -71,6 +71,18 @@ def method_settings(config: TrainConfig) -> dict[str, Any]:
     return {name: value for name, value in plain.items() if name not in _PLACES}
 
 
+def without_sources(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``method_settings`` in which it does not count from which run or file one learnt.
+
+    Each training seed may go on from a run of its own, or learn from recordings of its own.
+    """
+    plain = dict(settings)
+    for section, key in (("agent", "start_from"), ("teacher", "episodes")):
+        if plain.get(section, {}).get(key) is not None:
+            plain[section] = {**plain[section], key: "a file of its own"}
+    return plain
+
+
 def _of_controller(controller: Controller) -> str:
     document: dict[str, Any] = identity(controller)
     for key, named in named_files(controller):  # their content counts, not their place

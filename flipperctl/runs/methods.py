@@ -15,7 +15,7 @@ from flipperctl import checkpoint as checkpoints
 from flipperctl.config import resolver
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
-from flipperctl.policies.identity import method_settings
+from flipperctl.policies.identity import method_settings, without_sources
 from flipperctl.runs.named_policies import refuse_file
 
 STANDING = ("level", "okada")
@@ -94,7 +94,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         file = checkpoints.find(path)
         yield Entrant(str(path), path, _trained(file)[0])
         return
-    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    trained: list[tuple[Path, int | None, dict[str, Any]]] = []
     for run in runs:
         if not (run / "config.yaml").exists() and not checkpoints.holds(run):
             continue  # no run at all
@@ -103,19 +103,37 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         except FlipperctlError as error:
             tell(f"{run} is left out: {error}")
             continue
-        members = groups.setdefault(repr(settings), [])
-        if equal := [other for other, at in members if at == seed]:
+        equal = [other for other, *theirs in trained if theirs == [seed, settings]]
+        if equal:
             tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
             continue
-        members.append((run, seed))
+        trained.append((run, seed, settings))
+    groups = _grouped(trained)
     if not groups:
         raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
-    swept = [_swept(members[0][0]) for members in groups.values()]
-    for members, values in zip(groups.values(), swept, strict=True):
+    swept = [_swept(members[0][0]) for members in groups]
+    for members, values in zip(groups, swept, strict=True):
         telling = values and swept.count(values) == 1
         name = f"{path}/{values}" if telling else str(members[0][0])
         for run, seed in members:
             yield Entrant(str(path) if len(groups) == 1 else name, run, seed)
+
+
+def _grouped(
+    trained: Sequence[tuple[Path, int | None, dict[str, Any]]],
+) -> list[list[tuple[Path, int | None]]]:
+    """Return the runs of each method, and their seeds.
+
+    Seeds that each went on from a run of their own are one method; runs of one seed that went on
+    from several runs are several.
+    """
+    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    alike = [repr(without_sources(settings)) for _, _, settings in trained]
+    seeds = [(key, seed) for key, (_, seed, _) in zip(alike, trained, strict=True)]
+    for key, (run, seed, settings) in zip(alike, trained, strict=True):
+        swept = any(seeds.count((key, other)) > 1 for other in {s for k, s in seeds if k == key})
+        groups.setdefault(repr(settings) if swept else key, []).append((run, seed))
+    return list(groups.values())
 
 
 def _swept(run: Path) -> str:

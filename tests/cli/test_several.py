@@ -140,8 +140,11 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
         file.parent.mkdir(parents=True)
         config = shipped.document.config
         pace = {**config.train, "workers": 1 + number}  # one went on elsewhere
+        agent = {**config.agent, "start_from": f"runs/{seed}"}  # each its own
         document = shipped.document.model_copy(
-            update={"config": config.model_copy(update={"seed": seed, "train": pace})}
+            update={
+                "config": config.model_copy(update={"seed": seed, "train": pace, "agent": agent})
+            }
         )
         checkpoint.write(file, document, shipped.tensors)
     (tmp_path / "sweep" / "2_seed=1" / "checkpoints").mkdir(parents=True)
@@ -164,6 +167,28 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
     names = method_scenes([], found[:2], [], None).names
     assert [name.method_text for name in names] == ["sweep, seed 4", "sweep, seed 9"]
     assert names[1].to_dict() == {"method": "sweep", "training_seed": 9}
+
+
+def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(
+    tmp_path: Path,
+) -> None:
+    shipped = checkpoint.read(checkpoint.shipped_policies()["generalist"])
+    config = shipped.document.config
+    for number, start in enumerate(("runs/a", "runs/b", "runs/a")):
+        agent = {**config.agent, "start_from": start}
+        document = shipped.document.model_copy(
+            update={"config": config.model_copy(update={"agent": agent})}
+        )
+        file = tmp_path / "sweep" / f"{number}_agent.start_from={start[-1]}" / checkpoint.BEST
+        file.parent.mkdir(parents=True)
+        checkpoint.write(file, document, shipped.tensors)
+    told: list[str] = []
+    found = entrants([tmp_path / "sweep"], None, told.append)
+    assert [e.method.rpartition("/")[2] for e in found] == [
+        "agent.start_from=a",
+        "agent.start_from=b",
+    ]
+    assert len(told) == 1  # the third
 
 
 def test_methods_of_a_sweep_have_the_names_of_what_was_swept(
