@@ -25,7 +25,8 @@ Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
 families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
-in_a_row, commands, modules.
+in_a_row, commands, modules. lidar drives step in 3-D, accuracy and lookahead have scenes of
+their own: other words for terrain, sim and perception change nothing there.
 
 [bold]Examples[/]
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from flipperctl import entry
 from flipperctl.api import FloatArray, Outcome
+from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.intervals import interval, paired_success, proportion
 
@@ -150,7 +151,7 @@ def _values(files: Sequence[Path]) -> Mapping[str, list[float]]:
     for file in files:
         with file.open(newline="") as opened:
             for row in csv.DictReader(opened):
-                if row["outcome"] == Outcome.REACHED:
+                if row["outcome"] == Outcome.REACHED and not is_best_known(row["controller"]):
                     scene = played.setdefault(f"{row['scene']} {row['conditions_hash']}", {})
                     variation = float(row["pitch_variation_100hz"])
                     scene.setdefault(row["controller"], {})[row["seed"]] = variation

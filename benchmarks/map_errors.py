@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Perception, Transition
 from flipperctl.core.bins import occupied
+from flipperctl.errors import RequestError
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.scenes import evaluate
 from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize
@@ -205,6 +206,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     common = [f"terrain={chosen.terrain}", f"eval.episodes={chosen.episodes}"]
     lidar = [*common, "perception=lidar", *chosen.overrides]
     recorded = _record(lidar, chosen.seed + FITTED)
+    for kind, errors in (
+        ("level", [e.level() for e in recorded]),
+        ("sloped", [e.sloped() for e in recorded]),
+    ):
+        if all(bool(np.isnan(e).all()) for e in errors):
+            raise RequestError(
+                f"--terrain {chosen.terrain}: no {kind} ground is on it; both are needed"
+            )
     size = fit(recorded)
     modelled = _record([*common, *_words(size)], chosen.seed + FITTED)
     size = with_jitter(size, recorded, modelled)

@@ -137,9 +137,12 @@ def _two(
 def _studentized(means: FloatArray, rng: np.random.Generator) -> Interval:
     """Return the mean of seeds with the interval of the bootstrap-t (Efron 1981), episodes aside.
 
-    It follows the skew of the seeds' means (S,), which Student's t does not.
+    It follows the skew of the seeds' means (S,), which Student's t does not. Samples of two seeds
+    have no t but 0, so that two have no interval.
     """
     count, found = len(means), float(means.mean())
+    if count < 3:
+        return Interval(found, None, None)
     drawn = means[rng.integers(count, size=(RESAMPLES, count))]
     errors = drawn.std(axis=1, ddof=1) / math.sqrt(count)
     varied = errors > 1e-12 * max(1.0, abs(found))  # else one seed was drawn throughout

@@ -238,8 +238,8 @@ def _overview(
         "difference": None,
     }
     if against is not None and name != AGAINST:
-        other = _method(against, scenes)
-        _, compared = rows([other, method], PRICE, other)
+        other, ours = _method(against, scenes), _method(scenes, against)
+        _, compared = rows([other, ours], PRICE, other)
         if compared.comparison is not None:
             row["difference"] = _ends(compared.comparison.score)
     return row

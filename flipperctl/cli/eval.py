@@ -141,14 +141,14 @@ def run(
         return
     require_policy(files, controller, overrides)
     flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    suite, arguments = split_suite(flagged)
     if axes is not None:
-        others["film"] = film
+        others |= {"film": film, "suite=…": suite}
         checkpoint_of_map = only(files, "--map", controller)
         run_map(
             *(axes, flagged, checkpoint_of_map, controller, output), as_json=as_json, others=others
         )
         return
-    suite, arguments = split_suite(flagged)
     outputs = {"folder": output, "film": film, "record": record}
     policies = entrants(files, controller, print_note)
     if suite or len(policies) > 1:

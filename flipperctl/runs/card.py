@@ -74,11 +74,18 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     found = []
     for folder in results:
         rows, played = read_rows(folder), played_policies(folder / FOLDER)
+        policies = list(dict.fromkeys(row.method for row in rows if row.is_policy))
+        others = [method for method in policies if not _is(method, file)]
+        if others == policies:
+            raise RequestError(f"{folder}: it holds results of {', '.join(others)}, not of {file}")
+        if others:
+            raise RequestError(
+                f"{folder}: it holds results of {', '.join(others)}, too; a card is of one policy "
+                "and its baselines: evaluate it with --baseline okada,level, alone"
+            )
         for row in rows:
             if not row.is_policy:
                 continue
-            if not _is(row.method, file):
-                raise RequestError(f"{folder}: it holds results of {row.method}, not of {file}")
             digests = {one.digest for one in played.get((row.method, row.hash), ())}
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
                 raise RequestError(

@@ -59,7 +59,7 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
     """
     for name, value in others.items():
         if value:
-            name = name if name == "overrides" else f"--{name}"
+            name = name if name == "overrides" or "=" in name else f"--{name}"
             raise RequestError(f"{name}: no meaning beside {option}; leave it out")
 
 

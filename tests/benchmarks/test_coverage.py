@@ -72,11 +72,12 @@ def test_the_command_adds_recorded_episodes(
         names = ("scene", "controller", "seed", "outcome", "pitch_variation_100hz")
         writer.writerow((*names, "conditions_hash"))
         for seed in range(30):
-            for who in ("okada", "level"):
+            for who in ("okada", "level", "best known (okada)"):
                 outcome = "stuck" if seed == 3 else "reached"
                 writer.writerow(("stair", who, seed, outcome, rng.normal(2, 0.1), "abcd"))
     main([str(path), "--repetitions", "300"])
     lines = capsys.readouterr().out.splitlines()
+    assert not any("best known" in line for line in lines)  # its episodes are those of okada
     for name in ("stair abcd, okada", "stair abcd, level", "stair abcd, okada - level"):
         (line,) = (line for line in lines if line.startswith(f"{name}  "))
         assert line.split()[-2] == "-"

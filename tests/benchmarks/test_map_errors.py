@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks import map_errors
 from benchmarks.map_errors import (
     Errors,
     correlation_along,
@@ -11,6 +12,7 @@ from benchmarks.map_errors import (
     scale,
     with_jitter,
 )
+from flipperctl.errors import RequestError
 from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize, correlated
 
 WIDTH = 0.15
@@ -47,6 +49,12 @@ def test_the_drift_is_found_again_from_slopes() -> None:
     # Twice the drift makes four times the excess, of which the factor on the drift is the half.
     twice = [sloped(0.1, 0.5), exact]
     assert scale([sloped(0.05, 0.5), exact], twice) == pytest.approx(0.5, rel=0.05)
+
+
+def test_ground_without_slopes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(map_errors, "_record", lambda words, seed: [level(0.006, 0.25)])
+    with pytest.raises(RequestError, match="--terrain flat: no sloped ground is on it"):
+        map_errors.main(["--terrain", "flat"])
 
 
 def test_ground_that_was_not_seen_does_not_count() -> None:

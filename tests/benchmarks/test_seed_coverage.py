@@ -33,6 +33,9 @@ def test_the_command_prints_a_column_for_each_number_of_seeds(
     assert len(lines) == len(SHAPES) * (2 + 7)
     assert lines[1].split() == [f"S={count}" for count in SEEDS]
     assert lines[4].split()[1:4] == ["-", "-", "-"]
+    (studentized, *_) = (line for line in lines if line.startswith("mean, bootstrap-t of seeds"))
+    assert studentized.split()[4] == "-"  # of two seeds
+    assert studentized.split()[5] != "-"
     assert EPISODES == 30  # as the documentation says
     with pytest.raises(SystemExit) as left:
         main(["--repetitions", "0"])

@@ -68,6 +68,16 @@ def test_rows_have_all_training_seeds_and_count_failures(tmp_path: Path) -> None
         markdown(found, ["swing"])
 
 
+def test_a_method_with_more_episodes_than_level_is_compared_on_those_of_both(
+    tmp_path: Path,
+) -> None:
+    write(tmp_path / "fast", {"level": ("level", [2.0] * 5)})
+    write(tmp_path / "mpc", {"mpc": ("mpc", [0.5] * 5 + [9.0])})
+    found = shipped.results([tmp_path / "fast", tmp_path / "mpc"], Path("runs"))
+    (row,) = [row for row in found["overview"] if row["method"] == "mpc"]
+    assert row["difference"][0] == -1.5
+
+
 def test_trainings_are_stated_as_they_were_made(tmp_path: Path) -> None:
     for number, words in enumerate(("a=1, seed=1", "a=1, seed=2", "a=2, seed=3")):
         folder = tmp_path / "plain" / str(number) / ".hydra"

@@ -65,6 +65,7 @@ def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
         (["terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
         (["terrain.height=0.2:0.5:2,sim.iterations=7:7.3:2"], "two different values are needed"),
         ([AXES, "--by", "height"], "--by: no meaning beside --map"),
+        ([AXES, "suite=paper"], "suite=…: no meaning beside --map"),
         ([AXES, "eval.ray=auto"], "eval.ray: no meaning beside --map"),
         ([AXES, "sim=planar,mujoco"], "--map shows one scene; 2 are evaluated"),
         (
