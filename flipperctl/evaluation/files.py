@@ -5,6 +5,7 @@ Recorded episodes, decision by decision, go to a file of their own.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -33,6 +34,21 @@ def write(folder: Path, result: EvaluationResult) -> None:
     write_csv(folder / "episodes.csv", list(episode_rows(result)))
     write_json(folder / SUMMARY, result.to_dict())
     write_tables(folder, result)
+
+
+def replaced(folder: Path, result: EvaluationResult) -> str:
+    """Return, in words, the rows of earlier tables in a folder that a result lacks; "" for none."""
+    try:
+        earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
+        rows = [
+            (s["terrain"], s["controller"], s["seed"], s["conditions"]["hash"]) for s in earlier
+        ]
+    except (OSError, ValueError, LookupError, TypeError):
+        return ""  # there are none
+    now = {(s.terrain, s.controller, s.seed, s.conditions.hash) for s in result.scenes}
+    lost = [row for row in rows if row not in now]
+    first = [f"{who} on {terrain}, seed {seed}" for terrain, who, seed, _ in lost[:1]]
+    return " and ".join([*first, *([f"{len(lost) - 1} more rows"] if len(lost) > 1 else [])])
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:

@@ -88,10 +88,16 @@ class EvaluationFiles:
                 files.write(part, result)
                 failures = write_failures(part, self._scenes, result)
 
+            replaced = files.replaced(self._folder.path, result)
             self._folder.replace(write, later)
             names = "episodes.csv, summary.json, table.csv and table.tex"
             write_view(self._folder.path)
             self._tell(f"wrote {names} to {self._folder.path}")
+            if replaced:
+                self._tell(
+                    f"they replace earlier tables with {replaced}; those episodes stay in "
+                    f"{self._folder.path / FOLDER}, and their words write the tables again"
+                )
             if failures:
                 replay = command("eval", "--replay", self._folder.path / failures[0])
                 several = f"{len(failures)} failures" if len(failures) > 1 else "a failure"

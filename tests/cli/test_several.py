@@ -320,3 +320,18 @@ def test_tables_by_what_was_drawn_say_whose_they_are(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     for name in ("okada", "random"):
         assert f"{name} on step by height" in done.out
+
+
+def test_tables_of_another_evaluation_are_not_replaced_without_a_word(tmp_path: Path) -> None:
+    words = ("eval", "--controller", "level,random", "--baseline", "none", "--episodes", "1")
+    words = (*words, "--output", "out")
+    for more, told in (
+        (("terrain=flat",), ""),
+        (("terrain=flat,ramp",), ""),  # what was there is still in the tables
+        (("terrain=flat", "--seed", "3"), "level on flat, seed 0 and 3 more rows; those episodes"),
+        (("terrain=flat", "--seed", "3"), ""),
+    ):
+        done = call(*words, *more, cwd=tmp_path)
+        assert done.code == 0, done.err
+        assert told in done.err
+        assert ("they replace earlier tables" in done.err) == bool(told)
