@@ -57,7 +57,7 @@ def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:
         conditions = {
             "conditions": scene.conditions.name,
             "conditions_hash": scene.conditions.hash,
-            **({"suite_scene": scene.name.scene} if scene.name.scene else {}),
+            **scene.name.to_dict(),
         }
         players = [(scene.row_label, scene.episodes)]
         players += [(other.controller, other.episodes) for other in scene.baselines]

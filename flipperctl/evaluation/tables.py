@@ -149,7 +149,7 @@ def scene_rows(result: EvaluationResult, digits: int | None = None) -> Iterator[
                 "seed": scene.seed,
                 "conditions": scene.conditions.name,
                 "conditions_hash": scene.conditions.hash,
-                **({"suite_scene": scene.name.scene} if scene.name.scene else {}),
+                **{k: v for k, v in scene.name.to_dict().items() if k != "method"},
             }
 
 

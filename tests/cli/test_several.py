@@ -167,6 +167,14 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
     names = method_scenes([], found[:2], [], None).names
     assert [name.method_text for name in names] == ["sweep, seed 4", "sweep, seed 9"]
     assert names[1].to_dict() == {"method": "sweep", "training_seed": 9}
+    monkeypatch.undo()
+    done = call("eval", "--checkpoint", "sweep", *FLAT, "--output", "out", cwd=tmp_path)
+    assert done.code == 0, done.err
+    for file in ("episodes.csv", "table.csv"):
+        rows = list(csv.DictReader((tmp_path / "out" / file).read_text().splitlines()))
+        assert {row["training_seed"] for row in rows} == {"4", "9", ""}  # a rule has none
+    rows = list(csv.DictReader((tmp_path / "out" / "episodes.csv").read_text().splitlines()))
+    assert {row["method"] for row in rows} == {"sweep", "level", "okada"}
 
 
 def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(
