@@ -27,6 +27,8 @@ _CELL = 0.03
 """Length of the cells in which noisy points are averaged [m]."""
 _TOLERANCE = 0.002
 """Thinning of the ground without noise [m]."""
+_FEWEST = 8
+"""Points of a scan below which it tells neither the motion nor the noise [-]."""
 _NARROW = 0.05
 """Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
 
@@ -50,12 +52,13 @@ class GroundMap:
     def add(self, points: FloatArray, guess: tuple[float, float]) -> tuple[float, float]:
         """Add a scan, (P, 2) in frame L [m]; return the motion (x, z) since the previous one [m].
 
-        ``guess`` is the expected motion, which is returned if the scans cannot be aligned.
+        ``guess`` is the expected motion, which is returned if the scans cannot be aligned. A scan
+        of fewer than 8 points counts only while there is no longer one.
         """
-        if len(points) < 8:  # too few to align or to estimate the noise
+        if len(points) < _FEWEST:
             self._move(guess)
-            if len(points):
-                self._scans.append(points)
+            if len(points) and all(len(scan) < _FEWEST for scan in self._scans):
+                self._scans = [*self._scans, points][-self._memory :]
             return guess
         self.noise = _noise(points)
         motion = self._align(points, guess) if self._scans else guess
@@ -91,7 +94,7 @@ class GroundMap:
             dx = guess[0] + correction
             at = x + dx  # x of the points in the map's frame [m]
             inside = (at >= known[0, 0]) & (at <= known[-1, 0])
-            if np.count_nonzero(inside) < 8:
+            if np.count_nonzero(inside) < _FEWEST:
                 continue
             residual = np.interp(at[inside], known[:, 0], known[:, 1]) - z[inside]
             dz = float(np.median(residual))

@@ -114,7 +114,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = (options or {}).get("difficulty", 1.0)
-        if not isinstance(difficulty, Real):  # the terrain checks the number itself
+        known = isinstance(difficulty, Real)
+        if not known or not 0 <= difficulty <= 1:
             raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
         self._running = False
         super().reset(seed=seed)
@@ -272,7 +273,12 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def scene(self) -> Scene:
-        """The current instant of the episode as plain data."""
+        """The current instant of the episode as plain data.
+
+        Raises:
+            ResetNeeded: no episode has begun.
+        """
+        self._require_episode()
         return Scene(
             terrain=self.config.terrain.plugin_name,
             ground=self.profile.points,
@@ -286,15 +292,21 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             outcome=self._outcome,
         )
 
+    def _require_episode(self) -> None:
+        if self._generated is None:
+            raise ResetNeeded("no episode has begun: call reset first")
+
     def render(self) -> Picture | None:
         """Return a picture, (HEIGHT, WIDTH, 3); None without ``render_mode="rgb_array"``.
 
         The engine draws it, if its world is a ``DrawingWorld``; else it is the scene from the side.
 
         Raises:
+            ResetNeeded: no episode has begun.
             RequestError: the machine lacks a library that the engine needs for drawing.
             PluginFailedError: the code of the engine failed.
         """
         if self.render_mode is None:
             return None
+        self._require_episode()
         return self._pictures.draw(self.drive.world, lambda: self.scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass
+from numbers import Real
 from typing import Literal
 
 Pair = tuple[float, float]
@@ -47,8 +48,23 @@ def log_line(now: float, answer: Answer, *, risk: bool) -> str:
     told = asdict(answer)
     if not risk:  # the lines of files without a risk stay
         del told["risk"], told["warning"]
-    return json.dumps({"time": _number(now), **told})
+    return json.dumps({"time": short(now) if (time := finite(now)) is None else time, **told})
 
 
-def _number(now: object) -> object:
-    return now if isinstance(now, int | float) and math.isfinite(now) else str(now)[:40]
+def finite(number: object) -> float | None:
+    """Return a finite real number, of Python or numpy; None for anything else."""
+    if isinstance(number, bool) or not isinstance(number, Real):
+        return None
+    try:
+        found = float(number)
+    except OverflowError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def short(value: object) -> str:
+    """Return a value as text of at most 40 characters."""
+    try:
+        return str(value)[:40]
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return type(value).__name__

@@ -15,7 +15,7 @@ import numpy as np
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.sensing import Measured, SensedGround
-from flipperctl.runtime.answer import Answer, Pair, State, log_line
+from flipperctl.runtime.answer import Answer, Pair, State, finite, log_line, short
 from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.following import Following
 from flipperctl.runtime.intake import Accepted, Fault, Intake
@@ -110,9 +110,11 @@ class FlipperController:
         ``now``: a clock that never goes back [s]. Nothing is raised for bad input: whatever keeps
         the controller from deciding is the answer's ``reason``.
         """
-        jump = self._clock_fault(now)
-        if jump is not None:
+        time = finite(now)
+        jump = self._clock_fault(now, time)
+        if time is None or jump is not None:
             return self._say(now, jump, None)
+        now = time
         elapsed, self._last = now - (now if self._last is None else self._last), now
         self._begun = now if self._begun is None else self._begun
         self._advance(elapsed)  # towards the targets of the steps before
@@ -120,8 +122,8 @@ class FlipperController:
         # The scan comes last: it enters the map at the pose that the others tell.
         action = None
         try:
-            for device, time, message in self._intake.receive(now, **messages):
-                self._perceive(device, time, message)
+            for device, stamp, message in self._intake.receive(now, **messages):
+                self._perceive(device, stamp, message)
                 if isinstance(message, Belts):
                     self._standby.update(now, message.speed)
             fault = self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
@@ -135,18 +137,21 @@ class FlipperController:
             )
         return self._say(now, fault or self._undecided, action)
 
-    def _clock_fault(self, now: object) -> Fault | None:
-        """Return a fault if the clock is no clock; after a jump nothing old is of use."""
-        if isinstance(now, bool) or not isinstance(now, int | float) or not math.isfinite(now):
-            text = f"the time is {str(now)[:40]}; a finite number is allowed"
+    def _clock_fault(self, now: object, time: float | None) -> Fault | None:
+        """Return a fault if the clock is no clock; after a jump nothing old is of use.
+
+        ``time``: the same as a finite number; None if it is none.
+        """
+        if time is None:
+            text = f"the time is {short(now)}; a finite number is allowed"
             return Fault("clock", text, at_once=True)
         if self._last is None:
             return None
-        elapsed = now - self._last
+        elapsed = time - self._last
         if 0 <= elapsed <= self._limits.clock_jump:
             return None
         self._begin(level=False)  # it may stand on an obstacle
-        self._last = float(now)
+        self._last = time
         return Fault(
             "clock_jump",
             f"the clock went on by {elapsed:.2f} s; 0 to {self._limits.clock_jump:g} s is allowed",

@@ -24,7 +24,7 @@ _FEWEST_POINTS = 20
 """Points without which a cloud tells nothing [-]."""
 _LONGEST_TURN = 1.0
 """Largest age of a point at the time of its cloud; those of other ages are left out [s]."""
-_FASTEST = 20.0
+_FASTEST_TURN, _FASTEST = 20.0, 5.0
 """Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
 
 
@@ -189,7 +189,7 @@ class Intake:
         return Inertial(
             roll=_number("attitude", "roll", message.roll, math.pi),
             pitch=signs.pitch * _number("attitude", "pitch", message.pitch, math.pi),
-            yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST),
+            yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST_TURN),
         )
 
 
@@ -206,7 +206,7 @@ def _refusal(device: str, name: str, found: str, allowed: str) -> _RefusedError:
 
 
 def _check_frame(device: str, found: object, allowed: str) -> None:
-    if found != allowed:
+    if not isinstance(found, str) or found != allowed:
         raise _refusal(device, "frame", f"is in the frame {str(found)[:40]!r}", repr(allowed))
 
 

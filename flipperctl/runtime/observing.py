@@ -6,8 +6,7 @@ simulator.
 
 from __future__ import annotations
 
-import math
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +17,8 @@ from flipperctl.errors import NonFiniteError, PolicyError
 from flipperctl.runtime.interface import Interface
 
 Frame = Literal["L", "R"]
+_LARGEST = float(np.finfo(np.float32).max)
+Number = TypeVar("Number", np.float32, np.float64)
 _ROUNDING = 1e-9
 """Distance past the last bin's edge that counts as rounding [m]."""
 
@@ -38,7 +39,7 @@ def observe(
         raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
     for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
         try:
-            finite = math.isfinite(angle)
+            finite = -_LARGEST <= angle <= _LARGEST
         except (TypeError, ValueError) as error:
             text = f"{where}: {name} is {str(angle)[:40]}; a number is allowed"
             raise PolicyError(text) from error
@@ -57,10 +58,23 @@ def observe(
     return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
 
 
+def real_numbers(values: ArrayLike, dtype: type[Number]) -> NDArray[Number]:
+    """Return an array of real numbers.
+
+    Raises:
+        TypeError: the values are text or complex numbers, which numpy would convert.
+        ValueError, OverflowError: they are no numbers, or too large.
+    """
+    found = np.asarray(values)
+    if found.dtype.kind in "cSU":
+        raise TypeError(f"their type is {found.dtype}")
+    return found.astype(dtype, copy=False)
+
+
 def _points(points: ArrayLike, where: str) -> NDArray[np.float64]:
     try:
-        ground = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        ground = real_numbers(points, np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
         raise PolicyError(f"{where}: the points are not numbers: {error}") from error
     if ground.ndim != 2 or ground.shape[1] != 2:
         raise PolicyError(f"{where}: the points have shape {ground.shape}; (P, 2) is allowed")

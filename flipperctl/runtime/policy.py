@@ -17,7 +17,7 @@ from flipperctl.core.escape import Escape
 from flipperctl.core.observation import ANGLES
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
-from flipperctl.runtime.observing import Frame, observe
+from flipperctl.runtime.observing import Frame, observe, real_numbers
 from flipperctl.runtime.risk import BoundRisk
 from flipperctl.runtime.session import (
     INPUT,
@@ -190,8 +190,8 @@ class OnnxPolicy:
 
     def _pair(self, name: str, angles: ArrayLike) -> list[float]:
         try:
-            pair = np.asarray(angles, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+            pair = real_numbers(angles, np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
             raise PolicyError(f"{self.path}: the {name} are not numbers: {error}") from error
         if pair.shape != (2,):
             raise PolicyError(f"{self.path}: the {name} have shape {pair.shape}; (2,) is allowed")
@@ -235,8 +235,8 @@ class OnnxPolicy:
                 f"{self.path}: there is no observation (None); {size} numbers are needed"
             )
         try:
-            return np.asarray(observation, dtype=np.float32)
-        except (TypeError, ValueError) as error:
+            return real_numbers(observation, np.float32)
+        except (TypeError, ValueError, OverflowError) as error:
             raise PolicyError(f"{self.path}: the observation is not numbers: {error}") from error
 
     def _value_error(self, array: NDArray[np.float32]) -> FlipperctlError:

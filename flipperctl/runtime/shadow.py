@@ -54,7 +54,7 @@ class Shadow:
         if self._last is None or not 0 < now - self._last[0] <= _JUMP:
             return
         then = self._last[0]
-        for tick in range(1, int((now - then) / _TICK + 1e-6)):
+        for tick in range(1, math.ceil((now - then) / _TICK - 1e-6)):
             yield then + tick * _TICK
 
     def _step(self, now: float, messages: Mapping[str, object]) -> None:

@@ -26,14 +26,15 @@ class Mirror(Combinator):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points in reverse order, beginning at (0, 0), with the same label.
 
-        What the inner terrain drew is told as it was before it was reversed.
+        What the inner terrain drew is told as it was before it was reversed; ``mirrored`` is 1 if
+        the whole is reversed, by one mirror or by an odd number.
         """
         profile = self.terrain.labelled(rng)
         if rng.random() >= self.probability:
-            return replace(profile, drawn={**profile.drawn, "mirrored": 0})
+            return replace(profile, drawn={"mirrored": 0, **profile.drawn})
         last = profile.points[-1]
         surface = profile.surface and MirroredSurface(profile.surface, (last[0], last[1]))
-        drawn = {**profile.drawn, "mirrored": 1}
+        drawn = {**profile.drawn, "mirrored": 1 - profile.drawn.get("mirrored", 0)}
         points = (profile.points[::-1] - last) * (-1.0, 1.0)
         return replace(
             profile,

@@ -36,6 +36,19 @@ def test_the_motion_between_scans_is_measured() -> None:
     assert ground.add(scan(0.05, 0.53), (0.12, 0.0)) == pytest.approx((0.05, 0.03), abs=0.006)
 
 
+def test_a_few_points_displace_no_map() -> None:
+    ground = GroundMap(memory=3)
+    ground.add(scan(0.3, 0.5), (0.0, 0.0))
+    before = ground.line()
+    for _ in range(5):
+        ground.add(np.array([[-0.5, 0.0], [-0.4, 0.0]]), (0.0, 0.0))
+    assert np.array_equal(ground.line(), before)
+    few = GroundMap(memory=3)  # where there is nothing better, they count, as many as memory says
+    for step in range(5):
+        few.add(np.array([[0.1 * step, 0.0], [0.1 * step + 0.05, 0.0]]), (0.0, 0.0))
+    assert len(few._scans) == 3
+
+
 def test_noise_is_measured_and_averaged_away() -> None:
     ground = GroundMap(memory=10)
     for step in range(8):

@@ -156,6 +156,13 @@ def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
     env = FlipperEnv("flat", episode={"run_out": 0.0, "run_up": 0.2})
     with pytest.raises(ResetNeeded, match="call reset"):
         env.step(HOLD)
+    drawn = FlipperEnv("flat", render_mode="rgb_array")
+    for ask in (lambda: env.scene, lambda: drawn.render()):
+        with pytest.raises(ResetNeeded, match="call reset first"):
+            ask()
+    for difficulty in (5, -0.1, math.nan, 10**400, "hard"):
+        with pytest.raises(ValueError, match="0 to 1 is allowed"):
+            env.reset(options={"difficulty": difficulty})
     env.reset(seed=0)
     while not any(env.step(HOLD)[2:4]):
         pass

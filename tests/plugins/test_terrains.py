@@ -128,6 +128,9 @@ def test_terrains_tell_what_they_drew() -> None:
 def test_composed_terrains_pass_on_what_their_parts_drew() -> None:
     turned = drawn("mirror", terrain="stair", probability=1.0).drawn
     assert (turned["mirrored"], turned["steps"] in (3, 4, 5)) == (1, True)
+    twice = drawn("mirror", terrain={"name": "mirror", "terrain": "step"})
+    assert twice.drawn["mirrored"] == 0
+    assert np.array_equal(twice.points, drawn("step").points)
     assert drawn("noisy").drawn.keys() == drawn("stair").drawn.keys()
     assert drawn("mix", parts=["gap"]).drawn.keys() == {"width", "depth"}
     row = drawn("sequence", parts=["stair", "stair"]).drawn

@@ -11,6 +11,7 @@ import pytest
 
 from flipperctl.config import EnvConfig
 from flipperctl.core.actions import ACTIONS
+from flipperctl.core.lidar.checks import checked
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
@@ -29,6 +30,7 @@ from flipperctl.runtime import (
     Odometry,
     RobotSetup,
     Signs,
+    intake,
 )
 from tests.runtime.linear import MAP, ROBOT, RULE, write
 
@@ -144,6 +146,7 @@ def drive(controller: FlipperController, until: float = 1.0) -> float:
         ({"cloud": Cloud(1.1, "base_link", GROUND, [0.0])}, "cloud_shape", 0.55),
         ({"attitude": Attitude(1.1, "base_link", 0, math.nan, 0)}, "attitude_value", 0.15),
         ({"attitude": Attitude(1.1, "odom", 0, 0, 0)}, "attitude_frame", 0.15),
+        ({"attitude": Attitude(1.1, np.zeros(3), 0, 0, 0)}, "attitude_frame", 0.15),
         ({"joints": JointAngles(1.1, 57.0, 0.2)}, "joints_value", 0.25),
         ({"joints": 0.3}, "joints_kind", 0.25),
     ],
@@ -187,6 +190,25 @@ def test_a_clock_that_jumps_stops_and_what_was_known_is_forgotten(
         now += jump
         assert controller.step(now + 0.05).fault == "joints_missing"
         assert controller.step(now + 0.1, **good(now + 0.1)).state == "driving"
+
+
+@pytest.mark.parametrize("time", [10**400, 10**5000, True, "3", None])
+def test_a_time_that_is_no_number_is_a_fault(controller: FlipperController, time: object) -> None:
+    answer = controller.step(time)
+    assert (answer.fault, answer.state) == ("clock", "stopped")
+    assert answer.reason.endswith("a finite number is allowed")
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
+def test_a_time_of_numpy_is_a_time(controller: FlipperController, kind: type) -> None:
+    first = controller.step(kind(3), **good(3.0))
+    assert first.fault != "clock"
+    assert controller.step(kind(4)).fault != "clock"
+
+
+def test_what_passes_the_intake_passes_the_estimator() -> None:
+    assert checked(0.0, Belts(intake._FASTEST)) is not None
+    assert checked(0.0, Inertial(0.0, 0.0, intake._FASTEST_TURN)) is not None
 
 
 def test_too_little_ground_holds_and_is_looked_at_once_in_a_period(

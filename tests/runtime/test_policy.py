@@ -127,6 +127,19 @@ def test_the_largest_plausible_numbers_are_accepted(policy: OnnxPolicy) -> None:
 def test_an_observation_that_is_not_numbers_is_refused(policy: OnnxPolicy) -> None:
     with pytest.raises(PolicyError, match="is not numbers"):
         policy.act(["steep"] * 18)
+    for odd in (["0.1"] * 18, np.full(18, 1j), [10**400] * 18):
+        with pytest.raises(PolicyError, match="is not numbers"):
+            policy.act(odd)
+        with pytest.raises(PolicyError, match="is not numbers"):
+            policy.q_values(odd)
+    for odd in ("1", 1j, 10**400):
+        with pytest.raises(PolicyError, match="the targets are not numbers"):
+            policy.next_targets((odd, 0), (0, 0), 0)
+        with pytest.raises(PolicyError, match="the points are not numbers"):
+            policy.observation([[0, odd]], front=0, rear=0, pitch=0)
+    for odd in (10**400, 1e300):
+        with pytest.raises(NonFiniteError, match="front is 1"):
+            policy.observation([[0, 0]], front=odd, rear=0, pitch=0)
     with pytest.raises(PolicyError, match=r"no observation \(None\); 18 numbers are needed"):
         policy.act(None)
 

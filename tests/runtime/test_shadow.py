@@ -52,6 +52,16 @@ def test_flippers_that_follow_someone_else_are_no_fault(file):
     assert shadow.summary()["decisions"] == 9  # in 4.95 s
 
 
+def test_no_two_steps_are_farther_apart_than_a_tick(file, monkeypatch):
+    shadow, times = Shadow(file, SETUP, str), []
+    step = shadow._step
+    monkeypatch.setattr(shadow, "_step", lambda now, m: (times.append(now), step(now, m)))
+    for index in range(4):
+        shadow.take(index * 0.099, messages(index * 0.099))
+    shadow.take(0.347, messages(0.347))
+    assert max(np.diff(times)) <= 0.05 + 1e-9
+
+
 def test_angles_of_other_joints_are_not_logged(file):
     lines = []
     shadow = Shadow(file, SETUP, lines.append)
