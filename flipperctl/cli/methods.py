@@ -6,7 +6,7 @@ method on each scene, scene by scene.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,11 +52,14 @@ def method_scenes(
     sections = [part.with_words(list(words)) for part in parts]
     composer = _Composer([part.name for part in parts], sections)
     found: dict[tuple[str, str, int, int], list[tuple[Scene, SceneName]]] = {}
+    played: dict[str, dict[str, None]] = {}  # method → its scenes
     several = {e.method for e in entrants if sum(o.method == e.method for o in entrants) > 1}
 
     def add(entrant: Entrant, scene: str, config: EvalConfig, source: PolicySource) -> None:
         numbers = config.eval.seed, config.eval.episodes
-        rows = found.setdefault((scene, Conditions.of(config).hash, *numbers), [])
+        digest = Conditions.of(config).hash
+        rows = found.setdefault((scene, digest, *numbers), [])
+        played.setdefault(entrant.method, {})[f"{config.terrain.plugin_name} {digest}"] = None
         seed = entrant.training_seed if entrant.method in several else None
         ours = source, _scoring(config)
         if all(ours != (other, _scoring(theirs)) for (theirs, other), _ in rows):
@@ -65,6 +68,7 @@ def method_scenes(
     for entrant in entrants:
         for scene, config, source in composer.of(entrant):
             add(entrant, scene, config, source)
+    _tell_unlike(played)
     beside = [(e, PolicySource.of_plugin(e.method, "--baseline")) for e in standing]
     keys = [key_of(word).rpartition("@")[2] for part in sections for word in part]
     chosen = any(key.startswith("rewards") for key in keys)
@@ -83,6 +87,19 @@ def method_scenes(
         )
     every = [row for rows in found.values() for row in rows]
     return MethodScenes([scene for scene, _ in every], [name for _, name in every])
+
+
+def _tell_unlike(played: Mapping[str, Collection[str]]) -> None:
+    """Print a note if methods play different scenes, as policies that bring their own ground."""
+    if len({frozenset(scenes) for scenes in played.values()}) > 1:
+        each = "; ".join(
+            f"{method}: {next(iter(scenes))}{' …' if len(scenes) > 1 else ''}"
+            for method, scenes in played.items()
+        )
+        print_note(
+            f"these policies play different scenes, so they do not compare ({each}); terrain=… and "
+            "conditions=… set the same for all"
+        )
 
 
 def _scoring(config: EvalConfig) -> tuple[object, object]:

@@ -265,7 +265,8 @@ def _unlike(found: Mapping[str, Sequence[_Run]]) -> str:
         scenes.setdefault(", ".join(run.episodes), {})[str(run.folder)] = None
     if len(scenes) == 1:
         return "their conditions are equal, but not their episodes, as with another --seed"
-    return "; ".join(f"{', '.join(folders)}: {names}" for names, folders in scenes.items())
+    each = "; ".join(f"{', '.join(folders)}: {names}" for names, folders in scenes.items())
+    return f"{each}; the same terrain=… and conditions=… for all are allowed"
 
 
 def _short(scenes: Sequence[str]) -> dict[str, str]:

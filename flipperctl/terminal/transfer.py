@@ -80,7 +80,6 @@ def _failures(
     named: list[tuple[str, TransferResult]], policy: list[str], overrides: Sequence[str]
 ) -> Iterator[str]:
     """Yield a line for each failure, and the command that replays it."""
-    others = [o for o in overrides if not o.startswith(("terrain=", "eval.seed="))]
     for name, one in named:
         for f in one.failures:
             yield (
@@ -88,9 +87,20 @@ def _failures(
                 f"at x {f.x:.2f} m, pitch {f.pitch:.2f}, roll {f.roll:.2f}, yaw {f.yaw:.2f} rad, "
                 f"{f.side:.2f} m aside; {f.default_outcome} in {one.engines[0]})"
             )
-            again = [*policy, f"terrain={one.terrain}", *others]
+            again = [*policy, *_of_one(one, overrides)]
             seed = ["--seed", str(one.seed), "--only", str(f.episode)]
             yield f"  {command('transfer', *again, *seed)}"
+
+
+def _of_one(one: TransferResult, overrides: Sequence[str]) -> Iterator[str]:
+    """Yield the overrides that lead to one result alone, where lists of them led to several."""
+    chosen = {"terrain": one.terrain, "conditions": one.conditions.name}
+    for word in overrides:
+        key, _, value = word.partition("=")
+        if key in chosen and "," in value and not value.startswith("{"):
+            yield f"{key}={chosen[key]}"
+        elif key != "eval.seed":
+            yield word
 
 
 def _variation(summary: Summary) -> str:

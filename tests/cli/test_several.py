@@ -343,3 +343,16 @@ def test_tables_of_another_evaluation_are_not_replaced_without_a_word(tmp_path: 
         assert done.code == 0, done.err
         assert told in done.err
         assert ("they replace earlier tables" in done.err) == bool(told)
+
+
+def test_policies_that_bring_their_own_ground_are_told(tmp_path: Path) -> None:
+    words = ("eval", "--checkpoint", "generalist", "--controller", "level", "--episodes", "1")
+    done = call(*words, "--baseline", "none", "--output", "out", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "these policies play different scenes, so they do not compare (generalist: " in done.err
+    assert "level: stair " in done.err
+    again = call("inspect", "results", "out", cwd=tmp_path)
+    assert again.code == 2
+    assert "the same terrain=… and conditions=… for all are allowed" in again.err
+    done = call(*words, "--baseline", "none", "terrain=flat", cwd=tmp_path)
+    assert "different scenes" not in done.err

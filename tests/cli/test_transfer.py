@@ -4,10 +4,12 @@ import json
 import re
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from flipperctl.terminal.transfer import _of_one
 from tests.cli.call import call
 
 OKADA = ["transfer", "--controller", "okada"]
@@ -76,6 +78,15 @@ def test_a_failure_has_the_command_that_shows_it_again(tmp_path: Path) -> None:
     assert first.group() in repeated.out
     done = call(*OKADA, *settings[:-2], "eval.seed=5", cwd=tmp_path)
     assert again.group() in done.out  # and eval.seed no second time
+
+
+def test_the_words_of_one_result_are_those_of_the_call_without_its_lists() -> None:
+    one = SimpleNamespace(terrain="step", conditions=SimpleNamespace(name="wide"))
+    given = ["terrain=step,stair", "conditions=wide,nominal", "sim.yaw=0.1", "eval.seed=5"]
+    assert list(_of_one(one, given)) == ["terrain=step", "conditions=wide", "sim.yaw=0.1"]
+    own = ["terrain={name: ramp, slope_low: 15}", "conditions=wide"]
+    assert list(_of_one(one, own)) == own
+    assert list(_of_one(one, ["sim.friction=0.6"])) == ["sim.friction=0.6"]  # its own terrain
 
 
 def test_the_default_engine_is_not_compared_with_itself(tmp_path: Path) -> None:
