@@ -59,5 +59,7 @@ def test_only_training_uses_the_easy_terrain() -> None:
     assert env.profile.end == pytest.approx(0.6)
     env.reset(seed=0)
     assert env.profile.end == pytest.approx(1.1)
-    with pytest.raises(TerrainError, match="difficulty 2 is not within 0 and 1"):
+    with pytest.raises(ValueError, match="no difficulty 2; 0 to 1 is allowed"):
         env.reset(seed=0, options={"difficulty": 2})
+    with pytest.raises(TerrainError, match="difficulty 2 is not within 0 and 1"):
+        env.config.terrain.at(2)

@@ -205,6 +205,6 @@ def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     ((own, _),) = compose_eval([], primary)
     assert own.rewards == trained.rewards
     ((changed, _),) = compose_eval(["rewards.swing.weight=4"], primary)
-    assert changed.rewards["swing"].model_dump() == {"weight": 4, "slope": 5}
+    assert changed.rewards["swing"] == trained.rewards["swing"].model_copy(update={"weight": 4})
     ((preset, _),) = compose_eval(["rewards=paper"], primary)
     assert preset.rewards == EnvConfig(terrain="stair").rewards
