@@ -6,7 +6,6 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import TerrainError
 from flipperctl.training.events import MetricsCsv, read_rows
 from tests.short import short_config, trainer
 
@@ -61,5 +60,5 @@ def test_only_training_uses_the_easy_terrain() -> None:
     assert env.profile.end == pytest.approx(1.1)
     with pytest.raises(ValueError, match="no difficulty 2; 0 to 1 is allowed"):
         env.reset(seed=0, options={"difficulty": 2})
-    with pytest.raises(TerrainError, match="difficulty 2 is not within 0 and 1"):
+    with pytest.raises(ValueError, match="difficulty 2 is not within 0 and 1"):
         env.config.terrain.at(2)
