@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from numbers import Real
 from typing import Any
 
 import gymnasium
@@ -113,10 +112,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             TerrainError: the terrain generates no ground that a robot can start on.
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
-        difficulty = (options or {}).get("difficulty", 1.0)
-        known = isinstance(difficulty, Real)
-        if not known or not 0 <= difficulty <= 1:
-            raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
+        difficulty = ground.asked_difficulty(options)
         self._running = False
         super().reset(seed=seed)
         # Each has a generator of its own, so that sensing noise never changes the terrain.
@@ -129,7 +125,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.engine, self.robot, _ = sections
         self._sections = sections
         with naming_seed(seed):
-            self.profile = self._generate(terrain_rng, float(difficulty))
+            self.profile = self._generate(terrain_rng, difficulty)
             starts = self._place(start_rng)
             if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
                 self.profile = start.ahead(self.profile)  # beside the line there is no place for it
@@ -273,11 +269,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def scene(self) -> Scene:
-        """The current instant of the episode as plain data.
-
-        Raises:
-            ResetNeeded: no episode has begun.
-        """
+        """The current instant as plain data; ``ResetNeeded`` if no episode has begun."""
         self._require_episode()
         return Scene(
             terrain=self.config.terrain.plugin_name,

@@ -109,6 +109,19 @@ def prepare_profile(profile: Profile, terrain: Terrain, track_radius: float) -> 
     return felt
 
 
+def asked_difficulty(options: Mapping[str, Any] | None) -> float:
+    """Return the difficulty among the options of a reset, by default 1.
+
+    Raises:
+        ValueError: it is not a number from 0 to 1.
+    """
+    found = (options or {}).get("difficulty", 1.0)
+    known = isinstance(found, Real)
+    if not known or not 0 <= found <= 1:  # false for NaN
+        raise ValueError(f"there is no difficulty {found!r}; 0 to 1 is allowed")
+    return float(found)
+
+
 def first_difficulty(terrain: Terrain) -> float:
     """Return the difficulty of a training's first episode.
 

@@ -110,11 +110,10 @@ class FlipperController:
         ``now``: a clock that never goes back [s]. Nothing is raised for bad input: whatever keeps
         the controller from deciding is the answer's ``reason``.
         """
-        time = finite(now)
-        jump = self._clock_fault(now, time)
-        if time is None or jump is not None:
+        jump = self._clock_fault(now)
+        if jump is not None:
             return self._say(now, jump, None)
-        now = time
+        now = float(now)  # which numpy may have made
         elapsed, self._last = now - (now if self._last is None else self._last), now
         self._begun = now if self._begun is None else self._begun
         self._advance(elapsed)  # towards the targets of the steps before
@@ -137,11 +136,9 @@ class FlipperController:
             )
         return self._say(now, fault or self._undecided, action)
 
-    def _clock_fault(self, now: object, time: float | None) -> Fault | None:
-        """Return a fault if the clock is no clock; after a jump nothing old is of use.
-
-        ``time``: the same as a finite number; None if it is none.
-        """
+    def _clock_fault(self, now: object) -> Fault | None:
+        """Return a fault if the clock is no clock; after a jump nothing old is of use."""
+        time = finite(now)
         if time is None:
             text = f"the time is {short(now)}; a finite number is allowed"
             return Fault("clock", text, at_once=True)
