@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.evaluation.training_settings import tell_unlike
 from tests.cli.call import call
 
 HEAD = ("scene", "controller", "conditions_hash", "seed", "outcome", "pitch_variation_100hz")
@@ -253,24 +252,6 @@ def test_trainings_of_a_method_with_different_settings_are_told(tmp_path: Path) 
     ) in done.err
     done = call("inspect", "results", "m/0", "m/1", "two=m/2", cwd=tmp_path)
     assert "different settings" not in done.err
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "told"),
-    [
-        ({"rewards": {"a": {"name": "a"}}}, {"rewards": {}}, "rewards.a ({'name': 'a'}, None)"),
-        ({"rewards": {"a": {"n": 1}}}, {"rewards": {"a": {"n": 1, "new": 2}}}, ""),
-        ({"teacher": {"episodes": "a"}}, {"teacher": {"episodes": "b"}}, ""),
-        ({"t": {"p": [{"n": 1}, {"n": 2}]}}, {"t": {"p": [{"n": 1}, {"n": 3}]}}, "t.p[1].n (2, 3)"),
-        ({"t": {"p": [1]}}, {"t": {"p": [1] * 50}}, f"t.p ([1], {str([1] * 50)[:40]}…)"),
-        (dict.fromkeys("abcde", 1), dict.fromkeys("abcde", 2), "c (1, 2) and 2 more"),
-    ],
-)
-def test_what_differs_between_trainings_fits_a_line(one: dict, other: dict, told: str) -> None:
-    found = tell_unlike([one, other])
-    assert told in found
-    assert bool(found) == bool(told)
-    assert tell_unlike([one, one]) == ""
 
 
 def test_seeds_that_agree_prove_no_more_than_one(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import pytest
 
 from flipperctl.config import EnvConfig
 from flipperctl.core.actions import ACTIONS
-from flipperctl.core.lidar.checks import checked
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
@@ -30,7 +29,6 @@ from flipperctl.runtime import (
     Odometry,
     RobotSetup,
     Signs,
-    intake,
 )
 from tests.runtime.linear import MAP, ROBOT, RULE, write
 
@@ -206,11 +204,6 @@ def test_a_time_of_numpy_is_a_time(controller: FlipperController, kind: type) ->
     first = controller.step(kind(3), **good(3.0))
     assert first.fault != "clock"
     assert controller.step(kind(4)).fault != "clock"
-
-
-def test_what_passes_the_intake_passes_the_estimator() -> None:
-    assert checked(0.0, Belts(intake._FASTEST)) is not None
-    assert checked(0.0, Inertial(0.0, 0.0, intake._FASTEST_TURN)) is not None
 
 
 def test_too_little_ground_holds_and_is_looked_at_once_in_a_period(
