@@ -201,6 +201,13 @@ _KINDS: dict[str, Callable[..., object]] = {
 }
 
 
+_NO_MESSAGE = (
+    *(ValueError, TypeError, KeyError, AttributeError),
+    *(RecursionError, OverflowError),
+)
+"""What a line raises that is no message."""
+
+
 def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[str, object]]]:
     """Yield time and messages of lines of JSON, as ``{"time": 1.2, "joints": {"front": 0, …}}``.
 
@@ -218,10 +225,7 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
             messages = {
                 name: _KINDS[name](**{"time": time, **values}) for name, values in entry.items()
             }
-        except (
-            *(ValueError, TypeError, KeyError, AttributeError),
-            *(RecursionError, OverflowError),
-        ) as error:
+        except _NO_MESSAGE as error:
             known = "; ".join(
                 f"{name}: {', '.join(f.name for f in fields(kind))}"  # type: ignore[arg-type]
                 for name, kind in _KINDS.items()
