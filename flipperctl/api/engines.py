@@ -36,7 +36,8 @@ def is_over(
     top: float,
     half: float,
     slope: float,
-    floor: float,
+    end: float,
+    level: float,
 ) -> bool:
     """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit.
 
@@ -44,7 +45,10 @@ def is_over(
     """
     if abs(pitch) >= angle:
         return True
-    return x >= finish and z + half * abs(math.sin(pitch)) <= max(top + slope * (x - finish), floor)
+    if x < finish:
+        return False
+    lowest = level if x >= end else min(level, top)
+    return z + half * abs(math.sin(pitch)) <= max(top + slope * (x - finish), lowest)
 
 
 class Limits(NamedTuple):
@@ -60,8 +64,11 @@ class Limits(NamedTuple):
     """Distance from the chassis centre to each end [m]."""
     slope: float = 0.0
     """Rise of ``top`` for each metre past ``x``, where a run ends on a slope [-]."""
-    floor: float = -math.inf
-    """World z below which the height allowed by ``top`` and ``slope`` does not sink [m]."""
+    end: float = math.inf
+    """World x past which the ground is level, where a run ends on a slope [m]."""
+    level: float = -math.inf
+    """``top`` of the level ground, which is enough past ``end``; before it the allowed height does
+    not sink below the lower one of both [m]."""
 
     def reached(self, x: float, z: float, pitch: float) -> bool:
         """Return whether a chassis at (x, z) [m] with ``pitch`` [rad] has reached a limit."""

@@ -25,8 +25,10 @@ class Finish(NamedTuple):
     """Largest world z of the higher end of the chassis there [m]."""
     slope: float = 0.0
     """Rise of that height for each metre past the finish [-]."""
-    floor: float = -math.inf
-    """World z below which that height does not sink [m]."""
+    end: float = math.inf
+    """World x of the last edge, past which the ground is level [m]."""
+    level: float = -math.inf
+    """Largest world z of the higher end on that level ground [m]."""
 
 
 def run_out_of(profile: Profile, episode: Episode) -> float:
@@ -40,6 +42,8 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
     Past the last edge the ground is level. Short of it (``run_out`` below 0), the highest end of
     the chassis is compared with that of a robot that stands there with level flippers, and farther
     on with a line that is parallel to its chassis, down to the level ground past the last edge.
+    Past that edge the robot has finished on the level ground, too, where that lies above the line:
+    one that passed the finish on raised flippers, as it may where the ground then rises, drives on.
 
     Raises:
         TerrainError: the robot cannot stand at the finish.
@@ -60,4 +64,4 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
         )
     height, pitch = pose
     top = height + robot.hinge_offset * abs(math.sin(pitch)) + episode.clearance
-    return Finish(x, top, math.tan(pitch), min(level, top))
+    return Finish(x, top, math.tan(pitch), profile.end, level)

@@ -26,23 +26,34 @@ def test_the_finish_on_a_slope_is_as_high_as_a_robot_along_it() -> None:
     assert finish.slope == pytest.approx(math.tan(ANGLE), abs=1e-4)
     centre = 3.0 * math.tan(ANGLE) + RADIUS / math.cos(ANGLE)
     assert finish.top == pytest.approx(centre + HALF * math.sin(ANGLE) + CLEARANCE, abs=1e-4)
-    assert finish.floor == finish.top  # the ground past the edge is higher
+    # The ground past the edge is higher, and counts from there on.
+    past = 4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE
+    assert (finish.end, finish.level) == (4.0, pytest.approx(past))
     down = finish_of(Profile(UP.points * (1.0, -1.0)), Robot(), Episode(run_out=-1.0))
     assert down.slope == pytest.approx(-math.tan(ANGLE), abs=1e-4)
-    assert down.floor == pytest.approx(-4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
+    assert down.level == pytest.approx(-4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
     level = finish_of(UP, Robot(), Episode())
     assert level.x == 5.0
     assert level.top == pytest.approx(4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
-    assert (level.slope, level.floor) == (0.0, -math.inf)
+    assert (level.slope, level.end, level.level) == (0.0, math.inf, -math.inf)
 
 
-def test_the_allowed_height_follows_the_slope_down_to_its_floor() -> None:
-    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=-0.5, floor=0.2)
+def test_the_allowed_height_follows_the_slope_down_to_the_level_ground() -> None:
+    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=-0.5, end=8.0, level=0.2)
     assert not limits.reached(1.9, 0.0, 0.0)
     assert limits.reached(3.0, 0.5, 0.0)
     assert not limits.reached(3.0, 0.51, 0.0)
-    assert limits.reached(9.0, 0.2, 0.0)  # the line lies below the floor
+    assert limits.reached(7.0, 0.2, 0.0)  # the line lies below the level ground
+    assert not limits.reached(7.0, 0.21, 0.0)
     assert not limits.reached(9.0, 0.21, 0.0)
+
+
+def test_past_the_last_edge_higher_ground_counts() -> None:
+    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=0.0, end=8.0, level=1.5)
+    assert limits.reached(7.9, 1.0, 0.0)
+    assert not limits.reached(7.9, 1.01, 0.0)  # as a robot that stands up at the finish
+    assert limits.reached(8.0, 1.5, 0.0)
+    assert not limits.reached(8.0, 1.51, 0.0)
 
 
 @pytest.mark.parametrize("sim", ["planar", "mujoco"])
@@ -153,3 +164,13 @@ def test_level_ground_far_from_the_edges_carries_a_robot() -> None:
         assert found[0, 0] <= x - 0.9
         assert found[-1, 0] >= x + 0.9
         assert (found[:, 1] == z).all()
+
+
+def test_a_robot_that_passes_the_finish_on_raised_flippers_finishes_past_the_last_edge() -> None:
+    valley = Profile([(0.0, 0.0), (2.0, 0.0), (2.0, 0.4), (3.0, 0.4)], run_out=-2.0)
+    finish = finish_of(valley, Robot(), Episode())
+    limits = Limits(angle=math.pi / 3, half=HALF, **finish._asdict())
+    on_top = 0.4 + RADIUS
+    assert not limits.reached(2.9, on_top, 0.0)  # the ground has risen past the finish
+    assert limits.reached(3.1, on_top, 0.0)
+    assert not limits.reached(3.1, on_top + CLEARANCE, 0.1)

@@ -179,7 +179,8 @@ def _run(
     top: float,
     half: float,
     slope: float,
-    floor: float,
+    end: float,
+    level: float,
 ) -> int:
     states = bodies.states
     _read_states(bodies)
@@ -212,7 +213,7 @@ def _run(
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
         poses[sample, 3] = states[STATE + 2] - angle
         poses[sample, 4] = angle - states[2 * STATE + 2]
-        if _is_over(x, z, angle, angle_limit, x_limit, top, half, slope, floor):
+        if _is_over(x, z, angle, angle_limit, x_limit, top, half, slope, end, level):
             return sample + 1
     return len(poses)
 
