@@ -70,6 +70,19 @@ def test_a_large_csv_is_read_equally_and_its_fault_is_named(tmp_path: Path) -> N
         profile(file)
 
 
+def test_a_large_csv_with_decimal_commas_or_missing_heights_names_its_line(tmp_path: Path) -> None:
+    file = tmp_path / "large.csv"
+    lines = [f"{0.5 * i:.1f},{0.01 * (i % 7):.2f}\n" for i in range(110_000)]
+    file.write_text("x,z\n" + "".join(lines).replace(".", ","))
+    assert file.stat().st_size > 1 << 20
+    with pytest.raises(TerrainError, match="line 2: it has 4 values for 2 columns"):
+        profile(file, unit="mm")
+    lines[400] = "\n\n200.0,-9999\n"
+    file.write_text("x,z\n" + "".join(lines))
+    with pytest.raises(TerrainError, match=r"line 404: no height is known from x = 199\.5"):
+        profile(file, unit="mm", largest_gap=0.0)
+
+
 @pytest.mark.parametrize("rows", ["+y", "-y"])
 def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None:
     file = tmp_path / "map.npy"
