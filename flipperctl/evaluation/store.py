@@ -78,16 +78,30 @@ class CellFolder(EpisodeStore):
         if series.key not in self._read:
             self._read.add(series.key)
             here = series.versions
+            damaged: list[Path] = []
             for file in self._files.get(series.key, ()):
                 if (cell := read_cell(file)) is None:
-                    self._tell(f"{file} is damaged; its episodes are played again")
+                    damaged.append(file)
                     continue
                 header, episodes = cell
                 for package, version in header["versions"].items():
                     if here.get(package) != version:
                         self.other_versions[f"{package} {version}"] += 1
                 super().add(series, episodes)
+            for file in damaged:
+                if self._holds(series, file):  # other cells have its episodes
+                    file.unlink(missing_ok=True)
+                    self._files[series.key].remove(file)
+                else:
+                    self._tell(f"{file} is damaged; its episodes are played again")
         return super().find(series)
+
+    def _holds(self, series: Series, file: Path) -> bool:
+        """Return whether all episodes are stored that a cell's file has by its name."""
+        first, _, last = file.name.removesuffix(_CELL).rpartition(".")[2].partition("-")
+        if not (first.isdecimal() and last.isdecimal()):
+            return False
+        return super().find(series).keys() >= set(range(int(first), int(last) + 1))
 
     def add(self, series: Series, cell: Sequence[EpisodeResult]) -> None:
         """Write the cell's file; see ``EpisodeStore.add``."""

@@ -90,7 +90,7 @@ def write_comparison(folder: Path, runs: Sequence[SweepRun]) -> list[SweepRun]:
     """
     compared = [run for run in runs if not (run.summary and isinstance(run.error, RequestError))]
     if compared:
-        rows = _earlier_rows(folder / FILE, compared) + [run.row() for run in compared]
+        rows = _earlier_rows(folder, compared) + [run.row() for run in compared]
         write_csv(folder / FILE, sorted(rows, key=_job_number))
     return compared
 
@@ -100,10 +100,27 @@ def _job_number(row: Mapping[str, Any]) -> int:
     return int(number) if number.isdecimal() else 0
 
 
-def _earlier_rows(path: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
-    """Return the rows of an earlier sweep in the folder, without those that ``runs`` replace."""
-    if not path.is_file():
+def _earlier_rows(folder: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
+    """Return the rows of an earlier sweep in the folder, without those that ``runs`` replace.
+
+    The folder may have been moved since, so that rows are known by the places of their runs in it.
+    A damaged file has no rows.
+    """
+    replaced = [_place(run.folder, folder) for run in runs]
+    try:
+        with (folder / FILE).open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error):
         return []
-    replaced = {str(run.folder) for run in runs}
-    with path.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if row.get("folder") not in replaced]
+    places = [Path(row.get("folder") or "").parts for row in rows]
+    return [
+        row
+        for row, parts in zip(rows, places, strict=True)
+        if not any(parts[-len(place) :] == place for place in replaced)
+    ]
+
+
+def _place(run: Path, folder: Path) -> tuple[str, ...]:
+    """Return the parts of a run's path below the folder of its sweep; all parts elsewhere."""
+    run, folder = run.absolute(), folder.absolute()
+    return (run.relative_to(folder) if run.is_relative_to(folder) else run).parts

@@ -35,6 +35,8 @@ _WRITTEN = (
 
 def holds_run(directory: Path) -> bool:
     """Return whether the directory holds a file that a new run would overwrite."""
+    if directory.name == HYDRA.name:  # it has a config.yaml of its own
+        return False
     files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
     return any(file.is_file() and file.stat().st_size > 0 for file in files)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from omegaconf import OmegaConf
 
+from flipperctl.checkpoint import job_order
 from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
@@ -22,10 +23,12 @@ from flipperctl.errors import (
     PluginFailedError,
     RequestError,
 )
+from flipperctl.runs.comparison import sweep_run
+from flipperctl.runs.folder import SUMMARY
 from flipperctl.runs.follow_up import command, sweep_command
 from flipperctl.runs.search import SearchSettings
 from flipperctl.runs.search_space import Interval, distributions
-from flipperctl.runs.study import open_study
+from flipperctl.runs.study import open_study, usable
 from flipperctl.runs.sweep import JobResult, Sweep
 from flipperctl.runs.trial_owner import claim, heartbeat
 from flipperctl.runs.trials import (
@@ -44,7 +47,7 @@ from flipperctl.runs.trials import (
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import Trial
+    from optuna.trial import FrozenTrial, Trial
 
 _POLL = 1.0
 """Time between two polls of the trials of other searches [s]."""
@@ -75,9 +78,10 @@ def search(
     study = open_study(settings, overrides)
     jobs.swept = list(space)
     found = OptunaSearch(settings, study, jobs, space, fixed, tell)
-    with jobs.held():
-        found.run()
-    found.conclude()
+    with usable(settings.storage):
+        with jobs.held():
+            found.run()
+        found.conclude()
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,7 @@ class OptunaSearch:
         study = self.study
         if known := len(finished(study)):
             self.tell(f"the study {study.study_name!r} has {known} finished trials already")
+            self._take_up_runs()
         awaited = 0
         while (count := len(finished(study))) < self.settings.n_trials:
             fail_abandoned(study)
@@ -126,6 +131,24 @@ class OptunaSearch:
             if trials:
                 self._train(trials)
             self._raise_if_stopped()
+
+    def _take_up_runs(self) -> None:
+        """Add the finished runs in the sweep's folder to those that it compares at its end.
+
+        A process that was killed has not written ``sweep.csv``.
+        """
+        for trial in finished(self.study):
+            run = self._here(trial)
+            if run.is_relative_to(self.jobs.folder.absolute()) and (run / SUMMARY).is_file():
+                number, _ = job_order(run)
+                values = {name: str(value) for name, value in trial.params.items()}
+                self.jobs.take_up(sweep_run(number, values, run, None))
+
+    def _here(self, trial: FrozenTrial) -> Path:
+        """Return the run of a finished trial, in this sweep's folder if that was moved."""
+        run = Path(trial.user_attrs.get("run", ""))
+        moved = self.jobs.folder.absolute() / run.name
+        return moved if not run.exists() and moved.exists() else run
 
     def _raise_if_stopped(self) -> None:
         if self.jobs.stop():  # between two jobs
@@ -264,15 +287,16 @@ class OptunaSearch:
         if not any(trial.value is not None for trial in finished(study)):
             raise FlipperctlError("every trial of the search failed; see the messages above")
         best = study.best_trial
+        run = self._here(best)
         results = {
             "name": "optuna",
             "best_params": best.params,
             "best_value": best.value,
-            "best_run": best.user_attrs["run"],
+            "best_run": str(run),
         }
         OmegaConf.save(OmegaConf.create(results), self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
             f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
-            f"Evaluate: {command('eval', '--checkpoint', Path(best.user_attrs['run']))}"
+            f"Evaluate: {command('eval', '--checkpoint', run)}"
         )

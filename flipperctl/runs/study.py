@@ -6,8 +6,9 @@ it.
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -42,19 +43,42 @@ def open_study(settings: SearchSettings, arguments: Sequence[str]) -> Study:
         direction="maximize",
         load_if_exists=True,
     )
-    try:
+    with usable(storage, ImportError, ValueError):  # of its driver and of its URL
         try:
             study = create()
         except SQLAlchemyError:  # another search may be creating the tables
             time.sleep(_PAUSE)
             study = create()
-    except (SQLAlchemyError, ImportError, ValueError) as error:
-        reason = " ".join(str(error).split("\n(Background")[0].split())
+    with usable(storage):
+        _take_up(study, settings, sorted(arguments))
+    return study
+
+
+@contextlib.contextmanager
+def usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
+    """Turn errors of a study's storage, and ``more``, into a ConfigError that names it."""
+    from optuna.exceptions import StorageInternalError
+    from sqlalchemy.exc import SQLAlchemyError
+
+    errors: tuple[type[Exception], ...] = (StorageInternalError, SQLAlchemyError, *more)
+    try:
+        yield
+    except errors as error:
+        cause = error.__cause__ if isinstance(error, StorageInternalError) else None
+        reason = " ".join(str(cause or error).split("\n(Background")[0].split())
         raise ConfigError(
             f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
             "a database URL is allowed, as in sqlite:///search.db"
         ) from error
-    asked = sorted(arguments)
+
+
+def _take_up(study: Study, settings: SearchSettings, asked: list[str]) -> None:
+    """Check that a study searched the same, and note what it searches.
+
+    Raises:
+        ConfigError: see ``open_study``.
+    """
+    name, storage = settings.study_name, settings.storage
     searched = study.user_attrs.get("overrides", asked)
     if searched != asked:
         raise ConfigError(
@@ -69,4 +93,3 @@ def open_study(settings: SearchSettings, arguments: Sequence[str]) -> Study:
         )
     study.set_user_attr("overrides", asked)
     study.set_user_attr(_MEASURE, _AT_100_HZ)
-    return study

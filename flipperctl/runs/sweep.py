@@ -80,7 +80,7 @@ class Sweep:
         Raises:
             RunHeldError: another process works in the folder.
         """
-        with hold(make_folder(self.folder), "sweep"):
+        with hold(make_folder(self.folder), "sweep", "in use"):
             try:
                 with stopping(self.folder) as self.stop:
                     yield
@@ -112,6 +112,11 @@ class Sweep:
             if (spent := time.monotonic() - begun) > _AT_ONCE:
                 times.append(spent)
         return results
+
+    def take_up(self, run: SweepRun) -> None:
+        """Compare a run, too, which was finished before."""
+        if run.folder not in {known.folder for known in self.runs}:
+            self.runs.append(run)
 
     def raise_errors(self) -> None:
         """Raise InterruptedRunError if the sweep was stopped, else the first error of a job."""

@@ -17,6 +17,7 @@ from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import (
+    CheckpointError,
     FlipperctlError,
     InterruptedRunError,
     OutputError,
@@ -185,6 +186,11 @@ def _continue(
     saved: Checkpoint | None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Finished:
+    if saved is None and (directory / checkpoint.BEST).is_file():
+        raise CheckpointError(
+            f"{directory} lacks {checkpoint.LAST}, from which it would be resumed; its policy can "
+            "be evaluated, and a new run can start from it (agent.start_from)"
+        )
     run_folder.clear_leftovers(directory)
     trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.env.metrics import logged
-from flipperctl.errors import WriteError
+from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.files import failure, write_csv
 
 
@@ -81,6 +81,16 @@ def _complete_rows(path: Path) -> list[dict[str, str]]:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a ``metrics.csv`` as text by column name."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    """Return the rows of a ``metrics.csv`` as text by column name.
+
+    Raises:
+        CheckpointError: the file is damaged.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise CheckpointError(
+            f"{path} is damaged ({error}); without this file the run goes on, and has no earlier "
+            "rows"
+        ) from error

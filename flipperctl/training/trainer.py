@@ -107,6 +107,7 @@ class Trainer:
         self._saver = RunSaver(config, directory, *state, generators, self.validator)
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
+        self._restored = False
         self._recorder = TrainingRecorder(config, directory)
 
     def run(
@@ -124,7 +125,7 @@ class Trainer:
         opened: list[Closable] = [*self.listeners]
         with closing(opened):
             self._stopwatch.start()
-            if not self.progress.decision:
+            if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
                 start(self.config, self.agent)
                 self._relearning.begin()
@@ -262,6 +263,7 @@ class Trainer:
                 of this run.
         """
         self._outstanding = self._saver.restore(saved)
+        self._restored = True
         self._recorder.restore(self.progress.episode)
         self._stopwatch.read()
 

@@ -291,7 +291,8 @@ class ProfileFile(Terrain):
                 "install flipperctl[profiles]"
             ) from error
         except FileNotFoundError as error:
-            raise ValueError(f"{file}: there is no such file") from error
+            place = "" if file.is_absolute() else f" in {Path.cwd()}"
+            raise ValueError(f"{file}: there is no such file{place}") from error
         except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error

@@ -66,16 +66,6 @@ def _nothing(run: Path) -> None:
     (run / "checkpoints/.last.safetensors.123-0123abcd.part").write_bytes(b"half")
 
 
-def _best_alone(run: Path) -> None:
-    (run / checkpoint.LAST).unlink()
-    (run / "config.yaml").unlink()
-
-
-def _empty_config(run: Path) -> None:
-    (run / checkpoint.LAST).unlink()
-    (run / "config.yaml").write_text("")
-
-
 def _no_summary(run: Path) -> None:
     """Killed after the last checkpoint."""
 
@@ -85,7 +75,7 @@ def _half_a_row(run: Path) -> None:
         file.write("episode,2")
 
 
-@pytest.mark.parametrize("leave", [_nothing, _best_alone, _empty_config, _no_summary, _half_a_row])
+@pytest.mark.parametrize("leave", [_nothing, _no_summary, _half_a_row])
 def test_a_run_goes_on_from_whatever_a_kill_leaves(
     leave: Callable[[Path], None], whole: Path, tmp_path: Path
 ) -> None:
@@ -103,6 +93,60 @@ def test_a_run_goes_on_from_whatever_a_kill_leaves(
     assert list(run.rglob("*.part")) == []
     again = call("train", "--resume", "run", cwd=tmp_path)
     assert "nothing left to do" in again.err
+
+
+@pytest.mark.parametrize("config", [True, False])
+def test_a_run_whose_last_checkpoint_was_deleted_is_kept(
+    config: bool, whole: Path, tmp_path: Path
+) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    (run / checkpoint.LAST).unlink()  # the largest file of a run
+    if not config:
+        (run / "config.yaml").unlink()
+    before = files(run)
+    done = call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "lacks checkpoints/last.safetensors, from which it would be resumed" in done.err
+    assert files(run) == before
+
+
+def test_a_run_that_started_from_another_needs_it_no_more(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(whole, tmp_path / "first")
+    start = ["agent.start_from=first", "hydra.run.dir=run"]
+    assert call("train", *QUICK, *start, cwd=tmp_path).code == 0
+    _, config = run_folder.read(tmp_path / "run")
+    stopped = tmp_path / "stopped"
+    (stopped / "checkpoints").mkdir(parents=True)
+    run_folder.write_config(stopped, config)
+    monkeypatch.chdir(tmp_path)
+    Trainer(config, stopped).run(stop=lambda: True)  # before its first decision
+    shutil.rmtree(tmp_path / "first")
+    done = call("train", "--resume", "stopped", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert differences(stopped, result(tmp_path / "run")) == []
+
+
+def test_hydras_record_is_no_run(whole: Path, tmp_path: Path) -> None:
+    record = tmp_path / "run" / ".hydra"
+    record.mkdir(parents=True)
+    shutil.copy(whole / "config.yaml", record)
+    for folder in ("run", "run/.hydra"):
+        done = call("train", "--resume", folder, cwd=tmp_path)
+        assert (done.code, len(done.err.splitlines())) == (2, 1)
+        assert "must be started again" in done.err
+
+
+def test_damaged_metrics_are_named(whole: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(whole, tmp_path / "run"))
+    with (run / "metrics.csv").open("ab") as file:
+        file.write(b"\xff")
+    done = call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1)
+    assert "run/metrics.csv is damaged" in done.err
+    (run / "metrics.csv").unlink()
+    assert call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path).code == 0
 
 
 def test_a_folder_without_a_run_is_started_anew(tmp_path: Path) -> None:

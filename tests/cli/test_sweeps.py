@@ -1,5 +1,6 @@
 """Sweeps beyond one process: each launcher trains with a plugin file, where the basic one would."""
 
+import csv
 import shutil
 import signal
 import subprocess
@@ -110,7 +111,8 @@ def test_optuna_that_is_not_installed_names_its_extra(
 
 def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) -> None:
     command = ["terrain=floor", *SEARCH, RATE, "hydra.sweeper.n_trials=2"]
-    given = [*command, *QUICK, "--plugins", "floor.py"]
+    place = "hydra.sweep.dir=runs/multirun/one"
+    given = [*command, place, *QUICK, "--plugins", "floor.py"]
     process = subprocess.Popen(
         [sys.executable, "-m", "flipperctl", "train", "-m", *given],
         cwd=folder,
@@ -125,7 +127,7 @@ def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) ->
     first, second = study(folder)
     assert (first.state.name, second.state.name) == ("COMPLETE", "RUNNING")
 
-    done = sweep(folder, *command)
+    done = sweep(folder, *command, place)
     assert done.code == 0, done.err
     assert "has 1 finished trials already" in done.err
     same, killed, third = study(folder)
@@ -136,6 +138,29 @@ def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) ->
     assert Path(third.user_attrs["run"]).name == f"1_agent.learning_rate={rate:.5g}"
     (results,) = folder.glob("runs/multirun/*/optimization_results.yaml")
     assert "best_value" in results.read_text()
+    assert states(results.parent) == ["0 finished", "1 finished"]  # also what was killed after it
+
+    moved = results.parent.rename(folder / "moved")
+    (moved / "sweep.csv").unlink()
+    done = sweep(folder, *command, "hydra.sweep.dir=moved")
+    assert done.code == 0, done.err
+    assert "Evaluate: flipperctl eval --checkpoint moved/" in done.err
+    assert str(moved) in (moved / "optimization_results.yaml").read_text()
+    assert states(moved) == ["0 finished", "1 finished"]
+
+
+def states(folder: Path) -> list[str]:
+    with (folder / "sweep.csv").open(newline="") as file:
+        return [f"{row['job']} {row['state']}" for row in csv.DictReader(file)]
+
+
+def test_a_storage_that_may_only_be_read_is_named(folder: Path) -> None:
+    search = "terrain=floor", SEARCH[0], RATE, "hydra.sweeper.n_trials=1"
+    assert sweep(folder, *search, SEARCH[1]).code == 0
+    only = "hydra.sweeper.storage='sqlite:///file:search.db?mode=ro&uri=true'"
+    done = sweep(folder, *search, only)
+    assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+    assert "hydra.sweeper.storage: 'sqlite:///file:search.db?mode=ro&uri=true' cannot" in done.err
 
 
 def study(folder: Path) -> list[optuna.trial.FrozenTrial]:

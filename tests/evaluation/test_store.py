@@ -227,6 +227,19 @@ def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[in
     assert contents(tmp_path) == before
 
 
+def test_a_damaged_cell_whose_episodes_other_cells_have_is_removed(
+    tmp_path: Path, played: list[int]
+) -> None:
+    first = evaluate([(config(4), OKADA)], store=CellFolder(tmp_path))
+    cell = sorted(tmp_path.iterdir())[1]
+    wide = cell.with_name(cell.name.replace("000002-000003", "000000-000003"))
+    wide.write_text("half a ce")
+    played.clear()
+    told: list[str] = []
+    assert evaluate([(config(4), OKADA)], store=CellFolder(tmp_path, told.append)) == first
+    assert (played, told, wide.exists()) == ([], [], False)
+
+
 def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
     cells = tmp_path / FOLDER
     evaluate([(config(3), OKADA), (config(3), LEVEL)], store=CellFolder(cells))
