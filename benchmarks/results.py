@@ -29,18 +29,18 @@ FOLDER = Path(__file__).parents[1] / "docs" / "results"
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
-    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 61041 "
+    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 61157 "
     f"--baseline okada,level,random conditions=wide terrain={_TEN}",
     "generalist_first": "flipperctl eval --checkpoint generalist_first --episodes 100 "
     f"--seed 60241 --baseline okada,level,random conditions=trained terrain={_TEN}",
     "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 100 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
-    "--episodes 100 --seed 61042 --baseline okada,level",
+    "--episodes 100 --seed 61158 --baseline okada,level",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
-    "--episodes 100 --seed 61043 --baseline okada,level",
+    "--episodes 100 --seed 61143 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
-    "--controller okada,level --episodes 100 --seed 61044",
+    "--controller okada,level --episodes 100 --seed 61144",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"
