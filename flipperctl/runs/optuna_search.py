@@ -9,13 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import OmegaConf
 
-from flipperctl.checkpoint import job_order
 from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
@@ -23,10 +21,9 @@ from flipperctl.errors import (
     PluginFailedError,
     RequestError,
 )
-from flipperctl.runs.comparison import sweep_run
-from flipperctl.runs.folder import SUMMARY
 from flipperctl.runs.follow_up import command, sweep_command
 from flipperctl.runs.search import SearchSettings
+from flipperctl.runs.search_runs import finished_runs, run_of
 from flipperctl.runs.search_space import Interval, distributions
 from flipperctl.runs.study import open_study, usable
 from flipperctl.runs.sweep import JobResult, Sweep
@@ -34,6 +31,7 @@ from flipperctl.runs.trial_owner import claim, heartbeat
 from flipperctl.runs.trials import (
     FAILED,
     PLACE,
+    RUN,
     counted_twin,
     fail_abandoned,
     finished,
@@ -47,7 +45,7 @@ from flipperctl.runs.trials import (
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import FrozenTrial, Trial
+    from optuna.trial import Trial
 
 _POLL = 1.0
 """Time between two polls of the trials of other searches [s]."""
@@ -113,7 +111,7 @@ class OptunaSearch:
         study = self.study
         if known := len(finished(study)):
             self.tell(f"the study {study.study_name!r} has {known} finished trials already")
-            self._take_up_runs()
+            self.jobs.take_up(finished_runs(study, self.jobs.folder))
         awaited = 0
         while (count := len(finished(study))) < self.settings.n_trials:
             fail_abandoned(study)
@@ -131,24 +129,6 @@ class OptunaSearch:
             if trials:
                 self._train(trials)
             self._raise_if_stopped()
-
-    def _take_up_runs(self) -> None:
-        """Add the finished runs in the sweep's folder to those that it compares at its end.
-
-        A process that was killed has not written ``sweep.csv``.
-        """
-        for trial in finished(self.study):
-            run = self._here(trial)
-            if run.is_relative_to(self.jobs.folder.absolute()) and (run / SUMMARY).is_file():
-                number, _ = job_order(run)
-                values = {name: str(value) for name, value in trial.params.items()}
-                self.jobs.take_up(sweep_run(number, values, run, None))
-
-    def _here(self, trial: FrozenTrial) -> Path:
-        """Return the run of a finished trial, in this sweep's folder if that was moved."""
-        run = Path(trial.user_attrs.get("run", ""))
-        moved = self.jobs.folder.absolute() / run.name
-        return moved if not run.exists() and moved.exists() else run
 
     def _raise_if_stopped(self) -> None:
         if self.jobs.stop():  # between two jobs
@@ -183,7 +163,7 @@ class OptunaSearch:
         twin = counted_twin(self.study, trial)
         if twin is None:
             return False
-        for name in (FAILED, "run"):
+        for name in (FAILED, RUN):
             if name in twin.user_attrs:
                 trial.set_user_attr(name, twin.user_attrs[name])
         failed = twin.value is None
@@ -268,7 +248,7 @@ class OptunaSearch:
         if value is None:
             stop(study, trial.number)
             return RequestError("train.validate_every: a search needs a validation in each run")
-        trial.set_user_attr("run", str(result.folder))
+        trial.set_user_attr(RUN, str(result.folder))
         study.tell(trial, value)
         best = study.best_trial
         self.tell(
@@ -287,7 +267,7 @@ class OptunaSearch:
         if not any(trial.value is not None for trial in finished(study)):
             raise FlipperctlError("every trial of the search failed; see the messages above")
         best = study.best_trial
-        run = self._here(best)
+        run = run_of(best, self.jobs.folder)
         results = {
             "name": "optuna",
             "best_params": best.params,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,10 +113,9 @@ class Sweep:
                 times.append(spent)
         return results
 
-    def take_up(self, run: SweepRun) -> None:
-        """Compare a run, too, which was finished before."""
-        if run.folder not in {known.folder for known in self.runs}:
-            self.runs.append(run)
+    def take_up(self, runs: Iterable[SweepRun]) -> None:
+        """Compare these runs, too, which were finished before."""
+        self.runs += runs
 
     def raise_errors(self) -> None:
         """Raise InterruptedRunError if the sweep was stopped, else the first error of a job."""

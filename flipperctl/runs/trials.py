@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 FAILED: Final = "failed"
 """Marks a trial whose training failed; Optuna's FAIL also marks interrupted ones."""
 
+RUN: Final = "run"
+"""Path of the run of a trained trial."""
+
 PLACE: Final = "place"
 """Place of a trial in the search, which decides what is sampled [-]."""
 

@@ -51,7 +51,7 @@ def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], No
         CheckpointError: their file is missing or damaged.
         ConfigError: they do not fit the training.
     """
-    if not replay.added and (found := read_teacher(config)) is not None:
+    if (found := read_teacher(config)) is not None:
         for text in notes(config, found):
             report(text)
         fill(replay, found, config)
