@@ -198,6 +198,9 @@ class State(Record):
     """Number of recorded transitions in the replay; not in files of earlier versions."""
     groups_added: Count = 0
     """Number of groups of valued states so far; not in files of earlier versions."""
+    files: tuple[Label | None, ...] = ()
+    """SHA-256 of each file that the plugins read, such as recorded ground; not in files of earlier
+    versions."""
     generators: Generators
 
     @property

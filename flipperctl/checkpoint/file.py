@@ -139,13 +139,18 @@ def describe(
     )
 
 
+def plugged(config: TrainConfig) -> list[Plugin]:
+    """Return the plugins of a configuration, without those in their settings."""
+    found: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
+    found += [*config.rewards.values(), *config.logger.values()]
+    if config.teacher.controller is not None:
+        found.append(config.teacher.controller)
+    return found
+
+
 def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
     """Return the plugins that a configuration uses, with the files of those not installed."""
-    plugged: list[Plugin] = [config.terrain, config.network, config.sim, config.perception]
-    plugged += [*config.rewards.values(), *config.logger.values()]
-    if config.teacher.controller is not None:
-        plugged.append(config.teacher.controller)
-    used = [part for plugin in plugged for part in resolver.nested_plugins(plugin)]
+    used = [part for plugin in plugged(config) for part in resolver.nested_plugins(plugin)]
     return tuple(
         PluginReference(
             kind=p.kind,

@@ -56,6 +56,15 @@ def read_files(plugin: Plugin) -> tuple[Path, ...]:
     return found
 
 
+def all_files_read(plugins: Iterable[Plugin]) -> list[Path]:
+    """Return the files that the plugins and those in their settings read, in order.
+
+    Raises:
+        PluginFailedError: ``files_read`` failed, or returned anything but paths.
+    """
+    return [file for one in plugins for part in nested_plugins(one) for file in read_files(part)]
+
+
 def content_digest(file: Path) -> str | None:
     """Return the SHA-256 of a file's content; None if it cannot be read, as its reader reports."""
     try:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Settings
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, resolver, to_dict
-from flipperctl.config.identity import content_digest, read_files
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, to_dict
+from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.messages import unit
 
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
@@ -159,8 +159,7 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
 def _digests(config: EvalConfig) -> list[str | None]:
     """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
     plugins = (config.terrain, config.sim, config.perception)
-    nested = [one for plugin in plugins for one in resolver.nested_plugins(plugin)]
-    return [content_digest(file) for plugin in nested for file in read_files(plugin)]
+    return [content_digest(file) for file in all_files_read(plugins)]
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:

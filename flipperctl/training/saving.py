@@ -18,6 +18,7 @@ from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
 from flipperctl.config import TrainConfig
+from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.errors import CheckpointError
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.training.progress import Progress
@@ -48,6 +49,8 @@ class RunSaver:
         self._agent, self._replay, self._progress = agent, replay, progress
         self._groups, self._relearning = groups, relearning
         self._generators, self._validator = generators, validator
+        self._files = all_files_read(checkpoint.plugged(config))
+        self._digests = tuple(map(content_digest, self._files))
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``; a resumed run resends the ``outstanding`` requests."""
@@ -78,8 +81,8 @@ class RunSaver:
         """Restore the run from a checkpoint; return the requests that were outstanding.
 
         Raises:
-            CheckpointError: the checkpoint is of an earlier version, or its tensors are not those
-                of this run.
+            CheckpointError: the checkpoint is of an earlier version, its tensors are not those of
+                this run, or a file that a plugin reads has changed.
         """
         state = saved.document.state
         if state is None:
@@ -87,6 +90,7 @@ class RunSaver:
                 f"{saved.path} is of an earlier version: its policy can be evaluated and exported, "
                 "but the run cannot be resumed"
             )
+        self._require_files(state)
         replay, weights = run_arrays(saved, state, self._agent, self._replay)
         self._agent.restore(saved.tensors, state.updates)
         self._replay.restore(replay, state.replay_added, state.replay_kept)
@@ -107,6 +111,16 @@ class RunSaver:
             for request in state.orders
         ]
 
+    def _require_files(self, state: State) -> None:
+        """Refuse files, such as recorded ground, that are not those with which the run began."""
+        for file, now, then in zip(self._files, self._digests, state.files, strict=False):
+            if None not in (now, then) and now != then:
+                raise CheckpointError(
+                    f"{file} has changed since the run began, and a resumed run keeps its ground; "
+                    "restore the file, or start a new run from this one's policy: "
+                    f"agent.start_from={self._directory}"
+                )
+
     def _state(self, outstanding: Sequence[RolloutRequest]) -> State:
         counters = {name: getattr(self._progress, name) for name in _COUNTERS}
         generators = {n: g.bit_generator.state for n, g in self._generators.items()}
@@ -123,5 +137,6 @@ class RunSaver:
             replay_added=self._replay.added,
             replay_kept=self._replay.kept,
             groups_added=self._groups.added,
+            files=self._digests,
             generators=Generators.model_validate(generators),
         )

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.errors import CheckpointError
+from flipperctl.runs.training import resume
 from flipperctl.training.trainer import Trainer
 from tests.short import short_config, trainer
 
@@ -42,6 +44,25 @@ def test_a_run_stopped_in_its_last_validation_is_not_finished(tmp_path: Path) ->
     second.restore(stopped)
     summary = second.run()
     assert (summary["finished"], summary["last"]["decision"]) == (True, 200)
+
+
+def test_a_run_goes_on_over_the_recorded_ground_on_which_it_began(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file, run = tmp_path / "yard.csv", tmp_path / "run"
+    recorded = "x,z\n0,0\n3,0\n3,0.2\n6,0.2\n"
+    file.write_text(recorded)
+    ground = {"name": "mirror", "terrain": {"name": "profile_file", "path": "yard.csv"}}
+    config = short_config(**{"terrain": ground, "train.decisions": 30, "train.validate_every": 30})
+    assert trainer(config, run).run(stop=lambda: True)["finished"] is False
+    before = (run / checkpoint.LAST).read_bytes()
+    file.write_text(recorded.replace("0.2", "0.3"))
+    with pytest.raises(CheckpointError, match=r"^yard\.csv has changed since the run began"):
+        resume(run, {})
+    assert (run / checkpoint.LAST).read_bytes() == before
+    file.write_text(recorded)
+    assert resume(run, {}).summary["decisions"] == 30
 
 
 def stop_in_validation(run: Trainer) -> Callable[[], bool]:
