@@ -211,13 +211,14 @@ class LidarEstimator:
             return
         self._started = True
         hinge = self._body.chassis_length / 2 - self._body.track_radius
+        until = pose.x * math.cos(pose.yaw) + pose.y * math.sin(pose.yaw) + hinge
         if self._stands_level(pose):
-            self._ground.assume_level(pose.x + hinge, pose.z - self._below())
+            self._ground.assume_level(until, pose.yaw, pose.z - self._below())
             return
         self._calibrated = 0.0  # by level ground alone
         slope = math.tan(pose.pitch)
         below = self._body.track_radius / math.cos(pose.pitch)
-        self._ground.assume_level(pose.x + hinge, pose.z - below + slope * hinge, slope)
+        self._ground.assume_level(until, pose.yaw, pose.z - below + slope * hinge, slope)
 
     def _below(self) -> float:
         """Return the height of the chassis centre above level ground on which it stands [m]."""

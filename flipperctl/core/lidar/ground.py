@@ -98,18 +98,19 @@ class GroundSeen:
         self._cells = Cells(
             settings.grid, self._reach + _PAST + _MARGIN, settings.half_width + _MARGIN
         )
-        self._start: tuple[float, float, float] | None = None
+        self._start: tuple[float, float, float, float] | None = None
         self._lift: float | None = None  # added to the map's heights; None before the first [m]
         self._at: tuple[float, float] | None = None  # the robot's latest place [m]
         self._way = 0.0  # that the robot has moved [m]
 
-    def assume_level(self, x: float, z: float, slope: float = 0.0) -> None:
-        """Take ground that was never seen for a plane at the height ``z`` up to ``x`` ahead [m].
+    def assume_level(self, until: float, yaw: float, z: float, slope: float = 0.0) -> None:
+        """Take ground that was never seen for a plane, up to ``until`` in the direction ``yaw``.
 
-        ``slope``: by which it rises ahead [-]. A robot knows so much when it starts: it stands on
-        the ground below it.
+        ``z``: height at ``until`` [m]; ``slope``: by which the plane rises in that direction [-]. A
+        robot knows so much when it starts: it stands on the ground below it. Once it has turned
+        back, it may be on another storey.
         """
-        self._start = x, z, slope
+        self._start = until, yaw, z, slope
         if slope:
             self._lift = 0.0
 
@@ -276,11 +277,15 @@ class GroundSeen:
         """Return vertices of the assumed ground in frame L, (A, 2) [m]."""
         if self._start is None:
             return np.zeros((0, 2))
-        until, height, slope = self._start
+        until, ahead, height, slope = self._start
+        facing = math.cos(yaw - ahead)
+        if facing <= 0:
+            return np.zeros((0, 2))
+        place = x * math.cos(ahead) + y * math.sin(ahead)
         reach = self._reach + _PAST
         along = np.arange(-reach, reach, self._settings.grid.cell)
-        along = along[x + along * math.cos(yaw) < until]
-        rise = slope * (x + along * math.cos(yaw) - until)
+        along = along[place + along * facing < until]
+        rise = slope * (place + along * facing - until)
         return np.column_stack([along, height - z + rise])
 
     def save(self) -> tuple[Any, ...]:

@@ -1,6 +1,7 @@
 """What the estimator assumes at the start, and the constant errors that it estimates there."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,28 @@ def test_a_robot_that_starts_on_a_slope_assumes_the_slope_behind_it(pitch: float
             assert height == pytest.approx(math.tan(pitch) * x - below, abs=0.012), x
     turned = told(robot, ahead(0.05))  # it takes no bias of the range from that
     assert turned._errors.distance == turned._errors.pitch == 0.0
+
+
+@pytest.mark.parametrize("yaw", [math.pi / 2, math.pi, -2.5])
+def test_ground_is_assumed_behind_the_start_whichever_way_it_faces(yaw: float) -> None:
+    """A tracking system's frame begins anywhere."""
+    found = []
+    for x, y, heading in ((0.0, 0.0, 0.0), (3.0, -2.0, yaw)):
+        robot = told(estimator(), replace(LEVEL, x=x, y=y, yaw=heading), Joints(0.0, 0.0))
+        robot.estimate(0.0)
+        block = ahead(0.2).points
+        hidden = (block[:, 0] > 0.45) & (block[:, 0] < 0.7)
+        found.append(told(robot, Scan(block[~hidden])).estimate(0.0)[0].heights)
+    assert found[0][:7] == pytest.approx(-0.1)
+    assert found[0][12:] == pytest.approx(0.1, abs=0.01)  # of the block, also where it is hidden
+    assert found[1] == pytest.approx(found[0], abs=0.02)
+
+
+def test_a_robot_that_has_turned_back_is_on_another_storey() -> None:
+    robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
+    robot.estimate(0.0)
+    heights = told(robot, Pose(0.2, 1.0, 3.1, 0.0, 0.0, math.pi), ahead()).estimate(0.0)[0].heights
+    assert heights == pytest.approx(np.full(15, -0.1), abs=0.01)
 
 
 def test_a_robot_that_its_flippers_turn_stands_on_level_ground() -> None:
