@@ -10,7 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 
 from flipperctl.config import EvalConfig
-from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
+from flipperctl.errors import (
+    CheckpointError,
+    FlipperctlError,
+    InterruptedRunError,
+    OutputError,
+    WriteError,
+)
 from flipperctl.evaluation.cells import Series, cut
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.episodes import play_episodes
@@ -117,6 +123,7 @@ class Judge:
             nonlocal kept
             part, kept = [e for e in played[kept:] if e.episode not in stored], len(played)
             if part:
+                require_unchanged(source, series.policy.digest)
                 self.store.add(series, part)
 
         def take(result: EpisodeResult) -> None:
@@ -124,6 +131,7 @@ class Judge:
             if result.episode in ends:
                 keep()
 
+        require_unchanged(source, series.policy.digest)
         try:
             play_scene(
                 *(config, source, label, self.workers, self.progress, missing),
@@ -140,6 +148,19 @@ class Judge:
         finally:
             keep()  # also what an interrupted cell has
         return played
+
+
+def require_unchanged(source: PolicySource, digest: str) -> None:
+    """Refuse a policy that has not the ``digest`` any more, since its episodes would mix two.
+
+    Raises:
+        CheckpointError: its file was replaced, as a run that is trained replaces its best policy.
+    """
+    if PolicyIdentity.of(source).digest != digest:
+        raise CheckpointError(
+            f"{source.label()} has changed since the evaluation began; is it still being trained? "
+            "Evaluate it again when it is finished, or a copy of its file"
+        )
 
 
 def play_scene(

@@ -16,7 +16,7 @@ from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.cells import Series
 from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.judging import Judge
+from flipperctl.evaluation.judging import Judge, require_unchanged
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import ray_cluster
@@ -55,7 +55,9 @@ def play_over_ray(
         for series, config, source, cell in wanted:
             document = to_dict(config.environment())
             reference = task.remote(
-                *(series.key, document, source, config.eval.seed, cell), cwd=cwd, paths=paths
+                *(series.key, series.policy.digest, document, source, config.eval.seed, cell),
+                cwd=cwd,
+                paths=paths,
             )
             running[reference] = series, len(cell)
         with judge.progress("cells over Ray", sum(size for _, size in running.values())) as report:
@@ -109,6 +111,7 @@ _runner: tuple[str, EpisodeRunner] | None = None  # the newest series' in a proc
 
 def play_cell(
     key: str,
+    digest: str,
     config: dict[str, Any],
     source: PolicySource,
     seed: int,
@@ -119,8 +122,11 @@ def play_cell(
 ) -> list[EpisodeResult]:
     """Play the episodes of a cell in a process of the cluster.
 
-    ``key``: that of the series. ``cwd``: working directory of the evaluation, if the machine has
-    it. ``paths``: its plugins.
+    ``key``: that of the series. ``digest``: that of its policy, which its machine must have, too.
+    ``cwd``: working directory of the evaluation, if the machine has it. ``paths``: its plugins.
+
+    Raises:
+        CheckpointError: the policy is missing or another one there.
     """
     global _runner
     if Path(cwd).is_dir():
@@ -130,5 +136,7 @@ def play_cell(
 
         torch.set_num_threads(1)
         plugins.load(paths)
-        _runner = key, EpisodeRunner(parse(EnvConfig, config), source, seed)
+        runner = EpisodeRunner(parse(EnvConfig, config), source, seed)
+        require_unchanged(source, digest)
+        _runner = key, runner
     return [_runner[1].play(index) for index in cell]
