@@ -6,12 +6,15 @@ another stored policy is better than all that were evaluated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
+from pathlib import Path
+from typing import Any
 
 from flipperctl.config import EvalConfig
-from flipperctl.evaluation.cells import ground
+from flipperctl.config.identity import content_digest
+from flipperctl.evaluation.cells import ground, versions_here
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.naming import SceneName
@@ -22,6 +25,8 @@ from flipperctl.evaluation.store import CellFolder, EpisodeStore
 
 BEST_KNOWN = "best known"
 """How such rows are called, before the label of the policy in brackets."""
+_DIGITS = 8
+"""Digits of a policy's digest in its label."""
 
 
 def is_best_known(label: str) -> bool:
@@ -51,23 +56,34 @@ def with_best_known(
         first = together[0]
         best = None
         if first.index is not None:
-            best = _best(scenes[first.index][0], first.name.scene, store)
+            best = _best(scenes[first.index][0], together, store)
         found += together
-        if best is not None and all(_rank(best.episodes) > _rank(o.episodes) for o in together):
+        if best is not None:
             found.append(best)
     return replace(result, scenes=tuple(found))
 
 
-def _best(config: EvalConfig, scene: str, store: CellFolder) -> SceneResult | None:
-    """Return the best stored policy with all episodes of a configuration; None if there is none."""
+def _best(
+    config: EvalConfig, together: Sequence[SceneResult], store: CellFolder
+) -> SceneResult | None:
+    """Return the best stored policy with all episodes of a configuration.
+
+    ``together``: the rows of the scene. None if there is none, or one of them is as good.
+    """
     complete = [
-        (label, [episodes[index] for index in range(config.eval.episodes)])
-        for label, episodes in store.stored_on(ground(config))
+        (headers, [episodes[index] for index in range(config.eval.episodes)])
+        for headers, episodes in store.stored_on(ground(config))
         if all(index in episodes for index in range(config.eval.episodes))
     ]
     if not complete:
         return None
-    label, episodes = max(complete, key=lambda one: _rank(one[1]))
+    headers, episodes = max(complete, key=lambda one: _rank(one[1]))
+    if any(_rank(row.episodes) >= _rank(episodes) for row in together):
+        return None
+    here = versions_here(config)
+    for header in headers:
+        store.count_versions(header, here)
+    label = _label(headers[0], {row.controller for row in together})
     return SceneResult(
         label,
         summarise(config.terrain.plugin_name, episodes),
@@ -75,8 +91,17 @@ def _best(config: EvalConfig, scene: str, store: CellFolder) -> SceneResult | No
         Conditions.of(config),
         (),
         tuple(episodes),
-        SceneName(scene, f"{BEST_KNOWN} ({label})"),
+        SceneName(together[0].name.scene, f"{BEST_KNOWN} ({label})"),
     )
+
+
+def _label(header: Mapping[str, Any], others: Collection[str]) -> str:
+    """Return the name of a stored policy; with its digest if another one has that name by now."""
+    label, digest = str(header["controller"]), str(header["policy"])
+    file = Path(label)
+    if label in others or (file.is_file() and content_digest(file) != digest):
+        return f"{label}, {digest[:_DIGITS]}"
+    return label
 
 
 def _rank(episodes: Sequence[EpisodeResult]) -> tuple[float, float]:

@@ -61,11 +61,7 @@ class Series:
     @property
     def versions(self) -> dict[str, str]:
         """Versions of the packages on which episodes that are played here depend, by name."""
-        return {
-            "flipperctl": flipperctl.__version__,
-            **{name: version(name) for name in _LIBRARIES},
-            **engine_versions(self.config.sim),
-        }
+        return versions_here(self.config)
 
     def header(self, first: int, last: int) -> dict[str, Any]:
         """Return the header of the cell with the episodes from ``first`` to ``last``."""
@@ -89,6 +85,15 @@ class Series:
             "versions": self.versions,
             "commit": commit(),
         }
+
+
+def versions_here(config: EvalConfig) -> dict[str, str]:
+    """Return the versions of the packages on which the episodes depend if played here, by name."""
+    return {
+        "flipperctl": flipperctl.__version__,
+        **{name: version(name) for name in _LIBRARIES},
+        **engine_versions(config.sim),
+    }
 
 
 def ground(config: EvalConfig) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,18 +37,32 @@ def write(folder: Path, result: EvaluationResult) -> None:
 
 
 def replaced(folder: Path, result: EvaluationResult) -> str:
-    """Return, in words, the rows of earlier tables in a folder that a result lacks; "" for none."""
+    """Return, in words, the rows of earlier tables in a folder that a result lacks; "" for none.
+
+    A row of more episodes, or with a baseline that there is no longer, is lost, too.
+    """
     try:
         earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
-        rows = [
-            (s["terrain"], s["controller"], s["seed"], s["conditions"]["hash"]) for s in earlier
-        ]
+        rows = [row for scene in earlier for row in _rows_of(scene)]
+        now = [row for scene in result.scenes for row in _rows_of(scene.to_dict())]
+        most = dict(sorted(now, key=lambda one: one[1]))
+        lost = [(row, count) for row, count in rows if count > most.get(row, 0)]
     except (OSError, ValueError, LookupError, TypeError):
         return ""  # there are none
-    now = {(s.terrain, s.controller, s.seed, s.conditions.hash) for s in result.scenes}
-    lost = [row for row in rows if row not in now]
-    first = [f"{who} on {terrain}, seed {seed}" for terrain, who, seed, _ in lost[:1]]
+    first = [
+        f"{who} on {terrain}, seed {seed}, {count} episodes"
+        for (terrain, who, seed, _), count in lost[:1]
+    ]
     return " and ".join([*first, *([f"{len(lost) - 1} more rows"] if len(lost) > 1 else [])])
+
+
+def _rows_of(scene: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, int, str], int]]:
+    """Yield what tells each policy of a scene in ``summary.json`` apart, and its episodes."""
+    terrain, seed, sampled = scene["terrain"], scene["seed"], scene["conditions"]["hash"]
+    first = [scene["baseline"]] if "baseline" in scene else []
+    others = scene.get("baselines", first)
+    for who in (scene["controller"], *(other["controller"] for other in others)):
+        yield (terrain, who, seed, sampled), scene["episodes"]
 
 
 def episode_rows(result: EvaluationResult) -> Iterator[dict[str, Any]]:

@@ -84,9 +84,7 @@ class CellFolder(EpisodeStore):
                     damaged.append(file)
                     continue
                 header, episodes = cell
-                for package, version in header["versions"].items():
-                    if here.get(package) != version:
-                        self.other_versions[f"{package} {version}"] += 1
+                self.count_versions(header, here)
                 super().add(series, episodes)
             for file in damaged:
                 if self._holds(series, file):  # other cells have its episodes
@@ -128,14 +126,22 @@ class CellFolder(EpisodeStore):
         }
         write_json(self._folder / f"{document['cell']}{_FAILED}", document)
 
-    def stored_on(self, ground: str) -> Iterator[tuple[str, dict[int, EpisodeResult]]]:
-        """Yield the label and the episodes of each stored policy on a ``cells.ground``."""
+    def stored_on(
+        self, ground: str
+    ) -> Iterator[tuple[list[dict[str, Any]], dict[int, EpisodeResult]]]:
+        """Yield the headers and the episodes of each stored policy on a ``cells.ground``."""
         for key in list(self._files):
             if f".{ground}." in key:
                 cells = [cell for file in self._files[key] if (cell := read_cell(file))]
                 if cells:
-                    label = str(cells[0][0]["controller"])
-                    yield label, {e.episode: e for _, episodes in cells for e in episodes}
+                    headers = [header for header, _ in cells]
+                    yield headers, {e.episode: e for _, episodes in cells for e in episodes}
+
+    def count_versions(self, header: Mapping[str, Any], here: Mapping[str, str]) -> None:
+        """Count a cell that was played with other versions than those ``here``."""
+        for package, version in header["versions"].items():
+            if here.get(package) != version:
+                self.other_versions[f"{package} {version}"] += 1
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,8 @@ class EvaluationFiles:
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
         if folder is not None:
-            names = [*files.NAMES, VIEW, *self._pictures]
-            self._folder = stack.enter_context(result_folder(folder, "eval", names))
+            names = [*files.NAMES, *self._pictures]
+            self._folder = stack.enter_context(result_folder(folder, "eval", names, [VIEW]))
             self.store = CellFolder(folder / FOLDER, tell)
 
     def write(self, result: EvaluationResult) -> None:

@@ -158,6 +158,13 @@ def finished(directory: Path, decision: int) -> dict[str, Any] | None:
     return found if ends else None
 
 
+def unfinished(directory: Path) -> bool:
+    """Return whether a run is not trained to its end: stopped, failed or being trained."""
+    train = (_read_mapping(directory / CONFIG) or {}).get("train")
+    planned = train.get("decisions") if isinstance(train, dict) else None
+    return isinstance(planned, int) and finished(directory, planned) is None
+
+
 def clear_leftovers(directory: Path) -> None:
     """Remove the partial files of a process that was killed while it wrote a file of the run."""
     for name in _WRITTEN:

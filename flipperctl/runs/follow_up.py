@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 
 _plugin_paths: list[str] = []
@@ -49,7 +50,8 @@ def sweep_command(folder: Path) -> str:
     if not any(word.startswith("hydra.sweep.dir=") for word in words):
         short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         plain = re.fullmatch(r"[\w./-]+", short) is not None
-        words.append(f"hydra.sweep.dir={short}" if plain else f"hydra.sweep.dir='{short}'")
+        key = "hydra.sweep.dir"
+        words.append(f"{key}={short}" if plain else literal_override(key, short))
     return command("train", "-m", *words)
 
 

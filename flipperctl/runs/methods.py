@@ -16,6 +16,7 @@ from flipperctl.config import resolver
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_sources
+from flipperctl.runs import folder as run_folder
 from flipperctl.runs.named_policies import refuse_file
 
 STANDING = ("level", "okada")
@@ -40,8 +41,8 @@ def entrants(
     """Return the policies of all methods, each once.
 
     A folder with the runs of a sweep stands for them all: for one method, if they differ in their
-    seeds alone. ``tell`` is called with a line for each run that has no checkpoint, or repeats
-    another one.
+    seeds alone. ``tell`` is called with a line for each run that has no checkpoint, repeats
+    another one, or is not finished.
 
     Raises:
         RequestError: a name is empty, or a folder has no run with a checkpoint.
@@ -107,6 +108,8 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         if equal:
             tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
             continue
+        if run_folder.unfinished(run):
+            tell(f"{run} is not trained to its end; it counts like the others")
         trained.append((run, seed, settings))
     groups = _grouped(trained)
     if not groups:

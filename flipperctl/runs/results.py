@@ -63,6 +63,24 @@ class ResultFolder:
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
+    def require_own(self, names: Sequence[str]) -> None:
+        """Refuse to replace files that no command has written here.
+
+        Folders of version 0.2 have no list.
+
+        Raises:
+            OutputError: there is such a file.
+        """
+        listed = {name for own in self._files().values() for name in own}
+        if not listed and (self.path / run_folder.SUMMARY).exists():
+            return
+        for name in names:
+            if name not in listed and (self.path / name).exists():
+                raise OutputError(
+                    f"{self.path / name} is not of an earlier result and would be replaced; move "
+                    "it, or choose another --output"
+                )
+
     def _files(self) -> dict[str, list[str]]:
         """Return the names of each command's files; none if the list is damaged."""
         try:
@@ -79,13 +97,16 @@ class ResultFolder:
 
 
 @contextmanager
-def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[ResultFolder]:
+def result_folder(
+    path: Path, command: str, names: Sequence[str], summed: Sequence[str] = ()
+) -> Iterator[ResultFolder]:
     """Create and lock the folder until the context ends or this process dies.
 
-    ``names`` are the files that the command will write.
+    ``names`` are the files that the command will write, ``summed`` those that only sum up others
+    of the folder.
 
     Raises:
-        OutputError: the folder cannot be written, or a training run would lose a file.
+        OutputError: the folder cannot be written, or would lose a file that is no result.
         RunHeldError: another process is writing results into it.
     """
     own = {file.name for file in (run_folder.CONFIG, run_folder.METRICS, run_folder.SUMMARY)}
@@ -95,11 +116,13 @@ def result_folder(path: Path, command: str, names: Sequence[str]) -> Iterator[Re
             f"{path} holds a training run, whose {lost[0]} would be replaced; "
             "choose another --output"
         )
-    for name in names:
+    for name in (*names, *summed):
         if (path / name).is_dir():
             raise OutputError(f"{path / name} cannot be written: it is a folder")
     with hold(make_folder(path), "results", use="in use"):
-        yield ResultFolder(path, command)
+        found = ResultFolder(path, command)
+        found.require_own(names)
+        yield found
 
 
 @contextmanager

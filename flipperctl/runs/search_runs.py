@@ -35,5 +35,5 @@ def finished_runs(study: Study, folder: Path) -> Iterator[SweepRun]:
     for run, trial in trials.items():
         if run.is_relative_to(folder.absolute()) and (run / SUMMARY).is_file():
             number, _ = job_order(run)
-            values = {name: str(value) for name, value in trial.params.items()}
+            values = {name.lstrip("+~"): str(value) for name, value in trial.params.items()}
             yield sweep_run(number, values, run, None)

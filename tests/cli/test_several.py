@@ -1,12 +1,14 @@
 """``eval`` of several policies: one table, the same episodes, and only what is not there yet."""
 
 import csv
+import hashlib
 import json
 from collections import Counter
 from pathlib import Path
 
 import pytest
 
+from flipperctl import checkpoint
 from flipperctl.api import Policy
 from flipperctl.cli.methods import method_scenes
 from flipperctl.config import EnvConfig
@@ -231,18 +233,44 @@ def test_tables_by_what_was_drawn_say_whose_they_are(tmp_path: Path) -> None:
 
 
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(tmp_path: Path) -> None:
-    words = ("eval", "--controller", "level,random", "--baseline", "none", "--episodes", "1")
-    words = (*words, "--output", "out")
+    words = ("eval", "--controller", "level,random", "--baseline", "none", "--output", "out")
     for more, told in (
         (("terrain=flat",), ""),
         (("terrain=flat,ramp",), ""),  # what was there is still in the tables
-        (("terrain=flat", "--seed", "3"), "level on flat, seed 0 and 3 more rows; those episodes"),
+        (
+            ("terrain=flat", "--seed", "3"),
+            "level on flat, seed 0, 1 episodes and 3 more rows; those episodes",
+        ),
         (("terrain=flat", "--seed", "3"), ""),
+        (("terrain=flat", "--seed", "3", "--episodes", "2"), ""),
+        (("terrain=flat", "--seed", "3"), "level on flat, seed 3, 2 episodes and 1 more rows"),
     ):
-        done = call(*words, *more, cwd=tmp_path)
+        count = () if "--episodes" in more else ("--episodes", "1")
+        done = call(*words, *more, *count, cwd=tmp_path)
         assert done.code == 0, done.err
         assert told in done.err
         assert ("they replace earlier tables" in done.err) == bool(told)
+
+
+def test_the_best_known_policy_is_told_from_a_later_one_of_its_name(tmp_path: Path) -> None:
+    shipped = checkpoint.shipped_policies()
+    words = ("eval", "--checkpoint", "mine.safetensors", "terrain=step", "--episodes", "1")
+    words = (*words, "--controller", "level", "--baseline", "none", "--output", "out", "--json")
+    for name in ("mpc_value", "generalist"):  # the second one rocks more on the first step
+        (tmp_path / "mine.safetensors").write_bytes(shipped[name].read_bytes())
+        done = call(*words, cwd=tmp_path)
+        assert done.code == 0, done.err
+    digest = hashlib.sha256(shipped["mpc_value"].read_bytes()).hexdigest()
+    names = [row["controller"] for row in json.loads(done.out)["scenes"]]
+    assert names == ["mine.safetensors", "level", f"mine.safetensors, {digest[:8]}"]
+
+
+def test_an_evaluation_without_an_earlier_baseline_says_so(tmp_path: Path) -> None:
+    words = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1", "--output", "out")
+    for baseline, told in (("level", False), ("none", True), ("none", False)):
+        done = call(*words, "--baseline", baseline, cwd=tmp_path)
+        assert done.code == 0, done.err
+        assert ("earlier tables with level on flat, seed 0, 1 episodes" in done.err) is told
 
 
 def test_policies_that_bring_their_own_ground_are_told(tmp_path: Path) -> None:

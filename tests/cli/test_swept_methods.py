@@ -32,6 +32,10 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
         checkpoint.write(file, document, shipped.tensors)
     (tmp_path / "sweep" / "2_seed=1" / "checkpoints").mkdir(parents=True)
     (tmp_path / "sweep" / "2_seed=1" / "config.yaml").write_text("")
+    for folder, planned in (("0_seed=4", 900), ("1_seed=9", 1000)):  # of 900 made
+        (tmp_path / "sweep" / folder / "config.yaml").write_text(f"train: {{decisions: {planned}}}")
+        summary = '{"finished": true, "decisions": 900}'
+        (tmp_path / "sweep" / folder / "summary.json").write_text(summary)
     told: list[str] = []
     monkeypatch.chdir(tmp_path)
     found = entrants([Path("sweep"), Path("generalist")], "okada", told.append)
@@ -42,7 +46,10 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(
         ("generalist", own),
         ("okada", None),
     ]
-    assert [line.partition(":")[0] for line in told] == ["sweep/2_seed=1 is left out"]
+    assert [line.partition(":")[0] for line in told] == [
+        "sweep/1_seed=9 is not trained to its end; it counts like the others",
+        "sweep/2_seed=1 is left out",
+    ]
     monkeypatch.setattr(
         "flipperctl.cli.methods._Composer.of",
         lambda composer, e: [("", EvalConfig(terrain="flat"), PolicySource(e.run))],
