@@ -53,15 +53,17 @@ class Cells:
         self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
         self._seen_at = np.zeros(rows * lanes)  # way of the robot at the newest point [m]
 
-    def add(self, points: FloatArray, x: float, y: float, way: float = 0.0) -> None:
+    def add(self, points: FloatArray, x: float, y: float, way: float | FloatArray = 0.0) -> None:
         """Add ``points`` (P, 3) in frame M, oldest first; the robot is at (x, y) [m].
 
-        Points outside the window are dropped. ``way``: what the robot has moved so far [m].
+        Points outside the window are dropped. ``way``: what the robot had moved when it saw them,
+        or each of them, (P,) [m].
         """
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
         points = points.compress(near, axis=0)
         if not len(points):
             return
+        ways = np.broadcast_to(way, near.shape)[near]
         place = self._places(points)
         slot = self._slots(place)
         order = np.argsort(slot, kind="stable")
@@ -77,7 +79,21 @@ class Cells:
         at = (self._count[slot] + rank) % self._grid.keep
         self._points[slot[newest], at[newest]] = points[newest]
         self._count[used] += counts
-        self._seen_at[used] = way
+        self._seen_at[used] = np.maximum.reduceat(ways[order], first)
+
+    def held(self) -> tuple[FloatArray, FloatArray]:
+        """Return the points that are held, (P, 3) [m], and ``way`` when their cells were last seen.
+
+        Those of a cell follow each other, oldest first.
+        """
+        keep = self._grid.keep
+        (slots,) = np.nonzero(self._count)
+        start = np.where(self._count[slots] > keep, self._count[slots] % keep, 0)
+        order = (start[:, None] + np.arange(keep)) % keep
+        found = self._points[slots[:, None], order]  # (S, keep, 3)
+        known = np.isfinite(found).all(axis=2)
+        ways = np.broadcast_to(self._seen_at[slots][:, None], known.shape)
+        return found[known].astype(np.float64), ways[known]
 
     def clear_above(
         self, ceilings: Callable[[FloatArray], FloatArray], x: float, y: float, margin: float

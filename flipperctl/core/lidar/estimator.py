@@ -247,7 +247,7 @@ class LidarEstimator:
         origin = np.array([pose.x, pose.y, pose.z])
         origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._mount.position
         self._ground.clear(origin, points, pose.x, pose.y)
-        self._ground.add(points, pose.x, pose.y)
+        self._ground.add(points, pose.x, pose.y, pose.yaw)
 
     def _ground_points(self, scan: Scan, kept: NDArray[np.bool_]) -> FloatArray:
         """Return what ``Mount.ground_points`` keeps of a scan, with the flippers where they are."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from flipperctl.core import bins, observation
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.lidar.cells import Cells, Grid
+from flipperctl.core.lidar.cells import Grid
 from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.free_space import FreeSpace
@@ -29,6 +29,7 @@ from flipperctl.core.lidar.outline import (
     with_assumed,
     with_drops,
 )
+from flipperctl.core.lidar.turning import TurningCells
 from flipperctl.core.sensing import SensedGround
 
 _SPACING = 0.02
@@ -95,7 +96,7 @@ class GroundSeen:
     def __init__(self, settings: MapSettings) -> None:
         self._settings = settings
         self._reach = observation.reach(settings.bins, settings.bin_width)
-        self._cells = Cells(
+        self._cells = TurningCells(
             settings.grid, self._reach + _PAST + _MARGIN, settings.half_width + _MARGIN
         )
         self._start: tuple[float, float, float, float] | None = None
@@ -114,9 +115,10 @@ class GroundSeen:
         if slope:
             self._lift = 0.0
 
-    def add(self, points: FloatArray, x: float, y: float) -> None:
-        """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m]."""
+    def add(self, points: FloatArray, x: float, y: float, yaw: float) -> None:
+        """Add ``points`` (P, 3) in frame M; the robot is at (x, y) [m] and heads there [rad]."""
         self._move_to(x, y)
+        self._cells.face(x, y, yaw)
         self._cells.add(points, x, y, self._way)
 
     def clear(self, origin: FloatArray, points: FloatArray, x: float, y: float) -> None:
@@ -173,6 +175,7 @@ class GroundSeen:
         """
         s, (x, y, z) = self._settings, position.tolist()
         self._move_to(x, y)
+        self._cells.face(x, y, yaw)
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width, dense=True)
         near[:, 2] -= z

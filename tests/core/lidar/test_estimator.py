@@ -96,7 +96,7 @@ def test_the_sectors_of_a_turn_share_its_points(monkeypatch: pytest.MonkeyPatch)
     used: list[int] = []
     add = GroundSeen.add
     monkeypatch.setattr(
-        GroundSeen, "add", lambda self, p, x, y: (used.append(len(p)), add(self, p, x, y))
+        GroundSeen, "add", lambda self, p, *at: (used.append(len(p)), add(self, p, *at))
     )
     robot = told(estimator(), LEVEL, Joints(0.0, 0.0))
     beyond = ahead().points + np.array([0.8, 0.0, 0.0])  # none of the robot's own
