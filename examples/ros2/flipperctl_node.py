@@ -132,8 +132,14 @@ class FlipperNode(Node):
         self.cloud = Cloud(stamp, frame, points, ages)
 
     def place_of(self, frame):
-        """Return whether tf knows the place of the device, which is fixed to the chassis."""
-        if self.transform is None or self.transform[0] != frame:
+        """Return whether tf knows the place of the device, which is fixed to the chassis.
+
+        There is one: clouds of several come merged, in the frame of the chassis.
+        """
+        if self.transform is not None and self.transform[0] != frame:
+            self.get_logger().warning(f"clouds come in {self.transform[0]} and in {frame}")
+            return False
+        if self.transform is None:
             try:
                 found = self.tf.lookup_transform(BASE, frame, rclpy.time.Time()).transform
             except TransformException as error:
@@ -147,8 +153,10 @@ class FlipperNode(Node):
         return True
 
     def on_joints(self, message):
-        """Average the left and the right flipper of each pair."""
+        """Average the left and the right flipper of each pair; other joints are not ours."""
         angles = dict(zip(message.name, message.position, strict=False))
+        if not angles.keys() & {*FRONT, *REAR}:
+            return  # of an arm
         front, rear = (np.mean([angles.get(n, math.nan) for n in pair]) for pair in (FRONT, REAR))
         self.joints = JointAngles(seconds(message.header.stamp), float(front), float(rear))
 
@@ -160,9 +168,9 @@ class FlipperNode(Node):
         """Step with each attitude: it moves the pose on."""
         time, q = seconds(message.header.stamp), message.orientation
         w = math.nan if message.orientation_covariance[0] < 0 else q.w  # it tells no orientation
-        rate = message.angular_velocity.z
-        frame = message.header.frame_id
-        self.step(Attitude.from_quaternion(time, frame, q.x, q.y, q.z, w, rate))
+        rates, frame = message.angular_velocity, message.header.frame_id
+        turn = rates.x, rates.y, rates.z
+        self.step(Attitude.from_imu(time, frame, (q.x, q.y, q.z, w), turn))
 
     def step(self, attitude=None):
         """Hand over what has arrived, and publish the answer."""

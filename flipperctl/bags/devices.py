@@ -82,6 +82,17 @@ class Recording:
         except RequestError as error:
             raise RequestError(f"{self.path}: {error}") from error
 
+    def mounts(self) -> Iterator[Pose]:
+        """Yield the place of the sensor on the chassis for each cloud for which it is known."""
+        with opened(self.path) as reader:
+            chosen = [c for c in reader.connections if c.topic == self.topics["cloud"]]
+            for connection, _, data in reader.messages(connections=chosen):
+                message = reader.deserialize(data, connection.msgtype)
+                found = read_points(f"{self.path}: {self.topics['cloud']}", message)
+                mount = _placed(self, found.frame, found.time)
+                if mount is not None:
+                    yield mount
+
     def steps(self) -> Iterator[Step]:
         """Yield the messages in the order in which they were recorded, those of one time at once.
 
@@ -99,6 +110,8 @@ class Recording:
                 message = reader.deserialize(data, connection.msgtype)
                 now, device = stamp * 1e-9, devices[connection.topic]
                 told = self._told(device, message, now)
+                if told is None:
+                    continue
                 if waiting is not None and (now != waiting.now or device in waiting.messages):
                     yield waiting
                     waiting = None
@@ -107,7 +120,8 @@ class Recording:
         if waiting is not None:
             yield waiting
 
-    def _told(self, device: str, message: Any, now: float) -> Message:
+    def _told(self, device: str, message: Any, now: float) -> Message | None:
+        """Return a message of the runtime; None if it is of other joints than the flippers'."""
         if device == "cloud":
             return self._cloud(message)
         if device == "attitude":
@@ -115,6 +129,8 @@ class Recording:
         if device == "joints":
             angles = dict(zip(message.name, message.position, strict=False))
             pairs = self.names.front, self.names.rear
+            if not angles.keys() & {*pairs[0], *pairs[1]}:
+                return None
             front, rear = (_mean([angles.get(n, math.nan) for n in pair]) for pair in pairs)
             return JointAngles(_stamp(message), front, rear)
         if hasattr(message, "twist"):
@@ -147,7 +163,8 @@ class Recording:
             turn = Pose(np.zeros(3), turn).after(mount.inverse()).turn
             rate = mount.directions(rate[None])[0]
         x, y, z, w = turn.tolist()
-        return Attitude.from_quaternion(time, self.names.base, x, y, z, w, float(rate[2]))
+        about = float(rate[0]), float(rate[1]), float(rate[2])
+        return Attitude.from_imu(time, self.names.base, (x, y, z, w), about)
 
 
 def read_recording(path: Path, names: Names) -> Recording:
@@ -175,6 +192,8 @@ def read_recording(path: Path, names: Names) -> Recording:
     found = read_points(f"{path}: {topics['cloud']}", cloud)
     recording = Recording(path, names, topics, transforms, Pose.none(), remarks)
     mount = _placed(recording, found.frame, found.time)
+    if mount is None:  # its transforms begin later
+        mount = next(recording.mounts(), None)
     return recording if mount is None else replace(recording, mount=mount)
 
 

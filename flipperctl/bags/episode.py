@@ -7,6 +7,7 @@ In: a scene and a policy. Out: a folder with the MCAP file and its metadata, whi
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from flipperctl.bags.messages import (
 )
 from flipperctl.config import EvalConfig
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
+from flipperctl.core.lidar.rotations import attitude
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.observer import Observer
 from flipperctl.errors import OutputError, RequestError
@@ -219,7 +221,10 @@ def _of_states(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped
 
 def _of_true_attitude(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped]:
     for state in states:
-        angles, rates = (state.roll, state.pitch, state.yaw), (0.0, -state.pitch_rate, 0.0)
+        angles = state.roll, state.pitch, state.yaw
+        rises = attitude(*angles)[2]  # of the axes
+        lean = math.atan2(rises[1], rises[2])  # about which the y axis is turned from the level
+        rates = 0.0, -state.pitch_rate * math.cos(lean), state.pitch_rate * math.sin(lean)
         yield Stamped(state.time, IMU, make.imu(state.time, angles, rates))
 
 
@@ -229,8 +234,8 @@ def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterat
         if isinstance(value, Scan):
             yield Stamped(time, CLOUD, make.cloud(time, LIDAR, value.points, value.ages))
         elif isinstance(value, Inertial):
-            message = make.imu(time, (value.roll, value.pitch, 0.0), (0.0, 0.0, value.yaw_rate))
-            yield Stamped(time, IMU, message)
+            x, y, z = (value.yaw_rate * attitude(value.roll, value.pitch, 0.0)[2]).tolist()
+            yield Stamped(time, IMU, make.imu(time, (value.roll, value.pitch, 0.0), (x, y, z)))
         elif isinstance(value, Belts):
             yield Stamped(time, BELTS, make.number(value.speed))
 

@@ -1,12 +1,13 @@
 """Read point clouds and their poses from a folder.
 
-In: files of clouds, and ``poses.txt`` with one line for each of them in the order of their names:
-8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's tools write them, or 12, the
-upper rows of the matrix, as KITTI's do. Out: points in the frame of the poses.
+In: files of clouds, and ``poses.txt`` with one line for each of them in the order of their names,
+2 before 10: 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's tools write them,
+or 12, the upper rows of the matrix, as KITTI's do. Out: points in the frame of the poses.
 """
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def read_folder(folder: Path, but: Path | None = None) -> list[tuple[FloatArray,
     """
     other = but and but.resolve()
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES]
-    clouds = sorted(file for file in files if file.resolve() != other)
+    clouds = sorted((file for file in files if file.resolve() != other), key=_in_order)
     if not clouds:
         raise RequestError(
             f"{folder}: there are no clouds; files of {', '.join(SUFFIXES)} are read"
@@ -44,6 +45,12 @@ def read_folder(folder: Path, but: Path | None = None) -> list[tuple[FloatArray,
             "cloud is needed, in the order of the files' names"
         )
     return [(_points(file), pose) for file, pose in zip(clouds, poses, strict=True)]
+
+
+def _in_order(file: Path) -> list[tuple[str, int]]:
+    """Return what orders names, with the numbers in them by value: ``2.pcd`` before ``10.pcd``."""
+    parts = re.findall(r"(\D*)(\d*)", file.name)
+    return [(text, int(digits or 0)) for text, digits in parts]
 
 
 def read_stamps(folder: Path) -> FloatArray:

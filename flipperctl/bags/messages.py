@@ -125,7 +125,7 @@ class Messages:
         """Return pose and velocity of the chassis centre; the velocity is in ``base_link``."""
         turn = attitude(state.roll, state.pitch, state.yaw)
         x, z = state.velocity.tolist()
-        ahead, left, up = (turn.T @ np.array([x, 0.0, z])).tolist()
+        ahead, left, up = (turn.T @ np.array([x, state.side_velocity, z])).tolist()
         make, none = self._make, np.zeros(36)
         pose = make(
             "geometry_msgs/msg/Pose",

@@ -156,6 +156,7 @@ class _Run:
         self._estimates: list[float] = []  # their durations [ms]
         self._updates: list[float] = []  # those of the scans [ms]
         self._drift = Drift()
+        self._origin: FloatArray | None = None  # the first place of the chassis by the recording
 
     def take(self, step: Step, where: FramePose | None) -> None:
         """Receive messages; ``where``: the chassis by the recording, if they hold a cloud."""
@@ -163,6 +164,9 @@ class _Run:
         order = ("odometry", "attitude", "joints", "cloud")  # a scan enters at the newest pose
         messages: dict[str, object] = {k: step.messages[k] for k in order if k in step.messages}
         before = self._intake.refused("cloud")
+        if where is not None:  # relative to the first, since maps begin anywhere, as in UTM
+            self._origin = where.place if self._origin is None else self._origin
+            where = FramePose(where.place - self._origin, where.turn)
         if self._tracked and "cloud" in messages:
             if where is None:
                 text = "no transform tells where the chassis was"
@@ -171,6 +175,7 @@ class _Run:
             self._estimator.update(
                 Measured("tracking", step.messages["cloud"].time, _tracked(where))
             )
+        scans = self._scans
         for device, time, message in self._intake.receive(step.now, **messages):
             begun = perf_counter()
             if not (self._tracked and device in ("attitude", "odometry")):
@@ -184,6 +189,8 @@ class _Run:
         fault = self._intake.refused("cloud")
         if "cloud" in messages and fault is not None and fault is not before:
             self._refuse(fault.name, fault.reason)
+        elif "cloud" in messages and self._scans == scans:
+            self._refuse("cloud_older", "it is no newer than the one before, as of two LiDARs")
         if self._cloud is not None and step.now >= self._due - 1e-6:
             late = step.now - self._due > self._period
             self._due = step.now + self._period if late else self._due + self._period

@@ -5,8 +5,9 @@ In: an opened bag, and what its topics, frames and joints are called. Out: devic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from flipperctl.bags.reading import ODOMETRY
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 
+_SEARCHED = 1000
+"""Messages of a topic that are searched for the joints of the flippers [-]."""
 _IMU, _JOINTS, _NUMBER = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
 
 
@@ -104,7 +107,7 @@ def _only(
         return topic
     if joints is not None:
         wanted = {*joints.front, *joints.rear}
-        known = [one for one in known if wanted <= {*getattr(first(reader, one), "name", ())}]
+        known = [topic for topic in known if _names_all(reader, topic, wanted)]
     if len(known) > 1 and option:
         raise RequestError(f"{path}: {option} chooses one of {', '.join(known)}")
     return known[0] if known else None
@@ -112,10 +115,20 @@ def _only(
 
 def first(reader: Any, topic: str) -> Any:
     """Return the first message of a topic; None if there is none."""
+    return next(_messages(reader, topic), None)
+
+
+def _messages(reader: Any, topic: str) -> Iterator[Any]:
+    """Yield the messages of a topic."""
     chosen = [c for c in reader.connections if c.topic == topic]
     for connection, _, data in reader.messages(connections=chosen):
-        return reader.deserialize(data, connection.msgtype)
-    return None
+        yield reader.deserialize(data, connection.msgtype)
+
+
+def _names_all(reader: Any, topic: str, wanted: set[str]) -> bool:
+    """Return whether one of a topic's first messages has these joints; others may be of an arm."""
+    few = islice(_messages(reader, topic), _SEARCHED)
+    return any(wanted <= {*getattr(message, "name", ())} for message in few)
 
 
 def _no_attitude(imu: Any) -> str:

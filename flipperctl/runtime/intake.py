@@ -174,11 +174,13 @@ class Intake:
                 found = f"has ages of shape {ages.shape} for {len(points)} points"
                 raise _refusal("cloud", "shape", found, "one for each point")
             kept &= (ages >= 0) & (ages <= _LONGEST_TURN)
-            ages = ages[kept]
+        kept &= (points != 0).any(axis=1)  # of rays without return
         points = points[kept]
         if len(points) < _FEWEST_POINTS:
-            found = f"has {len(points)} finite points"
+            aged = "" if ages is None else f" and measured up to {_LONGEST_TURN:g} s before"
+            found = f"has {len(points)} points that are finite, not 0{aged}"
             raise _refusal("cloud", "points", found, f"{_FEWEST_POINTS} or more")
+        ages = None if ages is None else ages[kept]
         if self._setup.signs.x < 0:  # a turn by π about z keeps the frame right-handed
             points = points * (-1.0, -1.0, 1.0)
         return Scan(points, ages)

@@ -59,6 +59,26 @@ class Attitude:
         rises_x, rises_y = 2 * (x * z - w * y), 2 * (y * z + w * x)
         return cls(time, frame, _asin(rises_y), -_asin(rises_x), yaw_rate)
 
+    @classmethod
+    def from_imu(
+        cls,
+        time: float,
+        frame: str,
+        orientation: tuple[float, float, float, float],
+        rates: tuple[float, float, float],
+    ) -> Attitude:
+        """Return the attitude of an ``Imu`` of ROS.
+
+        ``orientation``: x, y, z and w, as of ``from_quaternion``; ``rates``: of the frame about its
+        own axes [rad/s]. A robot that pitches while it leans turns about its z axis, too, which is
+        no turn of its heading.
+        """
+        x, y, z, w = orientation
+        rises = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # of the axes
+        level = max(1 - rises[0] ** 2, _STEEPEST)
+        turn = (rises[1] * rates[1] + rises[2] * rates[2]) / level
+        return cls.from_quaternion(time, frame, x, y, z, w, turn)
+
 
 @dataclass(frozen=True)
 class JointAngles:
@@ -86,6 +106,8 @@ class Odometry:
     """Mean of the left and the right belts, forward positive, before ``Signs`` [m/s]."""
 
 
+_STEEPEST = 1e-3
+"""Smallest square of the cosine of the pitch with which a heading is told [-]."""
 _UNIT = 0.05
 """Most by which the length of a quaternion may differ from 1 [-]."""
 

@@ -140,7 +140,9 @@ def test_measurements_of_a_lidar_take_the_place_of_the_truth():
     rows = scan.message.data.view("<f4").reshape(2, 4)
     assert rows.tolist() == pytest.approx(np.array([[1, 2, 3, -0.08], [4, 5, 6, 0]]))
     assert imu.message.orientation.y == pytest.approx(-math.sin(0.1))
-    assert imu.message.angular_velocity.z == 0.3
+    rates = imu.message.angular_velocity  # about the axes of a chassis that is nose up
+    expected = 0.3 * math.sin(0.2), 0.0, 0.3 * math.cos(0.2)
+    assert (rates.x, rates.y, rates.z) == pytest.approx(expected)
     assert belts == Stamped(0.3, "/belt_speed", belts.message)
     assert belts.message.data == 0.19
 

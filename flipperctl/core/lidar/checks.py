@@ -111,6 +111,16 @@ def _scan(scan: Scan) -> Scan:
     return replace(scan, **{name: each.compress(kept, axis=0) for name, each in arrays.items()})
 
 
+def without_near(scan: Scan, near: float) -> Scan:
+    """Return the scan without points nearer than ``near`` [m], as zeros for rays without return."""
+    far = np.einsum("ij,ij->i", scan.points, scan.points) >= near**2
+    if far.all():
+        return scan
+    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
+    kept = {k: each.compress(far, axis=0) for k, each in found.items() if each is not None}
+    return replace(scan, **kept)
+
+
 def thinned(scan: Scan, most: int) -> Scan:
     """Return the scan with at most so many points, which are evenly distributed over it."""
     count = len(scan.points)

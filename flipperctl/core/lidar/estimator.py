@@ -20,7 +20,7 @@ from flipperctl.core.lidar.calibration import (
     start_errors,
     without_bias,
 )
-from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned
+from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned, without_near
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
@@ -96,6 +96,7 @@ class LidarEstimator:
         time, value = message.time, message.value
         self._newest = time
         if isinstance(value, Scan):
+            value = without_near(value, self._mount.near)
             value = without_mixed(thinned(value, self._most_points(time)))
             pose = self._trail.pose_at(time, self._pose)  # newer attitudes may have come first
             if self._calibrated is None:
@@ -244,9 +245,10 @@ class LidarEstimator:
             pose = moved_to(pose, np.array([pose.x, pose.y, pose.z - error]))
             points[:, 2] -= error
         self._pose = self._trail.correct(time, before, pose)
-        origin = np.array([pose.x, pose.y, pose.z])
-        origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._mount.position
-        self._ground.clear(origin, points, pose.x, pose.y)
+        if self._mount.tells_rays:
+            origin = np.array([pose.x, pose.y, pose.z])
+            origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._mount.position
+            self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y, pose.yaw)
 
     def _ground_points(self, scan: Scan, kept: NDArray[np.bool_]) -> FloatArray:

@@ -34,6 +34,11 @@ class Mount:
         """Position of the LiDAR, (3,) in frame R [m]."""
         return np.array([self.x, 0.0, self.z])
 
+    @property
+    def tells_rays(self) -> bool:
+        """Whether rays begin there; clouds in frame R do not tell where theirs do."""
+        return bool(self.position.any())
+
     @cached_property
     def turn(self) -> FloatArray:
         """Rotation from the LiDAR's frame to frame R, (3, 3)."""

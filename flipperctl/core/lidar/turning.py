@@ -1,7 +1,7 @@
-"""Cells along the robot's heading: the window is long and narrow, and turns with the robot in steps.
+"""Cells along the robot's heading: the window is long and narrow, and turns with it in steps.
 
-In: points and places in the map's frame M. Out: as from ``Cells``. Within ``_MOST`` of its axis, the
-window holds all ground that the bins want; a robot that has turned farther gets a turned window.
+In: points and places in the map's frame M. Out: as from ``Cells``. Up to ``_MOST`` from its axis,
+the window holds all ground that the bins want; for a robot that turns farther it is turned.
 """
 
 from __future__ import annotations
