@@ -23,8 +23,8 @@ class Greedy(Controller):
     The values of several policies are averaged, which cancels errors of their trainings; they
     should be of one scale, as those of training seeds are. The costs of the actions are the
     negated Q-values, so that it can teach: with ``teacher.temperature`` equal to the
-    ``teacher.q_temperature`` of their own training, the labels are the probabilities that a policy
-    learnt.
+    ``teacher.q_temperature`` of their own training, or to its temperature of a policy gradient, the
+    labels are the probabilities that a policy learnt.
     """
 
     policy: str = Field(

@@ -5,7 +5,7 @@ In: a checkpoint. Out: the value of observations, with the rewards and the disco
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -67,7 +67,9 @@ def _read(name: str, path: str, file: Path) -> LearnedValue:
             "observation is allowed"
         )
     teacher = config.teacher
-    if teacher.teaches and not teacher.td_weight and teacher.loss != "values":
+    named = (checkpoint.document.config.model_extra or {}).get("teacher")
+    taught = isinstance(named, Mapping) and named.get("controller") is not None  # missing here
+    if (teacher.teaches or taught) and not teacher.td_weight and teacher.loss != "values":
         raise CheckpointError(
             f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
             "train with teacher.td_weight above 0, or with experiment=searched"

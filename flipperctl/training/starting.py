@@ -75,12 +75,20 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
     if not (config.agent.draws and config.agent.policy_gradient.start_values and name):
         return None
     with naming(_SETTING):
-        checkpoint = read(find(Path(name), prefer=LAST))
+        policy, checkpoint = read(find(Path(name))), read(find(Path(name), prefer=LAST))
         found, theirs = checkpoint.part("values"), checkpoint.config()
     if not found:
         raise ConfigError(
             f"{_VALUES}: {name} has no values; name in {_SETTING} the run of a training with "
             "agent.learner=policy_gradient, or leave it at false"
+        )
+    state = checkpoint.document.state
+    assert state is not None  # of a checkpoint with values
+    if policy.document.kind == "best" and policy.document.decision != state.decision:
+        raise ConfigError(
+            f"{_VALUES}: the best policy of {name} is that of decision {policy.document.decision}, "
+            f"its values are those of decision {state.decision}; give {checkpoint.path} in "
+            f"{_SETTING}, or leave it at false"
         )
     before, now = _returns(theirs), _returns(config)
     if differing := [key for key in before | now if before.get(key) != now.get(key)]:

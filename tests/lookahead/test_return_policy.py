@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from flipperctl import checkpoint
 from flipperctl.api import (
+    Controller,
     FloatArray,
     ObservationLayout,
     Outcome,
+    Perception,
     Policy,
     RewardTerm,
     Transition,
+    controller,
 )
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
@@ -198,6 +201,22 @@ def test_runs_whose_values_estimate_no_return_of_one_observation_are_refused(
 ) -> None:
     run = saved_run(tmp_path, **settings)
     with pytest.raises(CheckpointError, match=rf"^controller\.value={run}: {text}"):
+        learned_value(run, "controller.value")
+
+
+def test_a_teacher_whose_plugin_is_missing_still_taught(
+    tmp_path: Path, registry: dict[tuple[str, str], type]
+) -> None:
+    @controller("mine")
+    class Mine(Controller):
+        """Do nothing."""
+
+        def act(self, p: Perception) -> int:
+            return 4
+
+    run = saved_run(tmp_path, **{"teacher.controller": {"name": "mine"}, "teacher.td_weight": 0.0})
+    del registry["controller", "mine"]
+    with pytest.raises(CheckpointError, match=r"it only imitated its teacher"):
         learned_value(run, "controller.value")
 
 

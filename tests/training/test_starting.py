@@ -49,6 +49,21 @@ def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> N
         begun(tmp_path / "other", **later, **{VALUES: True}, **other)
 
 
+def test_the_values_of_another_decision_than_the_policy_are_refused(tmp_path: Path) -> None:
+    settings: dict[str, object] = {"agent.learner": "policy_gradient", "agent.n_step": 1}
+    settings |= {"agent.policy_gradient.decisions": 100, "train.decisions": 1}
+    trainer(short_config(**settings), tmp_path).run()
+    best = checkpoint.read(tmp_path / checkpoint.BEST)
+    older = best.document.model_copy(update={"decision": 0})
+    checkpoint.write(tmp_path / checkpoint.BEST, older, best.tensors)
+    with pytest.raises(ConfigError, match=r"decision 0, its values are those of decision 1; give"):
+        preflight.check(
+            short_config(**settings, **{"agent.start_from": str(tmp_path), VALUES: True})
+        )
+    last = str(tmp_path / checkpoint.LAST)
+    preflight.check(short_config(**settings, **{"agent.start_from": last, VALUES: True}))
+
+
 def test_a_run_without_values_is_refused_before_the_training_begins(short_run: Path) -> None:
     settings = {"agent.learner": "policy_gradient", "agent.n_step": 1, VALUES: True}
     settings["agent.policy_gradient.decisions"] = 100
