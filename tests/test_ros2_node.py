@@ -166,6 +166,24 @@ def test_it_drives_an_episode_of_a_bag(node: Any, stream: Stream) -> None:
     assert node.transform[1] == pytest.approx(np.eye(3), abs=1e-9)  # clouds come as measured
 
 
+def test_an_arm_and_a_second_lidar_do_not_disturb_it(node: Any, stream: Stream) -> None:
+    Buffer.static["camera"] = Buffer.static["lidar"]
+    both = []
+    for part in zip(stream, elsewhere(stream), strict=True):
+        both += part if part[0][1] == "points" else part[:1]
+        if part[0][1] == "joint_states":
+            arm = {**vars(part[0][2]), "name": ["elbow"], "position": np.zeros(1)}
+            both.append((part[0][0], "joint_states", Message(**arm)))
+    controllers = set()
+    for one in both:
+        play(node, [one])
+        controllers.add(id(node.controller))
+    told = [one.status[0].message for one in node.published["/diagnostics"]]
+    assert "driving" in told[:6]
+    assert len(controllers) == 2  # it began anew with the place of the first one's frame
+    assert set(node.warnings) == {"clouds come in lidar and in camera"}
+
+
 def drops(stream: Stream) -> Iterator[tuple[float, str, Any]]:
     begun = stream[0][0]
     yield from (m for m in stream if m[1] != "points" or m[0] < begun + 1)

@@ -117,8 +117,14 @@ class FlipperNode(Node):
         return self.get_clock().now().nanoseconds * 1e-9
 
     def on_cloud(self, message):
-        """Move a cloud to where its mount says; one of an unknown frame goes on and is refused."""
+        """Move a cloud to where its mount says; one of an unknown frame goes on and is refused.
+
+        There is one LiDAR: clouds of several come merged, in the frame of the chassis.
+        """
         frame, points = message.header.frame_id, columns(message, "xyz")
+        if self.transform is not None and self.transform[0] != frame:
+            self.get_logger().warning(f"clouds come in {self.transform[0]} and in {frame}")
+            return
         if points is None:
             points = np.empty((0, 3))
         times = columns(message, ["time"])
@@ -132,13 +138,7 @@ class FlipperNode(Node):
         self.cloud = Cloud(stamp, frame, points, ages)
 
     def place_of(self, frame):
-        """Return whether tf knows the place of the device, which is fixed to the chassis.
-
-        There is one: clouds of several come merged, in the frame of the chassis.
-        """
-        if self.transform is not None and self.transform[0] != frame:
-            self.get_logger().warning(f"clouds come in {self.transform[0]} and in {frame}")
-            return False
+        """Return whether tf knows the place of the device, which is fixed to the chassis."""
         if self.transform is None:
             try:
                 found = self.tf.lookup_transform(BASE, frame, rclpy.time.Time()).transform
