@@ -7,8 +7,7 @@ computes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
@@ -103,14 +102,6 @@ class Learner:
     def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return a copy of the policy's weights, and of those of its risk, for other processes."""
         return arrays(self.policy) | ({} if self.risk is None else self.risk.arrays())
-
-    @contextmanager
-    def evaluation_mode(self) -> Iterator[torch.nn.Module]:
-        """Keep the policy in ``eval()`` mode, without noise, within the context."""
-        try:
-            yield self.policy.eval()
-        finally:
-            self.policy.train()
 
     @property
     def starting(self) -> tuple[torch.nn.Module, ...]:

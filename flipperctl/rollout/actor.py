@@ -10,10 +10,7 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.building import build_network, naming_network
-from flipperctl.agent.frames import input_size, stacked
-from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import ACTIONS
+from flipperctl.agent.frames import stacked
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
@@ -23,8 +20,8 @@ from flipperctl.policies.drawing import DrawingPolicy
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.taught import TaughtPolicy
-from flipperctl.policies.trained import TrainedPolicy
-from flipperctl.rollout.episode import Row, decisions, play
+from flipperctl.rollout.episode import Row, decisions
+from flipperctl.rollout.greedy import GreedyPlayer
 from flipperctl.rollout.seeds import exploration_rng
 from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
 
@@ -42,13 +39,8 @@ class Actor:
         plugins.load(plugin_paths)
         settings = parse(TrainConfig, config)
         self._env = FlipperEnv(config=settings.environment())
-        self._module = build_network(settings.network, self._env.layout, len(ACTIONS))
-        self._module.requires_grad_(False)
-        self._frames = settings.network.frames
-        self._risk = None
-        if settings.agent.risk:
-            size = input_size(settings.network, self._env.layout)
-            self._risk = plain_risk(RiskNetwork(size), settings.agent.risk_horizon)
+        self._greedy = GreedyPlayer(settings, self._env)
+        self._module, self._frames = self._greedy.module, settings.network.frames
         self._seed, self._temperature_at = settings.seed, settings.temperature_at
         self._teaching, self._agent = settings.teacher, settings.agent
         self._privileged = settings.learns_privileged_value
@@ -60,16 +52,15 @@ class Actor:
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
-        self._load(weights)
-        policy = TrainedPolicy(self._module.eval(), self._frames, self._risk)
-        return play(self._env, policy, seed)
+        self._greedy.load(weights)
+        return self._greedy.play(seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
         """Play one episode to its end; equal requests give equal episodes.
 
         The weights are separate from the request, since many requests share them.
         """
-        self._load(weights)
+        self._greedy.load(weights)
         self._module.train()
         rng = exploration_rng(self._seed, request.episode)
         policy = self._driver(request, rng)
@@ -114,13 +105,6 @@ class Actor:
             *(self._module, self._frames, lambda: request.epsilon, rng, rng),
             share=self._agent.exploring_share,
         )
-
-    def _load(self, weights: Weights) -> None:
-        risk, state = split_weights(weights)
-        if risk and self._risk is not None:
-            self._risk.network.load_state_dict(risk)
-        with naming_network(self._module, "load_state_dict"):  # its shapes may have changed
-            self._module.load_state_dict(state)
 
 
 class StartedActor:

@@ -8,16 +8,14 @@ from typing import Final
 import numpy as np
 
 from flipperctl.agent.learner import Learner
-from flipperctl.agent.risk import plain_risk
 from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.returns import paying_terms
 from flipperctl.evaluation.statistics import reached
-from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.collect import Collector
-from flipperctl.rollout.episode import Row, play
+from flipperctl.rollout.greedy import GreedyPlayer
 from flipperctl.rollout.seeds import validation_seed
 from flipperctl.training.calibrating import calibrated
 
@@ -32,10 +30,8 @@ class Validator:
     """Validates the agent's policy and keeps the results."""
 
     def __init__(self, config: TrainConfig, agent: Learner, env: FlipperEnv) -> None:
-        self._env, self._agent, self._frames = env, agent, config.network.frames
-        self._learner, self._risk = config.agent, None
-        if agent.risk is not None:
-            self._risk = plain_risk(agent.risk.network, config.agent.risk_horizon)
+        self._agent, self._learner = agent, config.agent
+        self._greedy = GreedyPlayer(config, env)
         settings = config.train
         self._seeds = [
             validation_seed(settings.validation_seed, index)
@@ -73,7 +69,9 @@ class Validator:
         ``decision``: number of decisions of the run so far. Returns None if the run is to stop
         before the last episode has ended.
         """
-        rows = collector.evaluate(self._agent.policy_arrays(), self._seeds, self._play)
+        weights = self._agent.policy_arrays()
+        self._greedy.load(weights)
+        rows = collector.evaluate(weights, self._seeds, self._greedy.play)
         if rows is None:
             return None
         reached_rows = reached(rows)
@@ -95,7 +93,3 @@ class Validator:
             )
         )
         return self.history[-1]
-
-    def _play(self, seed: int) -> Row:
-        with self._agent.evaluation_mode() as module:
-            return play(self._env, TrainedPolicy(module, self._frames, self._risk), seed)

@@ -197,14 +197,15 @@ def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
     assert off(after) < off(before) / 5
 
 
-def test_noise_explores_without_epsilon_and_is_off_in_evaluation_mode() -> None:
+def test_noise_explores_without_epsilon_and_is_off_in_a_validation() -> None:
     agent = learner("noisy", act_with="online")
     assert len(set(explored(agent, 0.0, 50))) > 1
     row = torch.zeros(1, LAYOUT.size)
-    with agent.evaluation_mode() as policy:
-        first = policy(row)
-        explored(agent, 0.0, 1)
-        assert torch.equal(policy(row), first)
+    policy = agent.policy.eval()
+    first = policy(row)
+    explored(agent, 0.0, 1)
+    assert torch.equal(policy(row), first)
+    policy.train()
     assert not torch.equal(agent.online(row), first)
 
 
