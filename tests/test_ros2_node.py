@@ -168,8 +168,8 @@ def test_it_drives_an_episode_of_a_bag(node: Any, stream: Stream) -> None:
 
 def test_an_arm_and_a_second_lidar_do_not_disturb_it(node: Any, stream: Stream) -> None:
     Buffer.static["camera"] = Buffer.static["lidar"]
-    both = []
-    for part in zip(stream, elsewhere(stream), strict=True):
+    both, few = [], stream[: len(stream) // 4]
+    for part in zip(few, elsewhere(few), strict=True):
         both += part if part[0][1] == "points" else part[:1]
         if part[0][1] == "joint_states":
             arm = {**vars(part[0][2]), "name": ["elbow"], "position": np.zeros(1)}

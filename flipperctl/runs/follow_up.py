@@ -13,7 +13,6 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 
 _plugin_paths: list[str] = []
@@ -50,6 +49,8 @@ def sweep_command(folder: Path) -> str:
     if not any(word.startswith("hydra.sweep.dir=") for word in words):
         short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         plain = re.fullmatch(r"[\w./-]+", short) is not None
+        from flipperctl.config.words import literal_override  # only where it is needed
+
         key = "hydra.sweep.dir"
         words.append(f"{key}={short}" if plain else literal_override(key, short))
     return command("train", "-m", *words)

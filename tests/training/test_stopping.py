@@ -54,7 +54,8 @@ def test_a_run_goes_on_over_the_recorded_ground_on_which_it_began(
     recorded = "x,z\n0,0\n3,0\n3,0.2\n6,0.2\n"
     file.write_text(recorded)
     ground = {"name": "mirror", "terrain": {"name": "profile_file", "path": "yard.csv"}}
-    config = short_config(**{"terrain": ground, "train.decisions": 30, "train.validate_every": 30})
+    few = {"train.decisions": 30, "train.validation_episodes": 1, "train.regret_episodes": 0}
+    config = short_config(**{"terrain": ground, **few})
     assert trainer(config, run).run(stop=lambda: True)["finished"] is False
     before = (run / checkpoint.LAST).read_bytes()
     file.write_text(recorded.replace("0.2", "0.3"))
