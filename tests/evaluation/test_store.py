@@ -214,30 +214,6 @@ def test_a_policy_that_fails_is_noted_and_the_others_are_judged(
     assert list(tmp_path.glob("*.failed.json")) == []
 
 
-def test_a_policy_that_is_replaced_meanwhile_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As by a run that is still trained and finds a better policy."""
-    shipped, file = shipped_policies(), tmp_path / "best.safetensors"
-    file.write_bytes(shipped["generalist_first"].read_bytes())
-    play = EpisodeRunner.play
-
-    def replaced(self: EpisodeRunner, index: int) -> EpisodeResult:
-        if index == 3:
-            file.write_bytes(shipped["generalist"].read_bytes())
-        return play(self, index)
-
-    monkeypatch.setattr(EpisodeRunner, "play", replaced)
-    learner = PolicySource(checkpoint=file)
-    scenes = [(config(5), learner), (config(5, seed=5), learner), (config(5), LEVEL)]
-    found = evaluate(scenes, store=CellFolder(tmp_path / "cells"))
-    assert [(s.controller, len(s.episodes)) for s in found.scenes] == [("level", 5)]
-    assert len(found.failures) == 2
-    assert all("has changed since the evaluation began" in str(f.error) for f in found.failures)
-    stored = [n for n in contents(tmp_path / "cells") if ".x." not in n and "failed" not in n]
-    assert [name.split(".")[5] for name in stored] == ["000000-000001"]
-
-
 def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[int]) -> None:
     first = evaluate([(config(4), OKADA)], store=CellFolder(tmp_path))
     before = contents(tmp_path)

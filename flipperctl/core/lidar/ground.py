@@ -107,9 +107,8 @@ class GroundSeen:
     def assume_level(self, until: float, yaw: float, z: float, slope: float = 0.0) -> None:
         """Take ground that was never seen for a plane, up to ``until`` in the direction ``yaw``.
 
-        ``z``: height at ``until`` [m]; ``slope``: by which the plane rises in that direction [-]. A
-        robot knows so much when it starts: it stands on the ground below it. Once it has turned
-        back, it may be on another storey.
+        ``z``: height at ``until`` [m]; ``slope``: by which the plane rises there [-]. A robot knows
+        so much when it starts. Once it has turned back, it may be on another storey.
         """
         self._start = until, yaw, z, slope
         if slope:
