@@ -22,6 +22,7 @@ from flipperctl.bags.drift import Drift
 from flipperctl.bags.folder import POSES, read_folder, read_stamps
 from flipperctl.bags.topics import Names
 from flipperctl.bags.transforms import Pose as FramePose
+from flipperctl.bags.transforms import estimated
 from flipperctl.core.lidar.checks import PerceptionError
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Pose, Scan
@@ -173,7 +174,7 @@ class _Run:
                 self._refuse("cloud_pose", text)
                 return
             self._estimator.update(
-                Measured("tracking", step.messages["cloud"].time, _tracked(where))
+                Measured("tracking", step.messages["cloud"].time, estimated(where))
             )
         scans = self._scans
         for device, time, message in self._intake.receive(step.now, **messages):
@@ -185,7 +186,7 @@ class _Run:
                 self._scans += 1
                 self._cloud = message.points
                 if where is not None and not self._tracked:
-                    self._drift.add(self._estimator.pose, _tracked(where))
+                    self._drift.add(self._estimator.pose, estimated(where))
         fault = self._intake.refused("cloud")
         if "cloud" in messages and fault is not None and fault is not before:
             self._refuse(fault.name, fault.reason)
@@ -274,17 +275,6 @@ class _Run:
             "remarks": remarks,
         }
         return self._result
-
-
-def _tracked(pose: FramePose) -> Pose:
-    """Return the chassis in a fixed frame as the estimator takes it."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_quat(pose.turn).as_matrix()
-    x, y, z = pose.place.tolist()
-    forward, left = turn[:, 0].tolist(), turn[:, 1].tolist()
-    roll, pitch = (math.asin(min(1.0, max(-1.0, axis[2]))) for axis in (left, forward))
-    return Pose(x, y, z, roll, pitch, math.atan2(forward[1], forward[0]))
 
 
 def _shown(points: FloatArray, pose: Pose) -> FloatArray:

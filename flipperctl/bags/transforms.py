@@ -6,12 +6,14 @@ in another at a time, interpolated.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from flipperctl.api import FloatArray
+from flipperctl.core.lidar.messages import Pose as ChassisPose
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 
@@ -57,6 +59,17 @@ class Pose:
 
         back = Rotation.from_quat(self.turn).inv()
         return Pose(-back.apply(self.place), back.as_quat())
+
+
+def estimated(pose: Pose) -> ChassisPose:
+    """Return the chassis in a fixed frame as the estimator takes it."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(pose.turn).as_matrix()
+    x, y, z = pose.place.tolist()
+    forward, left = turn[:, 0].tolist(), turn[:, 1].tolist()
+    roll, pitch = (math.asin(min(1.0, max(-1.0, axis[2]))) for axis in (left, forward))
+    return ChassisPose(x, y, z, roll, pitch, math.atan2(forward[1], forward[0]))
 
 
 @dataclass
